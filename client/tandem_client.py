@@ -121,14 +121,14 @@ class Issue:
 
         Keys that this client does not know stay in ``data``.
         """
-        known = {field.name: data[field.name] for field in dataclasses.fields(Issue) if field.name in data}
-        return Issue(**{**known, "data": dict(data)})
+        fields = {field.name: data[field.name] for field in dataclasses.fields(Issue) if field.name in data}
+        return Issue(**{**fields, "data": dict(data)})
 
     def __str__(self) -> str:
-        where = [self.file or "", f"line {self.line}" if self.line else "", self.field or ""]
-        place = ", ".join(one for one in where if one)
+        location_parts = [self.file or "", f"line {self.line}" if self.line else "", self.field or ""]
+        location = ", ".join(part for part in location_parts if part)
         hint = f"; {self.hint}" if self.hint else ""
-        return f"{self.severity} [{self.code}] {place + ': ' if place else ''}{self.message}{hint}"
+        return f"{self.severity} [{self.code}] {location + ': ' if location else ''}{self.message}{hint}"
 
 
 class TandemError(Exception):
@@ -180,10 +180,10 @@ class Client:
         self._url, self._timeout_s = url.rstrip("/"), timeout_s
         self._token = (token or "").strip()
         if not (self._token.isascii() and self._token.isprintable()):
-            what = "the token contains invalid characters. Copy it again."
-            raise self._refused({"code": "service.token", "message": what, "field": "token"})
+            message = "the token contains invalid characters. Copy it again."
+            raise self._refused({"code": "service.token", "message": message, "field": "token"})
         proxies = _proxies(parts)
-        self._place = f"{self._url}{_told(proxies.get(parts.scheme))}"
+        self._place = f"{self._url}{_proxy_note(proxies.get(parts.scheme))}"
         self._opener = urllib.request.build_opener(
             _NoRedirect, urllib.request.HTTPSHandler(context=context), urllib.request.ProxyHandler(proxies)
         )
@@ -204,11 +204,13 @@ class Client:
                 text = error.read(HEALTH_BYTES)
         except (OSError, ValueError, http.client.HTTPException) as error:
             raise self._away(error) from error
-        said = self._read_json(text)
-        numbers = (said.get("api", 1), said.get("api_oldest", 1))
-        if not isinstance(said.get("version"), str) or not all(isinstance(one, int) for one in numbers):
+        health = self._read_json(text)
+        numbers = (health.get("api", 1), health.get("api_oldest", 1))
+        if not isinstance(health.get("version"), str) or not all(
+            isinstance(number, int) for number in numbers
+        ):
             raise self._answer(self._url, "does not answer like a Tandem service. Check the address.")
-        return said
+        return health
 
     def who(self) -> dict[str, Any]:
         """Return ``name``, ``role`` (view, plan or release) and ``team`` of the token.
@@ -232,8 +234,8 @@ class Client:
         Returns:
             Issues.
         """
-        found = self._upload(f"/v1/check?reach={str(reach).lower()}", problem, files)
-        return tuple(self._issue(issue) for issue in found["issues"])
+        result = self._upload(f"/v1/check?reach={str(reach).lower()}", problem, files)
+        return tuple(self._issue(issue) for issue in result["issues"])
 
     def submit(
         self,
@@ -264,8 +266,8 @@ class Client:
                 spaces. Nothing is sent then.
         """
         self._check_key(key)
-        asked = {"timeout_s": timeout_s, "memory_mb": memory_mb}
-        query = self._query({name: value for name, value in asked.items() if value is not None})
+        parameters = {"timeout_s": timeout_s, "memory_mb": memory_mb}
+        query = self._query({name: value for name, value in parameters.items() if value is not None})
         body, kind = self._body(problem, files)
         return str(self._make(f"/v1/jobs?{query}", body, kind, key)["id"])
 
@@ -296,11 +298,11 @@ class Client:
         """
         self._check_key(key)
         self._want(DRAFTS_API if draft is None else BATCHES_API, "sweeps")
-        texts = [one if isinstance(one, str) else json.dumps(one) for one in values]
-        asked = {"field": field, "value": texts, "tag": tag}
+        texts = [value if isinstance(value, str) else json.dumps(value) for value in values]
+        parameters = {"field": field, "value": texts, "tag": tag}
         if draft is not None:
-            asked["draft"] = f"{draft[0]}@{draft[1]}"
-        query = self._query(asked)
+            parameters["draft"] = f"{draft[0]}@{draft[1]}"
+        query = self._query(parameters)
         body, kind = self._body(problem, files)
         return self._all_of(self._make(f"/v1/sweeps?{query}", body, kind, key), len(values), key)
 
@@ -328,12 +330,15 @@ class Client:
             Ids of the jobs in the order of the problems.
         """
         self._check_key(key)
-        texts, sent = self._bundles(problems, files or {})
+        texts, sent_files = self._bundles(problems, files or {})
         self._want(BATCHES_API, "batches")
-        asked: dict[str, Any] = {"tag": tag, "draft": [f"{draft}@{version}" for draft, version in drafts]}
-        body, kind = self._form(texts, sent)
-        made = self._make(f"/v1/batches?{self._query(asked)}", body, kind, key)
-        return self._all_of(made, len(texts), key)
+        parameters: dict[str, Any] = {
+            "tag": tag,
+            "draft": [f"{draft}@{version}" for draft, version in drafts],
+        }
+        body, kind = self._form(texts, sent_files)
+        created = self._make(f"/v1/batches?{self._query(parameters)}", body, kind, key)
+        return self._all_of(created, len(texts), key)
 
     def keep_draft(
         self, problem: Any, title: str = "", kind: str = "draft", files: Mapping[str, Content] | None = None
@@ -350,8 +355,8 @@ class Client:
             The draft with its ``id`` and ``version``, from 1.
         """
         self._want(DRAFTS_API, "drafts")
-        asked = self._query({"title": title, "kind": kind})
-        return self._upload(f"/v1/drafts?{asked}", problem, files)
+        query = self._query({"title": title, "kind": kind})
+        return self._upload(f"/v1/drafts?{query}", problem, files)
 
     def save_draft(
         self,
@@ -378,10 +383,10 @@ class Client:
         self._want(DRAFTS_API, "drafts")
         if title is not None:
             self._want(TITLED_API, "titles of drafts that are saved")
-        asked = self._query({"without": list(without), **({} if title is None else {"title": title})})
+        query = self._query({"without": list(without), **({} if title is None else {"title": title})})
         body, kind = self._body(problem, files)
         headers = {"Content-Type": kind, "If-Match": f'"{version}"'}
-        return self._read_json(self._request(_of(draft, f"?{asked}", "drafts"), body, headers, "PUT"))
+        return self._read_json(self._request(_path(draft, f"?{query}", "drafts"), body, headers, "PUT"))
 
     def drafts(self, kind: str | None = None) -> Iterator[dict[str, Any]]:
         """Yield the drafts of the token and of its team, last changed first.
@@ -390,8 +395,8 @@ class Client:
             kind: Only drafts of this kind.
         """
         self._want(DRAFTS_API, "drafts")
-        whole = {} if self._api >= BATCHES_API else {"limit": 1000}  # older services return one page only
-        yield from self._pages("drafts", "drafts", whole | ({} if kind is None else {"kind": kind}))
+        limit = {} if self._api >= BATCHES_API else {"limit": 1000}  # older services return one page only
+        yield from self._pages("drafts", "drafts", limit | ({} if kind is None else {"kind": kind}))
 
     def draft(self, draft: str, version: int | None = None) -> tuple[bytes, dict[str, bytes]]:
         """Return text and files of a draft.
@@ -401,21 +406,21 @@ class Client:
             version: Version, or None for the last one.
         """
         self._want(DRAFTS_API, "drafts")
-        number = self._json(_of(draft, kind="drafts"))["version"] if version is None else version
-        own = _of(draft, f"/versions/{number}", "drafts")
-        names = [one["name"] for one in self._json(own)["files"]]
-        files = {name: self._request(f"{own}/files/{_quoted(name)}") for name in names}
-        return self._request(f"{own}/problem"), files
+        version_number = self._json(_path(draft, kind="drafts"))["version"] if version is None else version
+        path = _path(draft, f"/versions/{version_number}", "drafts")
+        names = [entry["name"] for entry in self._json(path)["files"]]
+        files = {name: self._request(f"{path}/files/{_quoted(name)}") for name in names}
+        return self._request(f"{path}/problem"), files
 
     def versions(self, draft: str) -> list[dict[str, Any]]:
         """Return the versions of a draft, newest first: ``number``, ``at``, ``by`` and names of ``files``."""
         self._want(DRAFTS_API, "drafts")
-        return list(self._json(_of(draft, kind="drafts"))["versions"])
+        return list(self._json(_path(draft, kind="drafts"))["versions"])
 
     def rename_draft(self, draft: str, title: str) -> dict[str, Any]:
         """Rename a draft. This creates no new version."""
         self._want(DRAFTS_API, "drafts")
-        return self._send(_of(draft, kind="drafts"), {"title": title}, "PATCH")
+        return self._send(_path(draft, kind="drafts"), {"title": title}, "PATCH")
 
     def mark_sent(self, draft: str, version: int, job: str) -> dict[str, Any]:
         """Record that a version of a draft was submitted as a job, so that it counts as submitted.
@@ -426,15 +431,15 @@ class Client:
             job: Id of the job.
         """
         self._want(BATCHES_API, "submitted drafts")
-        return self._send(_of(draft, "/sent", "drafts"), {"version": version, "job": job}, "POST")
+        return self._send(_path(draft, "/sent", "drafts"), {"version": version, "job": job}, "POST")
 
     def delete_draft(self, draft: str) -> None:
         """Delete a draft with its versions."""
-        self._request(_of(draft, kind="drafts"), method="DELETE")
+        self._request(_path(draft, kind="drafts"), method="DELETE")
 
     def job(self, job: str) -> dict[str, Any]:
         """Return state, stage, ``fraction``, issues and metrics of a job, without waiting."""
-        return self._json(_of(job))
+        return self._json(_path(job))
 
     def jobs(
         self, search: str = "", tags: Sequence[str] = (), sort: str = "newest", states: Sequence[str] = ()
@@ -447,15 +452,15 @@ class Client:
             sort: newest, oldest, title, or turn, which is the order of the queue.
             states: Only these states.
         """
-        asked = self._sought(search, tags, sort, DRAFTS_API if sort == "turn" else FINDING_API)
-        yield from self._pages("jobs", "jobs", {**asked, "state": list(states)})
+        query = self._sought(search, tags, sort, DRAFTS_API if sort == "turn" else FINDING_API)
+        yield from self._pages("jobs", "jobs", {**query, "state": list(states)})
 
     def describe(
         self, job: str, title: str | None = None, tags: Sequence[str] | None = None, notes: str | None = None
     ) -> dict[str, Any]:
         """Set title, tags and notes of a job. None keeps a value."""
         self._want(FINDING_API, "titles, tags and notes")
-        return self._send(_of(job), _described(title, tags, notes), "PATCH")
+        return self._send(_path(job), _description_data(title, tags, notes), "PATCH")
 
     def first(self, job: str) -> dict[str, Any]:
         """Move a queued job before the other queued jobs of its owner.
@@ -464,7 +469,7 @@ class Client:
             TandemError: ``service.state``, the job is not queued.
         """
         self._want(DRAFTS_API, "the order of the queue")
-        return self._json(_of(job, "/first"), method="POST")
+        return self._json(_path(job, "/first"), method="POST")
 
     def estimate(self, job: str) -> dict[str, Any]:
         """Estimate the remaining time of a job from the number ``like`` of similar proven jobs.
@@ -473,11 +478,11 @@ class Client:
             ``left_s`` and ``whole_s`` if there are similar jobs, and ``elapsed_s`` while it runs.
         """
         self._want(DRAFTS_API, "estimates")
-        return self._json(_of(job, "/estimate"))
+        return self._json(_path(job, "/estimate"))
 
     def cancel(self, job: str) -> None:
         """Cancel a job."""
-        self._json(_of(job, "/cancel"), method="POST")
+        self._json(_path(job, "/cancel"), method="POST")
 
     def retry(self, job: str) -> None:
         """Queue a job again that crashed, reached a limit or was cancelled.
@@ -486,11 +491,11 @@ class Client:
             TandemError: ``service.state``, the job is in another state.
         """
         self._want(RETRY_API, "retries of jobs")
-        self._json(_of(job, "/retry"), method="POST")
+        self._json(_path(job, "/retry"), method="POST")
 
     def delete(self, job: str) -> None:
         """Delete a job and its files."""
-        self._request(_of(job), method="DELETE")
+        self._request(_path(job), method="DELETE")
 
     def delete_jobs(self, jobs: Sequence[str]) -> list[str]:
         """Delete jobs and their files. Return the ids that do not exist."""
@@ -498,8 +503,8 @@ class Client:
         unknown: list[str] = []
         ids = [jobs] if isinstance(jobs, str) else list(jobs)
         for start in range(0, len(ids), MOST_DELETED):
-            some = {"jobs": ids[start : start + MOST_DELETED]}
-            unknown += self._send("/v1/jobs/delete", some, "POST")["unknown"]
+            body = {"jobs": ids[start : start + MOST_DELETED]}
+            unknown += self._send("/v1/jobs/delete", body, "POST")["unknown"]
         return unknown
 
     def events(self, job: str, timeout_s: float | None = None) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -509,20 +514,20 @@ class Client:
             job: Id of the job.
             timeout_s: Maximum time [s], or None.
         """
-        until = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
         after, ended = 0, False
         while not ended:
             try:
-                for number, kind, data in self._stream(job, after, until):
+                for number, kind, data in self._stream(job, after, deadline):
                     after, ended = max(after, number), kind == "end"
                     if not ended:
                         yield kind, data
             except (OSError, ValueError, http.client.HTTPException):  # the connection was lost
                 pass
             if not ended:
-                self._pause(job, until, timeout_s)
-                found = self._if_there(job, until)
-                ended = found is not None and found["state"] not in OPEN
+                self._pause(job, deadline, timeout_s)
+                state = self._if_there(job, deadline)
+                ended = state is not None and state["state"] not in OPEN
 
     def wait(
         self, job: str, progress: Progress | None = None, timeout_s: float | None = None
@@ -534,23 +539,26 @@ class Client:
             progress: Callback for stage and fraction.
             timeout_s: Maximum time [s], or None.
         """
-        until = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
         for kind, data in self.events(job, timeout_s):
             if kind == "progress" and progress is not None:
                 progress(str(data["stage"]), float(data["fraction"]))
-        found = self._if_there(job, until)
-        while found is None:
-            self._pause(job, until, timeout_s)
-            found = self._if_there(job, until)
-        return found
+        ended_job = self._if_there(job, deadline)
+        while ended_job is None:
+            self._pause(job, deadline, timeout_s)
+            ended_job = self._if_there(job, deadline)
+        return ended_job
 
     def file(self, job: str, name: str) -> bytes:
         """Return a file of a job, by its name in the list of files."""
-        return self._request(_of(job, f"/files/{_quoted(name)}"))
+        return self._request(_path(job, f"/files/{_quoted(name)}"))
 
     def files(self, job: str) -> dict[str, bytes]:
         """Return all files of a job by name: its problem and its results."""
-        return {one["name"]: self.file(job, one["name"]) for one in self._json(_of(job, "/files"))["files"]}
+        return {
+            entry["name"]: self.file(job, entry["name"])
+            for entry in self._json(_path(job, "/files"))["files"]
+        }
 
     def programs(self, job: str) -> dict[str, str]:
         """Return the programs of a job by name.
@@ -560,7 +568,7 @@ class Client:
         """
         import zipfile  # takes a tenth of the import time of everything else
 
-        with zipfile.ZipFile(io.BytesIO(self._request(_of(job, "/programs.zip")))) as archive:
+        with zipfile.ZipFile(io.BytesIO(self._request(_path(job, "/programs.zip")))) as archive:
             names = [name for name in archive.namelist() if name != RELEASE]
             return {name: archive.read(name).decode("utf-8") for name in names}
 
@@ -591,7 +599,7 @@ class Client:
         A release that was ``withdrawn`` is no longer in force.
         """
         self._want(RELEASES_API, "releases")
-        return list(self._json(_of(job, "/releases"))["releases"])
+        return list(self._json(_path(job, "/releases"))["releases"])
 
     def audit(self, job: str | None = None, acts: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
         """Yield entries of the audit log, newest first: ``at``, ``by``, ``act``, ``job`` and ``about``.
@@ -621,7 +629,7 @@ class Client:
             name: Name of the file.
         """
         try:
-            return _meshes(self.file(job, name).decode("utf-8"))
+            return _parse_obj(self.file(job, name).decode("utf-8"))
         except (ValueError, IndexError) as error:
             raise self._answer(self._url, f"returned {name}, which is not a mesh: {error}") from error
 
@@ -647,7 +655,7 @@ class Client:
         Block jobs divide raw blocks, or cut several ``panels`` out of one together.
         """
         self._want(DESK_API, "elements")
-        return self._json(_of(element, kind="elements"))
+        return self._json(_path(element, kind="elements"))
 
     def plan_panels(
         self, element: str, panels: Sequence[str] | None = None, key: str | None = None
@@ -662,8 +670,8 @@ class Client:
         self._check_key(key)
         self._want(DESK_API, "elements")
         body = json.dumps({} if panels is None else {"panels": list(panels)}).encode()
-        made = self._make(_of(element, "/plan", "elements"), body, "application/json", key)
-        return [str(one["id"]) for one in made["jobs"]]
+        created = self._make(_path(element, "/plan", "elements"), body, "application/json", key)
+        return [str(job["id"]) for job in created["jobs"]]
 
     def elements(
         self, search: str = "", tags: Sequence[str] = (), sort: str = "newest"
@@ -681,7 +689,7 @@ class Client:
     ) -> dict[str, Any]:
         """Set title, tags and notes of an element, as :meth:`describe` does for a job."""
         self._want(BATCHES_API, "titles, tags and notes of elements")
-        return self._send(_of(element, kind="elements"), _described(title, tags, notes), "PATCH")
+        return self._send(_path(element, kind="elements"), _description_data(title, tags, notes), "PATCH")
 
     def divide_anew(
         self, element: str, fields: Mapping[str, Any], instead: bool = False, key: str | None = None
@@ -699,11 +707,11 @@ class Client:
         """
         self._check_key(key)
         self._want(DESK_API, "elements")
-        text, sent = self._bundle({"fields": fields}, {})
-        if sent:
-            what = "fields: got a file. Files of an element cannot be replaced: divide the changed file."
-            raise self._refused({"code": "problem.field", "message": what, "field": "fields"})
-        path = _of(element, f"/divide?instead={str(instead).lower()}", "elements")
+        text, sent_files = self._bundle({"fields": fields}, {})
+        if sent_files:
+            message = "fields: got a file. Files of an element cannot be replaced: divide the changed file."
+            raise self._refused({"code": "problem.field", "message": message, "field": "fields"})
+        path = _path(element, f"/divide?instead={str(instead).lower()}", "elements")
         return str(self._make(path, text, "application/json", key)["id"])
 
     def release_panels(
@@ -727,13 +735,13 @@ class Client:
             TandemError: ``service.release``, none could be released.
         """
         self._want(BATCHES_API, "releases of panels")
-        if not all(isinstance(one, Mapping) and "id" in one for one in panels):
-            what = "panels: give rows of panels or block_jobs of element(...), with id, job and digest."
-            raise self._refused({"code": "problem.field", "message": what, "field": "panels"})
-        own = [one for one in panels if not one.get("cut_in")]
-        shown = {str(one["id"]): {"job": one.get("job"), "digest": one.get("digest")} for one in own}
-        said = {"panels": shown, "note": note, "name": name}
-        return self._send(_of(element, "/release", "elements"), said, "POST")
+        if not all(isinstance(panel, Mapping) and "id" in panel for panel in panels):
+            message = "panels: give rows of panels or block_jobs of element(...), with id, job and digest."
+            raise self._refused({"code": "problem.field", "message": message, "field": "panels"})
+        own = [panel for panel in panels if not panel.get("cut_in")]
+        shown = {str(panel["id"]): {"job": panel.get("job"), "digest": panel.get("digest")} for panel in own}
+        body = {"panels": shown, "note": note, "name": name}
+        return self._send(_path(element, "/release", "elements"), body, "POST")
 
     def mark_panel(self, element: str, panel: str, state: str) -> dict[str, Any]:
         """Mark a panel as cut, glued or broken, or as open, which removes its mark.
@@ -745,7 +753,7 @@ class Client:
             The element, whose ``told`` lists the next steps.
         """
         self._want(DESK_API, "elements")
-        return self._send(_of(element, "/mark", "elements"), {"panel": panel, "state": state}, "POST")
+        return self._send(_path(element, "/mark", "elements"), {"panel": panel, "state": state}, "POST")
 
     def report_panels(self, element: str, key: str | None = None) -> str:
         """Report on the panels that have ended.
@@ -760,16 +768,16 @@ class Client:
         """
         self._check_key(key)
         self._want(DESK_API, "elements")
-        return str(self._make(_of(element, "/report", "elements"), b"", "application/json", key)["id"])
+        return str(self._make(_path(element, "/report", "elements"), b"", "application/json", key)["id"])
 
     def cancel_element(self, element: str) -> dict[str, Any]:
         """Cancel the queued and running jobs of an element: division, panels and report."""
         self._want(DESK_API, "elements")
-        return self._json(_of(element, "/cancel", "elements"), method="POST")
+        return self._json(_path(element, "/cancel", "elements"), method="POST")
 
     def delete_element(self, element: str) -> None:
         """Delete an element with its reports. Planned panels remain as jobs."""
-        self._request(_of(element, kind="elements"), method="DELETE")
+        self._request(_path(element, kind="elements"), method="DELETE")
 
     def report_url(self, job: str, seconds: int = 3600) -> str:
         """Return a temporary address at which a browser opens the report of a job without a token."""
@@ -782,29 +790,29 @@ class Client:
     def link(self, job: str, name: str, seconds: int = 3600) -> str:
         """Return an address at which everybody who has it can read a file of a job, for some seconds."""
         self._want(LINKS_API, "links")
-        asked = self._query({"name": name, "seconds": seconds})
-        return f"{self._url}{self._json(_of(job, f'/links?{asked}'), method='POST')['path']}"
+        query = self._query({"name": name, "seconds": seconds})
+        return f"{self._url}{self._json(_path(job, f'/links?{query}'), method='POST')['path']}"
 
     def look(self, job: str, seconds: int = 7 * 86400) -> str:
         """Return a temporary address of a read-only page of a job, for everybody who has the address."""
         self._want(DRAFTS_API, "view links")
-        return f"{self._url}{self._json(_of(job, f'/looks?seconds={seconds}'), method='POST')['path']}"
+        return f"{self._url}{self._json(_path(job, f'/looks?seconds={seconds}'), method='POST')['path']}"
 
     def looks(self, job: str) -> list[dict[str, Any]]:
         """Return the view links of a job that are in force: ``id``, ``by``, and when each ``expires``."""
         self._want(DRAFTS_API, "view links")
-        return list(self._json(_of(job, "/looks"))["links"])
+        return list(self._json(_path(job, "/looks"))["links"])
 
     def withdraw_look(self, job: str, look: str) -> None:
         """Withdraw a view link, by its ``id``."""
-        self._request(_of(job, f"/looks/{_quoted(look, '')}"), method="DELETE")
+        self._request(_path(job, f"/looks/{_quoted(look, '')}"), method="DELETE")
 
     def _issue(self, data: Mapping[str, Any]) -> Any:
         """Convert an issue from JSON."""
         return Issue.from_dict(data)
 
     def _bundle(self, problem: Any, files: Mapping[str, Content]) -> tuple[bytes, dict[str, bytes]]:
-        """Return text and files of a problem."""
+        """Return text and files of a problem. Faults are raised as the error of this client."""
         try:
             return _bundle(problem, files)
         except _FaultError as fault:
@@ -812,8 +820,8 @@ class Client:
 
     def _body(self, problem: Any, files: Mapping[str, Content] | None) -> tuple[bytes, str]:
         """Return the request body with a problem and its files, and its content type."""
-        text, sent = self._bundle(problem, files or {})
-        return self._form({"problem.yaml": text}, sent)
+        text, sent_files = self._bundle(problem, files or {})
+        return self._form({"problem.yaml": text}, sent_files)
 
     def _form(self, problems: Mapping[str, bytes], files: Mapping[str, bytes]) -> tuple[bytes, str]:
         """Return the form with problems and files, and its content type."""
@@ -821,16 +829,16 @@ class Client:
             return _multipart(problems, files)
         except UnicodeEncodeError as error:
             name = error.object[max(error.start - 40, 0) : error.end + 40]
-            what = f"the name {name!a} contains half of a surrogate pair. Rename it."
-            raise self._refused({"code": "service.file_name", "message": what, "field": "files"}) from error
+            text = f"the name {name!a} contains half of a surrogate pair. Rename it."
+            raise self._refused({"code": "service.file_name", "message": text, "field": "files"}) from error
 
-    def _query(self, asked: Mapping[str, Any]) -> str:
+    def _query(self, parameters: Mapping[str, Any]) -> str:
         """Return a query string."""
         try:
-            return urllib.parse.urlencode(asked, doseq=True)
+            return urllib.parse.urlencode(parameters, doseq=True)
         except UnicodeEncodeError as error:
-            what = f"{error.object[:80]!a} contains half of a surrogate pair. Correct the text."
-            raise self._refused({"code": "service.request", "message": what, "field": None}) from error
+            message = f"{error.object[:80]!a} contains half of a surrogate pair. Correct the text."
+            raise self._refused({"code": "service.request", "message": message, "field": None}) from error
 
     def _bundles(
         self, problems: Any, files: Mapping[str, Content]
@@ -839,132 +847,155 @@ class Client:
 
         Issues are reported for each problem.
         """
-        _, sent = self._bundle(b"", files)
+        _, sent_files = self._bundle(b"", files)
         texts: dict[str, bytes] = {}
-        wrong: list[dict[str, Any]] = []
+        issues: list[dict[str, Any]] = []
         for number, (name, problem) in enumerate(self._named(problems)):
             if name in texts:
-                what = f"two problems have the name {name!r}. Rename one, or give {{name: problem}}."
-                double = {"code": "service.file_name", "message": what, "field": "problems"}
-                wrong.append({**double, "of": number})
-            texts[name], sent, faults = self._one_of_many(problem, sent)
-            wrong += [{**one, "message": f"{name}: {one['message']}", "of": number} for one in faults]
-        if wrong:
-            raise self._refused(*wrong)
-        return texts, sent
+                message = f"two problems have the name {name!r}. Rename one, or give {{name: problem}}."
+                issue = {"code": "service.file_name", "message": message, "field": "problems"}
+                issues.append({**issue, "of": number})
+            texts[name], sent_files, faults = self._one_of_many(problem, sent_files)
+            issues += [{**fault, "message": f"{name}: {fault['message']}", "of": number} for fault in faults]
+        if issues:
+            raise self._refused(*issues)
+        return texts, sent_files
 
     def _named(self, problems: Any) -> list[tuple[str, Any]]:
-        """Return several problems with their names."""
+        """Return several problems as pairs of name and problem. Paths are named by their last component."""
         if isinstance(problems, Mapping):
             return [(str(name), problem) for name, problem in problems.items()]
-        if isinstance(problems, (list, tuple)) and all(isinstance(one, (str, PathLike)) for one in problems):
-            return [(Path(fspath(one)).name, one) for one in problems]
-        what = "problems: give {name: problem}, or a list of paths of problem files."
-        raise self._refused({"code": "problem.field", "message": what, "field": "problems"})
+        if isinstance(problems, (list, tuple)) and all(
+            isinstance(path, (str, PathLike)) for path in problems
+        ):
+            return [(Path(fspath(path)).name, path) for path in problems]
+        message = "problems: give {name: problem}, or a list of paths of problem files."
+        raise self._refused({"code": "problem.field", "message": message, "field": "problems"})
 
     def _one_of_many(
-        self, problem: Any, sent: dict[str, bytes]
+        self, problem: Any, sent_files: dict[str, bytes]
     ) -> tuple[bytes, dict[str, bytes], list[dict[str, Any]]]:
-        """Return the text of a problem, all files with its own, and its issues."""
+        """Return the text of one of several problems, all files including its own, and its issues."""
         try:
-            return (*self._bundle(problem, sent), [])
+            return (*self._bundle(problem, sent_files), [])
         except self._error as error:
-            asked = ("code", "message", "field", "file", "line", "hint")
-            return b"", sent, [{name: getattr(one, name) for name in asked} for one in error.issues]
+            fields = ("code", "message", "field", "file", "line", "hint")
+            return (
+                b"",
+                sent_files,
+                [{name: getattr(issue, name) for name in fields} for issue in error.issues],
+            )
 
-    def _refused(self, *found: Mapping[str, Any]) -> Exception:
-        error: Exception = self._error(tuple(self._issue(one) for one in found))
+    def _refused(self, *issues: Mapping[str, Any]) -> Exception:
+        """Return the exception that contains some issues."""
+        error: Exception = self._error(tuple(self._issue(issue) for issue in issues))
         return error
 
-    def _answer(self, url: str, what: str, code: str = "service.answer") -> Exception:
-        return self._refused({"code": code, "message": f"{url} {what}", "field": "url"})
+    def _answer(self, url: str, predicate: str, code: str = "service.answer") -> Exception:
+        """Return the exception for an unexpected answer. The message is the address and ``predicate``."""
+        return self._refused({"code": code, "message": f"{url} {predicate}", "field": "url"})
 
     def _away(self, error: Exception) -> Exception:
+        """Return the exception for a service that cannot be reached, or that does not answer in time."""
         reason = getattr(error, "reason", error)
         if isinstance(reason, socket.timeout):
-            what = f"gave no answer within {self._timeout_s:g} s. Check its load, or increase timeout_s."
-            return self._answer(self._place, what, "service.timeout")
-        past = "" if self._place == self._url else ", or name it in no_proxy"
-        return self._answer(self._place, f"does not answer ({reason}). Make sure that it is running{past}.")
+            predicate = f"gave no answer within {self._timeout_s:g} s. Check its load, or increase timeout_s."
+            return self._answer(self._place, predicate, "service.timeout")
+        advice = "" if self._place == self._url else ", or name it in no_proxy"
+        return self._answer(self._place, f"does not answer ({reason}). Make sure that it is running{advice}.")
 
     def _refusal(self, error: urllib.error.HTTPError) -> Exception:
         """Return the exception for a refused request."""
         with error:
             if 300 <= error.code < 400:  # the token is sent to no other address
-                there = str(error.headers.get("Location"))[:200]
-                return self._answer(self._url, f"redirects to {there}. Give that address if you trust it.")
-            said: Any = None
+                location = str(error.headers.get("Location"))[:200]
+                return self._answer(self._url, f"redirects to {location}. Give that address if you trust it.")
+            body: Any = None
             try:
-                said = json.loads(error.read())
-                for issue, number in zip(said["issues"], said.get("of") or ()):  # of several problems
+                body = json.loads(error.read())
+                for issue, number in zip(body["issues"], body.get("of") or ()):  # of several problems
                     issue["of"] = number
-                return self._refused(*said["issues"])
+                return self._refused(*body["issues"])
             except (ValueError, KeyError, TypeError, OSError, http.client.HTTPException):
-                told = [said.get(name) for name in ("title", "detail")] if isinstance(said, dict) else []
-                why = ": ".join(one[:200] for one in told if isinstance(one, str))  # possibly from a proxy
+                texts = [body.get(name) for name in ("title", "detail")] if isinstance(body, dict) else []
+                why = ": ".join(
+                    text[:200] for text in texts if isinstance(text, str)
+                )  # possibly from a proxy
                 return self._answer(
                     self._place,
                     f"answers with status {error.code}{f' ({why})' if why else ''}. Is it a Tandem service?",
                 )
 
-    def _want(self, api: int, what: str = "") -> None:
-        """Check that the service has an API number, and supports this client."""
+    def _want(self, api: int, feature: str = "") -> None:
+        """Require that the service supports this client and has at least an API number.
+
+        Args:
+            api: Required API number.
+            feature: Feature that requires it, for the message.
+        """
         if self._api >= api:
             return
-        said = self.service()
-        has, oldest, version = said.get("api", 1), said.get("api_oldest", 1), said["version"]
+        health = self.service()
+        service_api, oldest = health.get("api", 1), health.get("api_oldest", 1)
+        version = health["version"]
         if oldest > API:
             message = (
                 f"has version {version}, which requires clients with API {oldest} or newer. This client, "
                 f"{__version__}, has API {API}: pip install --upgrade tandem-client"
             )
             raise self._answer(self._url, message, "service.version")
-        if has < api:
+        if service_api < api:
             message = (
-                f"has version {version} with API {has}; {what}: API {api} is required. Update the service."
+                f"has version {version} with API {service_api}; {feature}: API {api} is required. "
+                "Update the service."
             )
             raise self._answer(self._url, message, "service.version")
-        self._api = has
+        self._api = service_api
 
     def _sought(self, search: str, tags: Sequence[str], sort: str, api: int) -> dict[str, Any]:
-        """Return the query of a list, if the service supports it."""
+        """Return the query of a list. A search, tags or an order require the API number ``api``."""
         if not (search or tags or sort != "newest"):
             return {}
         self._want(api, "search")
         return {"search": search, "tag": list(tags), "sort": sort}
 
-    def _pages(self, path: str, name: str, asked: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-        """Yield the entries of a list, page by page."""
-        asked = {"limit": 200, **asked}
+    def _pages(self, path: str, name: str, parameters: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+        """Yield the entries of a list, page by page. ``name`` is the key of the entries in a page."""
+        parameters = {"limit": 200, **parameters}
         while True:
-            page = self._json(f"/v1/{path}?{self._query(asked)}")
+            page = self._json(f"/v1/{path}?{self._query(parameters)}")
             yield from page[name]
             if page.get("next") is None:
                 return
-            asked = {**asked, "cursor": page["next"]}
+            parameters = {**parameters, "cursor": page["next"]}
 
-    def _if_there(self, job: str, until: float) -> dict[str, Any] | None:
+    def _if_there(self, job: str, deadline: float) -> dict[str, Any] | None:
         """Return the job, or None while the service is unavailable, for instance during a restart."""
         try:
-            return self._read_json(self._request(_of(job), timeout_s=min(self._timeout_s, _left(until))))
+            return self._read_json(
+                self._request(_path(job), timeout_s=min(self._timeout_s, _remaining_s(deadline)))
+            )
         except self._error as error:
-            away = getattr(error.__cause__, "code", None) in AWAY
-            if away or all(one.code in ("service.answer", "service.timeout") for one in error.issues):
+            is_unavailable = getattr(error.__cause__, "code", None) in AWAY
+            if is_unavailable or all(
+                issue.code in ("service.answer", "service.timeout") for issue in error.issues
+            ):
                 return None
             raise
 
-    def _pause(self, job: str, until: float, timeout_s: float | None) -> None:
+    def _pause(self, job: str, deadline: float, timeout_s: float | None) -> None:
         """Wait before the next attempt, unless the time limit is reached."""
-        time.sleep(min(RETRY_S, _left(until)))
-        if time.monotonic() >= until:
-            what = f"job {job}: not ended within {timeout_s} s. It continues: wait again or cancel it."
-            raise self._refused({"code": "service.timeout", "message": what, "field": "timeout_s"})
+        time.sleep(min(RETRY_S, _remaining_s(deadline)))
+        if time.monotonic() >= deadline:
+            message = f"job {job}: not ended within {timeout_s} s. It continues: wait again or cancel it."
+            raise self._refused({"code": "service.timeout", "message": message, "field": "timeout_s"})
 
-    def _stream(self, job: str, after: int, until: float) -> Iterator[tuple[int, str, dict[str, Any]]]:
+    def _stream(self, job: str, after: int, deadline: float) -> Iterator[tuple[int, str, dict[str, Any]]]:
+        """Yield number, kind and data of a job's events after a number, until the connection ends."""
         self._want(1)
-        quiet = min(WAIT_S, _left(until))
+        silence_s = min(WAIT_S, _remaining_s(deadline))
         try:
-            with self._open(_of(job, f"/events?after={after}"), None, {}, "GET", quiet) as stream:
+            with self._open(_path(job, f"/events?after={after}"), None, {}, "GET", silence_s) as stream:
                 fields: dict[str, str] = {}
                 for line in stream:
                     name, _, value = line.decode().rstrip("\n").partition(": ")
@@ -973,7 +1004,7 @@ class Client:
                     elif "event" in fields:
                         yield int(fields["id"]), fields["event"], json.loads(fields["data"])
                         fields = {}
-                    if time.monotonic() >= until:
+                    if time.monotonic() >= deadline:
                         return
         except urllib.error.HTTPError as error:
             if error.code in AWAY:
@@ -986,43 +1017,43 @@ class Client:
         return self._read_json(self._request(path, body, {"Content-Type": kind}, "POST"))
 
     def _make(self, path: str, body: bytes, kind: str, key: str | None) -> dict[str, Any]:
-        """Send a request that creates jobs.
+        """Send a request that creates jobs, with an idempotency key.
 
-        Repeat it if the connection is lost and the service supports keys.
+        The request is repeated if the connection is lost and the service supports keys.
         """
         self._want(1 if key is None else KEYS_API, "idempotency keys")
         headers = {"Content-Type": kind, "Idempotency-Key": secrets.token_hex(16) if key is None else key}
         pauses = PAUSES_S if self._api >= KEYS_API else ()
         return self._read_json(self._request(path, body, headers, "POST", pauses=pauses))
 
-    def _all_of(self, made: Mapping[str, Any], count: int, key: str | None) -> list[str]:
-        """Return the ids of the created jobs.
+    def _all_of(self, created: Mapping[str, Any], count: int, key: str | None) -> list[str]:
+        """Return the ids of all created jobs.
 
-        There are fewer if some that the key had created were deleted.
+        There are fewer than ``count`` if some that the key had created were deleted. This is an error.
         """
-        ids = [str(one["id"]) for one in made["jobs"]]
+        ids = [str(job["id"]) for job in created["jobs"]]
         if len(ids) == count:
             return ids
-        what = f"key: got {key!r}, which created {count} jobs, remaining: {len(ids)}. Give another key."
-        raise self._refused({"code": "service.idempotency", "message": what, "field": "key", "jobs": ids})
+        message = f"key: got {key!r}, which created {count} jobs, remaining: {len(ids)}. Give another key."
+        raise self._refused({"code": "service.idempotency", "message": message, "field": "key", "jobs": ids})
 
     def _check_key(self, key: str | None) -> None:
-        """Check that a key can be sent: HTTP changes some other characters, or a header ends at them."""
+        """Check that a key can be sent. HTTP changes other characters, or ends the header at them."""
         if key is None or (isinstance(key, str) and _KEY.fullmatch(key)):
             return
         got = f"{key[:40]!r} of {len(key)} characters" if isinstance(key, str) else f"a {type(key).__name__}"
         allowed = f"1 to {LONGEST_KEY} printable ASCII characters without spaces"
-        what = f"key: got {got}, allowed: {allowed}. Give such a text, such as str(uuid.uuid4()), or none."
-        raise self._refused({"code": "service.idempotency", "message": what, "field": "key"})
+        message = f"key: got {got}, allowed: {allowed}. Give such a text, such as str(uuid.uuid4()), or none."
+        raise self._refused({"code": "service.idempotency", "message": message, "field": "key"})
 
-    def _decide(self, job: str, what: str, said: Mapping[str, Any]) -> dict[str, Any]:
+    def _decide(self, job: str, action: str, body: Mapping[str, Any]) -> dict[str, Any]:
         self._want(RELEASES_API, "releases")
-        return self._send(_of(job, f"/{what}"), said, "POST")
+        return self._send(_path(job, f"/{action}"), body, "POST")
 
-    def _send(self, path: str, said: Mapping[str, Any], method: str) -> dict[str, Any]:
-        """Send those values that are not None."""
-        given = {name: value for name, value in said.items() if value is not None}
-        body, headers = json.dumps(given).encode(), {"Content-Type": "application/json"}
+    def _send(self, path: str, values: Mapping[str, Any], method: str) -> dict[str, Any]:
+        """Send the values that are not None as JSON, and return the answer."""
+        stated = {name: value for name, value in values.items() if value is not None}
+        body, headers = json.dumps(stated).encode(), {"Content-Type": "application/json"}
         return self._read_json(self._request(path, body, headers, method))
 
     def _json(self, path: str, method: str = "GET") -> dict[str, Any]:
@@ -1030,12 +1061,12 @@ class Client:
 
     def _read_json(self, text: bytes) -> dict[str, Any]:
         try:
-            found = json.loads(text)
+            data = json.loads(text)
         except (ValueError, RecursionError) as error:
             raise self._answer(self._url, "does not answer in JSON. Is it a Tandem service?") from error
-        if not isinstance(found, dict):
+        if not isinstance(data, dict):
             raise self._answer(self._url, "does not answer like a Tandem service. Is it one?")
-        return found
+        return data
 
     def _request(
         self,
@@ -1046,10 +1077,10 @@ class Client:
         timeout_s: float | None = None,
         pauses: Sequence[float] = (),
     ) -> bytes:
-        """Return the answer.
+        """Send a request and return the body of the answer.
 
-        After each of the ``pauses`` [s] the request is repeated if the connection was lost, or a proxy
-        could not reach the service.
+        If the connection is lost, or a proxy cannot reach the service, the request is repeated after each of
+        the ``pauses`` [s].
         """
         self._want(1)
         try:
@@ -1061,7 +1092,7 @@ class Client:
             error.close()
             time.sleep(pauses[0])
         except (OSError, ValueError, http.client.HTTPException) as error:
-            if not (pauses and _broken_off(error)):
+            if not (pauses and _is_connection_lost(error)):
                 raise self._away(error) from error
             time.sleep(pauses[0])
         return self._request(path, body, headers, method, timeout_s, pauses[1:])
@@ -1069,12 +1100,12 @@ class Client:
     def _open(
         self, path: str, body: bytes | None, headers: Mapping[str, str], method: str, timeout_s: float
     ) -> IO[bytes]:
-        own = {"User-Agent": f"tandem-client/{__version__}"}
+        own_headers = {"User-Agent": f"tandem-client/{__version__}"}
         if self._token:
-            own["Authorization"] = f"Bearer {self._token}"
-        request = urllib.request.Request(self._url + path, body, {**headers, **own}, method=method)
-        found: IO[bytes] = self._opener.open(request, timeout=timeout_s)
-        return found
+            own_headers["Authorization"] = f"Bearer {self._token}"
+        request = urllib.request.Request(self._url + path, body, {**headers, **own_headers}, method=method)
+        answer: IO[bytes] = self._opener.open(request, timeout=timeout_s)
+        return answer
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
@@ -1095,26 +1126,26 @@ def _proxies(parts: urllib.parse.SplitResult) -> dict[str, str]:
     return urllib.request.getproxies()
 
 
-def _told(proxy: str | None) -> str:
-    """Return the name of a proxy for messages, without the password that its address may contain."""
-    shown = (proxy or "").rstrip("/").rpartition("@")[2].rpartition("/")[2]
-    return f" through the proxy {shown} of this machine" if shown else ""
+def _proxy_note(proxy: str | None) -> str:
+    """Return a note on a proxy for messages, without the password that its address may contain."""
+    name = (proxy or "").rstrip("/").rpartition("@")[2].rpartition("/")[2]
+    return f" through the proxy {name} of this machine" if name else ""
 
 
-def _broken_off(error: Exception) -> bool:
+def _is_connection_lost(error: Exception) -> bool:
     """Report whether a connection was lost or not established. The service may have got the request."""
     reason = getattr(error, "reason", error)
     return isinstance(reason, (ConnectionError, http.client.HTTPException, ssl.SSLEOFError))
 
 
-def _left(until: float) -> float:
-    """Return the remaining time [s], at least a little: 0 would mean a non-blocking connection."""
-    return max(until - time.monotonic(), 0.01)
+def _remaining_s(deadline: float) -> float:
+    """Return the remaining time [s], at least 0.01 s, because 0 would mean a non-blocking connection."""
+    return max(deadline - time.monotonic(), 0.01)
 
 
-def _of(job: str, what: str = "", kind: str = "jobs") -> str:
-    """Return the path of a job or an element."""
-    return f"/v1/{kind}/{_quoted(job, '')}{what}"
+def _path(job: str, suffix: str = "", kind: str = "jobs") -> str:
+    """Return the path of a job, an element or a draft, with a suffix that follows its id."""
+    return f"/v1/{kind}/{_quoted(job, '')}{suffix}"
 
 
 def _quoted(name: str, safe: str = "/") -> str:
@@ -1122,7 +1153,7 @@ def _quoted(name: str, safe: str = "/") -> str:
     return urllib.parse.quote(name, safe, errors="replace")
 
 
-def _described(title: str | None, tags: Sequence[str] | None, notes: str | None) -> dict[str, Any]:
+def _description_data(title: str | None, tags: Sequence[str] | None, notes: str | None) -> dict[str, Any]:
     """Return title, tags and notes as JSON data."""
     return {"title": title, "tags": None if tags is None else list(tags), "notes": notes}
 
@@ -1134,9 +1165,9 @@ def _multipart(problems: Mapping[str, bytes], files: Mapping[str, bytes]) -> tup
     parts += [("files", name, files[name]) for name in files]
     body = bytearray()
     for field, name, content in parts:
-        quoted = name.replace("\\", "\\\\").replace('"', "%22").replace("\r", "%0D").replace("\n", "%0A")
+        quoted_name = name.replace("\\", "\\\\").replace('"', "%22").replace("\r", "%0D").replace("\n", "%0A")
         body += f"--{boundary}\r\n".encode()
-        body += f'Content-Disposition: form-data; name="{field}"; filename="{quoted}"\r\n'.encode()
+        body += f'Content-Disposition: form-data; name="{field}"; filename="{quoted_name}"\r\n'.encode()
         body += b"Content-Type: application/octet-stream\r\n\r\n"
         body += content + b"\r\n"
     body += f"--{boundary}--\r\n".encode()
@@ -1155,20 +1186,20 @@ def _bundle(problem: Any, files: Mapping[str, Content]) -> tuple[bytes, dict[str
     Raises:
         _FaultError: The problem is invalid.
     """
-    sent = {name: _content(one, f"files.{name}") for name, one in files.items()}
+    sent_files = {name: _content(content, f"files.{name}") for name, content in files.items()}
     if isinstance(problem, bytes):
-        return problem, sent
+        return problem, sent_files
     if isinstance(problem, (str, PathLike)):
-        return _read(problem, "problem"), sent
+        return _read(problem, "problem"), sent_files
     if not isinstance(problem, Mapping):
-        what = (
+        message = (
             f"got a {type(problem).__name__}. Give a dict, the path of a problem file, or its text as bytes."
         )
-        raise _FaultError("problem.field", what, "problem")
+        raise _FaultError("problem.field", message, "problem")
     try:
-        text = json.dumps(_plain(problem, "", sent), ensure_ascii=False)
-        escaped = _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
-        return escaped.encode("utf-8"), sent
+        text = json.dumps(_to_json_data(problem, "", sent_files), ensure_ascii=False)
+        escaped = _UNPRINTABLE.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
+        return escaped.encode("utf-8"), sent_files
     except RecursionError as error:
         raise _FaultError("problem.field", "contains itself, or is nested too deeply.", "problem") from error
     except UnicodeEncodeError as error:
@@ -1177,59 +1208,68 @@ def _bundle(problem: Any, files: Mapping[str, Content]) -> tuple[bytes, dict[str
         ) from error
 
 
-def _plain(value: Any, field: str, sent: dict[str, bytes]) -> Any:
+def _to_json_data(value: Any, field: str, sent_files: dict[str, bytes]) -> Any:
     """Convert a value to JSON data.
 
-    Paths and meshes become names of files, which are added to ``sent``.
+    Paths and meshes are replaced by names of files, which are added to ``sent_files``.
+
+    Args:
+        value: Value, at any level of a problem.
+        field: Path of the value in the problem, for messages.
+        sent_files: Files of the upload by name, which are extended.
+
+    Raises:
+        _FaultError: The value cannot be sent.
     """
     if isinstance(value, Mapping):
-        out = {}
-        for key, one in value.items():
-            place = f"{field}.{key}" if field else str(key)
-            if key == "file" and isinstance(one, (tuple, list)):
+        data = {}
+        for key, item in value.items():
+            item_field = f"{field}.{key}" if field else str(key)
+            if key == "file" and isinstance(item, (tuple, list)):
                 if not isinstance(value.get("unit"), str):
                     raise _FaultError(
-                        "mesh.unit", "a mesh needs its unit: give unit: mm, or m, cm, in.", place
+                        "mesh.unit", "a mesh needs its unit: give unit: mm, or m, cm, in.", item_field
                     )
-                out[key] = _carry(_obj(one, place), "mesh.obj", sent)
+                data[key] = _add_file(_to_obj(item, item_field), "mesh.obj", sent_files)
             else:
-                out[str(key)] = _plain(one, place, sent)
-        return out
+                data[str(key)] = _to_json_data(item, item_field, sent_files)
+        return data
     if isinstance(value, PathLike):
-        return _carry(_read(value, field), Path(fspath(value)).name, sent)
+        return _add_file(_read(value, field), Path(fspath(value)).name, sent_files)
     if hasattr(value, "tolist"):  # numpy
         value = value.tolist()
     if isinstance(value, (list, tuple)):
-        return [_plain(one, f"{field}.{number}", sent) for number, one in enumerate(value)]
+        return [_to_json_data(item, f"{field}.{number}", sent_files) for number, item in enumerate(value)]
     if isinstance(value, float) and not math.isfinite(value):
         raise _FaultError("problem.not_finite", f"got {value}. Give a finite number.", field)
     if value is None or isinstance(value, (str, bool, int, float)):
         return value
-    what = f"got a {type(value).__name__}. Give numbers, texts, lists, dicts, paths and numpy arrays."
-    raise _FaultError("problem.field", what, field)
+    message = f"got a {type(value).__name__}. Give numbers, texts, lists, dicts, paths and numpy arrays."
+    raise _FaultError("problem.field", message, field)
 
 
-def _carry(content: bytes, name: str, sent: dict[str, bytes]) -> str:
+def _add_file(content: bytes, name: str, sent_files: dict[str, bytes]) -> str:
     """Add a file under a unique name, or reuse an identical one. Return its name."""
-    for known, other in sent.items():
-        if known.partition("-")[2] == name and other == content:
-            return known
-    number = len(sent) + 1
-    while f"{number}-{name}" in sent:
+    for known_name, other in sent_files.items():
+        if known_name.partition("-")[2] == name and other == content:
+            return known_name
+    number = len(sent_files) + 1
+    while f"{number}-{name}" in sent_files:
         number += 1
-    sent[f"{number}-{name}"] = content
+    sent_files[f"{number}-{name}"] = content
     return f"{number}-{name}"
 
 
-def _content(one: Any, field: str) -> bytes:
-    if isinstance(one, (bytes, bytearray)):
-        return bytes(one)
-    if isinstance(one, PathLike):
-        return _read(one, field)
-    if isinstance(one, (tuple, list)):
-        return _obj(one, field)
-    what = f"got a {type(one).__name__}. Give bytes, a pathlib.Path, or a mesh as (vertices, faces)."
-    raise _FaultError("problem.field", what, field)
+def _content(content: Any, field: str) -> bytes:
+    """Return the content of a file that is given as bytes, as a path, or as a mesh."""
+    if isinstance(content, (bytes, bytearray)):
+        return bytes(content)
+    if isinstance(content, PathLike):
+        return _read(content, field)
+    if isinstance(content, (tuple, list)):
+        return _to_obj(content, field)
+    message = f"got a {type(content).__name__}. Give bytes, a pathlib.Path, or a mesh as (vertices, faces)."
+    raise _FaultError("problem.field", message, field)
 
 
 def _read(path: str | PathLike[str], field: str) -> bytes:
@@ -1242,30 +1282,35 @@ def _read(path: str | PathLike[str], field: str) -> bytes:
         ) from error
 
 
-def _obj(mesh: Any, field: str) -> bytes:
-    """Convert a mesh to OBJ with all digits.
+def _to_obj(mesh: Any, field: str) -> bytes:
+    """Convert a mesh to OBJ text, with all digits of its coordinates.
 
-    It consists of vertices (N, 3) and faces, rows of three or more indices from 0.
+    Args:
+        mesh: Vertices (N, 3), and faces with three or more indices each, from 0.
+        field: Field of the mesh, for messages.
+
+    Raises:
+        _FaultError: The mesh is invalid.
     """
     try:
-        vertices, faces = (one.tolist() if hasattr(one, "tolist") else one for one in mesh)
+        vertices, faces = (value.tolist() if hasattr(value, "tolist") else value for value in mesh)
         points = [(float(x), float(y), float(z)) for x, y, z in vertices]
-        corners = [[_index(one) for one in face] for face in faces]
+        corners = [[_index(value) for value in face] for face in faces]
     except (TypeError, ValueError) as error:
-        what = f"is not a mesh ({error}). Give (vertices, faces): rows of x, y, z and of indices from 0."
-        raise _FaultError("problem.field", what, field) from error
+        message = f"is not a mesh ({error}). Give (vertices, faces): rows of x, y, z and of indices from 0."
+        raise _FaultError("problem.field", message, field) from error
     if not all(math.isfinite(x + y + z) for x, y, z in points):
         raise _FaultError("problem.not_finite", "the mesh has vertices that are not finite.", field)
     for number, face in enumerate(corners):
-        if len(face) < 3 or not all(0 <= one < len(points) for one in face):
-            what = f"face {number} of the mesh is {face}. Give three or more, from 0 to {len(points) - 1}."
-            raise _FaultError("problem.field", what, field)
+        if len(face) < 3 or not all(0 <= value < len(points) for value in face):
+            message = f"face {number} of the mesh is {face}. Give three or more, from 0 to {len(points) - 1}."
+            raise _FaultError("problem.field", message, field)
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in points]
-    lines += ["f " + " ".join(str(one + 1) for one in face) for face in corners]
+    lines += ["f " + " ".join(str(value + 1) for value in face) for face in corners]
     return "\n".join([*lines, ""]).encode("ascii")
 
 
-def _meshes(text: str) -> dict[str, Mesh]:
+def _parse_obj(text: str) -> dict[str, Mesh]:
     """Return the objects of an OBJ file by name, each with its faces and the vertices that these use."""
     points: list[tuple[float, float, float]] = []
     faces: dict[str, list[list[int]]] = {}
@@ -1276,19 +1321,26 @@ def _meshes(text: str) -> dict[str, Mesh]:
             points.append((float(words[1]), float(words[2]), float(words[3])))
         elif words[:1] == ["f"]:
             face = [int(word.partition("/")[0]) for word in words[1:]]
-            faces.setdefault(name, []).append([one - 1 if one > 0 else len(points) + one for one in face])
+            faces.setdefault(name, []).append(
+                [index - 1 if index > 0 else len(points) + index for index in face]
+            )
         elif words[:1] in (["o"], ["g"]):
             name = " ".join(words[1:])
-    found: dict[str, Mesh] = {}
-    for name, rows in faces.items():
-        own = {old: new for new, old in enumerate(sorted({one for row in rows for one in row}))}
-        found[name] = [points[old] for old in own], [[own[one] for one in row] for row in rows]
-    return found
+    meshes: dict[str, Mesh] = {}
+    for name, mesh_faces in faces.items():
+        new_index = {
+            old: new for new, old in enumerate(sorted({index for face in mesh_faces for index in face}))
+        }
+        meshes[name] = (
+            [points[old] for old in new_index],
+            [[new_index[index] for index in face] for face in mesh_faces],
+        )
+    return meshes
 
 
 def _index(value: Any) -> int:
-    """Convert an integer of Python, numpy or another host to int."""
-    found = int(value)
-    if found != value:
+    """Convert an integer of Python, numpy or the host program to int. Other numbers raise ``ValueError``."""
+    index = int(value)
+    if index != value:
         raise ValueError(f"{value} is not an index")
-    return found
+    return index

@@ -11,10 +11,10 @@ def main() -> None:
 
         mark_own_process()
         with deferred_sigint(), gc_frozen():  # an interrupted import may lose the signal
-            from planner.cli.command_line import main as command
+            from planner.cli.command_line import main as run_command_line
     except KeyboardInterrupt:
         sys.exit(130)
-    command()
+    run_command_line()
 
 
 if __name__ == "__main__":

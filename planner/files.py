@@ -1,7 +1,8 @@
 """Atomic writing of files and folders, file queries that do not raise, and versions of dependencies.
 
-A file is written under a temporary name and renamed. A folder is staged in a hidden folder inside it. A run
-locks its staging folder for as long as it lives; the next run removes what a killed run left behind.
+A file is written under a temporary name and renamed. The content of a folder is first written to a hidden
+staging folder inside it. A run locks its staging folder for as long as the run lives. The next run removes
+staging folders that are not locked, because their runs were killed.
 """
 
 import csv
@@ -26,9 +27,12 @@ from planner.issues import TandemError, issue_error
 STAGING = ".tandem-"
 """Prefix of the names of staging folders."""
 STATEMENT, SIGNATURE = "statement.json", "statement.json.sig"
-"""File of a result that is signed, and file of its signature."""
+"""Names of the file of a result that is signed and of the file with its signature."""
 RELEASE = "release.json"
-"""File in which a service states who released the programs, in the result folder or next to the programs."""
+"""Name of the file in which a service states who released the programs.
+
+It is in the result folder or next to the programs.
+"""
 THUMBNAIL = "thumbnail.png"
 """Small picture of the cell from the report, which a service shows in its lists."""
 RESULT_ENTRIES = (
@@ -61,7 +65,7 @@ DISK_FULL_ERRNOS: Final = (errno.ENOSPC, errno.EDQUOT)
 
 
 def is_disk_full(error: BaseException | None) -> bool:
-    """Whether an error is a full disk, or was caused by one."""
+    """Whether an error, or an error that caused it, says that the disk is full or the quota is used up."""
     while error is not None:
         if isinstance(error, OSError) and error.errno in DISK_FULL_ERRNOS:
             return True
@@ -86,7 +90,7 @@ def missing_file_reason(path: Path) -> str:
 
 
 def separator_hint(header: str) -> str | None:
-    """Return a message if the header of a CSV file has another separator instead of commas, else None."""
+    """Return a hint if the columns of a CSV file's header line are not separated by commas, else None."""
     for mark, name in ((";", "';'"), ("\t", "tabs")):
         if mark in header and "," not in header:
             return f"columns are separated by {name}; separate them by commas, and write decimals with points"
@@ -94,7 +98,7 @@ def separator_hint(header: str) -> str | None:
 
 
 def format_csv(rows: Iterable[Iterable[object]]) -> str:
-    """Format rows as CSV with line ends of one character."""
+    """Format rows as CSV whose lines end in a line feed."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()
@@ -130,10 +134,10 @@ def prepare_folder(folder: Path, owned: tuple[str, ...], keep: Path | None = Non
     Args:
         folder: Output folder.
         owned: Names of entries in ``folder`` that a run replaces.
-        keep: File that must not lie inside the ``owned`` entries.
+        keep: File that must not be lost, so it must not lie inside the ``owned`` entries.
 
     Raises:
-        TandemError: ``output.folder``.
+        TandemError: ``output.folder`` if the folder cannot be written or ``keep`` is in an owned entry.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -153,12 +157,12 @@ def prepare_folder(folder: Path, owned: tuple[str, ...], keep: Path | None = Non
 
 
 def write_folder(folder: Path, files: Mapping[str, str | bytes], owned: tuple[str, ...]) -> None:
-    """Make ``folder`` hold exactly ``files`` among the names ``owned``.
+    """Replace all entries of ``folder`` with names in ``owned`` by ``files``. Other entries stay.
 
-    Everything is first written to a staging folder inside ``folder``. Then the old owned entries are
-    replaced, one rename each. The first entry of ``owned`` is removed first and renamed last: while it
-    exists, all owned entries belong to it, even if a run is killed at any moment. Ctrl-C is deferred during
-    the renames. Other files in the folder stay.
+    Everything is first written to a staging folder inside ``folder``. Then the old owned entries are moved
+    out and the new ones in, one rename each. The first entry of ``owned`` leaves first and arrives last.
+    While it exists, all owned entries therefore belong to the same run, even if a run is killed between two
+    renames. Ctrl-C is deferred during the renames.
 
     Args:
         folder: Output folder.
@@ -166,14 +170,14 @@ def write_folder(folder: Path, files: Mapping[str, str | bytes], owned: tuple[st
         owned: Names of files or subfolders at the top of ``folder`` that are replaced.
 
     Raises:
-        TandemError: ``output.folder``.
+        TandemError: ``output.folder`` if the folder cannot be written.
     """
     prepare_folder(folder, owned)
     try:
         with staging(folder) as hidden:
             new, old = hidden / "new", hidden / "old"
-            for side in (new, old):
-                side.mkdir()
+            for subfolder in (new, old):
+                subfolder.mkdir()
             for name, content in files.items():
                 write_atomic(new / name, content)
             with deferred_sigint():
@@ -184,16 +188,16 @@ def write_folder(folder: Path, files: Mapping[str, str | bytes], owned: tuple[st
                     if (new / name).exists():
                         (new / name).replace(folder / name)
     except OSError as error:
-        what = f"cannot be written ({error.strerror or error}); check the disk and run again"
-        raise _folder_error(folder, what) from error
+        reason = f"cannot be written ({error.strerror or error}); check the disk and run again"
+        raise _folder_error(folder, reason) from error
 
 
 @contextmanager
 def staging(folder: Path) -> Iterator[Path]:
-    """Yield a hidden folder in ``folder`` that is removed at the end.
+    """Create a hidden folder in ``folder``, lock and yield it, and remove it at the end.
 
-    Finished files may be renamed out of it. Its lock ends with the process, however that ends.
-    :func:`prepare_folder` removes folders without a lock.
+    Finished files may be renamed out of it. The lock ends with the process even if this is killed, and
+    :func:`prepare_folder` then removes the folder.
     """
     path, handle = None, None
     try:
@@ -211,7 +215,7 @@ def staging(folder: Path) -> Iterator[Path]:
 
 
 def _remove_abandoned_staging(folder: Path) -> None:
-    """Remove staging folders that nobody holds locked, because their runs were killed."""
+    """Remove the staging folders in ``folder`` that are not locked, because their runs were killed."""
     for path in folder.glob(f"{STAGING}*"):
         with suppress(OSError):
             handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
@@ -246,8 +250,8 @@ def deferred_sigint() -> Iterator[None]:
         raise KeyboardInterrupt
 
 
-def _folder_error(folder: Path, what: str) -> TandemError:
-    return issue_error("output.folder", f"output folder {folder}: {what}", file=str(folder))
+def _folder_error(folder: Path, reason: str) -> TandemError:
+    return issue_error("output.folder", f"output folder {folder}: {reason}", file=str(folder))
 
 
 REPORTED_PACKAGES: Final = ("tandem-planner", "drake", "numpy", "scipy", "toppra")
@@ -259,13 +263,13 @@ def versions() -> dict[str, str]:
     import importlib.metadata  # lazy: the command line imports this module first
     import platform
 
-    out = {"python": platform.python_version()}
+    version_by_name = {"python": platform.python_version()}
     for name in REPORTED_PACKAGES:
         try:
-            out[name] = importlib.metadata.version(name)
+            version_by_name[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
-            out[name] = "not installed"
-    return out
+            version_by_name[name] = "not installed"
+    return version_by_name
 
 
 MAX_BUNDLED_STEM_LENGTH: Final = 60
@@ -275,8 +279,8 @@ MAX_BUNDLED_STEM_LENGTH: Final = 60
 def bundled_name(name: str, sha: str) -> str:
     """Return the name under which a file is bundled with its problem.
 
-    The name is the user's name in plain characters, followed by the first 16 digits of the hash. A bundled
-    name is returned unchanged.
+    It is the user's name reduced to letters, digits, "-" and "_", followed by the first 16 digits of the hash
+    and the suffix. A name that this function returned stays the same.
 
     Args:
         name: File name as the user gave it.
@@ -290,7 +294,10 @@ def bundled_name(name: str, sha: str) -> str:
 
 
 def map_file_names(data: Any, change: Callable[[Path], str]) -> Any:
-    """Return a copy of plain data with ``change`` applied to every value of a key ``file`` or ``urdf``."""
+    """Return a copy of plain data with ``change`` applied to every file name in it.
+
+    File names are the texts of the keys :data:`FILE_KEYS`, at any depth.
+    """
     if isinstance(data, Mapping):
         return {
             k: change(Path(v)) if k in FILE_KEYS and isinstance(v, str) else map_file_names(v, change)

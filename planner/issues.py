@@ -23,16 +23,16 @@ class Severity(StrEnum):
 
 @dataclasses.dataclass(frozen=True)
 class Remedy:
-    """A change of the problem that was tried and removes an issue.
+    """A change of the problem that was tried and removes an issue. Values are None if they do not change.
 
     Attributes:
         what: What to change.
         name: Name of the obstacle or arm, else that of the field.
-        move_mm: Translation in the world of an obstacle, the stock or the base of an arm [mm].
-        home_deg: Joint values of an arm at home [deg].
-        size_mm: Size of the stock [mm].
-        clearance_mm: Clearance [mm]; stated alone or together with ``own_clearance_mm``.
-        own_clearance_mm: Clearance between links and tool of one arm [mm].
+        move_mm: Translation (3,) in the world of an obstacle, the stock or the base of an arm [mm].
+        home_deg: New joint values of an arm at home [deg].
+        size_mm: New size of the stock [mm].
+        clearance_mm: New clearance [mm], alone or together with ``own_clearance_mm``.
+        own_clearance_mm: New clearance between links and tool of the same arm [mm].
     """
 
     what: Literal["obstacle", "stock", "base", "home", "size", "clearance"]
@@ -59,7 +59,7 @@ class Issue:
         index: Index of the target.
         target: Name of the target.
         time: Time on the clock of the job [s].
-        bodies: Joint, or pair of bodies.
+        bodies: Name of the joint, or names of the two bodies.
         value: Value found, in ``unit``.
         limit: Allowed limit, in ``unit``.
         unit: Unit as people read it (mm, deg, s, ...).
@@ -99,21 +99,25 @@ class Issue:
     def to_dict(self) -> dict[str, Any]:
         """Return the issue as plain data for JSON, without unset fields."""
         data = dataclasses.asdict(self)
-        plain = {k: float(v) if isinstance(v, float) else v for k, v in data.items()}  # NumPy's floats too
-        return {k: v for k, v in plain.items() if v is not None and v != () and not (k == "count" and v == 1)}
+        data = {k: float(v) if isinstance(v, float) else v for k, v in data.items()}  # also NumPy's floats
+        return {k: v for k, v in data.items() if v is not None and v != () and not (k == "count" and v == 1)}
 
     @staticmethod
     def from_dict(data: dict[str, Any]) -> "Issue":
         """Create an issue from the data of :meth:`to_dict`."""
-        known = dict(data)
-        known["severity"] = Severity(known.get("severity", "error"))
-        known["bodies"] = tuple(known.get("bodies", ()))
-        if (remedy := known.get("remedy")) is not None:
-            plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in remedy.items()}
-            known["remedy"] = Remedy(**plain)
-        return Issue(**known)
+        fields = dict(data)
+        fields["severity"] = Severity(fields.get("severity", "error"))
+        fields["bodies"] = tuple(fields.get("bodies", ()))
+        remedy = fields.get("remedy")
+        if remedy is not None:
+            remedy_fields: dict[str, Any] = {
+                k: tuple(v) if isinstance(v, list) else v for k, v in remedy.items()
+            }
+            fields["remedy"] = Remedy(**remedy_fields)
+        return Issue(**fields)
 
     def __str__(self) -> str:
+        """Return one line for people: severity, code, place, message, count and hint."""
         location_parts = [self.file] if self.file else []
         if self.line is not None:
             location_parts.append(f"line {self.line}")
@@ -127,11 +131,11 @@ class Issue:
 
 
 class TandemError(Exception):
-    """Work cannot continue.
+    """Error that carries the issues because of which work cannot continue.
 
     Attributes:
         issues: The reasons.
-        partial: What was computed before, if anything.
+        partial: Result computed before the error, if the function that raises it states one.
     """
 
     def __init__(self, issues: Issue | Sequence[Issue], partial: object | None = None) -> None:
@@ -141,9 +145,12 @@ class TandemError(Exception):
 
 
 _Fields = ParamSpec("_Fields")
+"""Parameters of :class:`Issue`."""
 
 
 def _make_error_factory(issue: Callable[_Fields, Issue]) -> Callable[_Fields, TandemError]:
+    """Return a function with the parameters of ``issue`` that returns an error with this one issue."""
+
     def error(*fields: _Fields.args, **named: _Fields.kwargs) -> TandemError:
         return TandemError(issue(*fields, **named))
 
@@ -160,30 +167,31 @@ def has_errors(issues: Iterable[Issue]) -> bool:
 
 
 def apply_acceptances(issues: Iterable[Issue], accept: Collection[str]) -> tuple[Issue, ...]:
-    """Compare acceptable errors with the acceptances of a problem.
+    """Return issues with the acceptances of a problem applied to them.
 
-    Issues with ``accepted=False`` become accepted warnings if ``accept`` has their code. Otherwise they
-    become errors whose hint says how to accept them. Other issues are returned unchanged.
+    Issues whose ``accepted`` is not None become accepted warnings if ``accept`` has their code. Otherwise
+    they become errors whose hint says how to accept them. Other issues are returned unchanged.
 
     Args:
         issues: Issues to compare.
         accept: Codes that the problem accepts.
 
     Raises:
-        ValueError: If an issue has a code that no problem may accept.
+        ValueError: If ``accepted`` of an issue is not None, but no problem may accept its code.
     """
     return tuple(_apply_acceptance(issue, accept) for issue in issues)
 
 
 def _apply_acceptance(issue: Issue, accept: Collection[str]) -> Issue:
+    """Return one issue with the acceptances of a problem applied, as :func:`apply_acceptances` does."""
     if issue.accepted is None:
         return issue
     if not lookup_code(issue.code).acceptance:
         raise ValueError(f"{issue.code} is not in the table of what a problem may accept")
     if issue.code in accept:
         return dataclasses.replace(issue, severity=Severity.WARNING, accepted=True)
-    how = f"if this is known and intended, accept it in the problem: accept: [{issue.code}]"
-    hint = f"{issue.hint}; {how}" if issue.hint else how
+    acceptance_hint = f"if this is known and intended, accept it in the problem: accept: [{issue.code}]"
+    hint = f"{issue.hint}; {acceptance_hint}" if issue.hint else acceptance_hint
     return dataclasses.replace(issue, severity=Severity.ERROR, accepted=None, hint=hint)
 
 
@@ -195,8 +203,8 @@ def accepted_codes(issues: Iterable[Issue]) -> tuple[str, ...]:
 def aggregate(issues: Iterable[Issue]) -> tuple[Issue, ...]:
     """Merge issues of equal code, severity, arm, field, file and bodies into one that counts them.
 
-    The merged issue is the first of its group (its index, time and message), unless a later one exceeds its
-    limit by more. Groups keep the order of first appearance.
+    The merged issue is the one of its group whose value differs most from its limit, the first of equal ones.
+    Its message states the index of the first issue. Groups keep the order of first appearance.
     """
     groups: dict[tuple[object, ...], list[Issue]] = {}
     for issue in issues:
@@ -206,6 +214,7 @@ def aggregate(issues: Iterable[Issue]) -> tuple[Issue, ...]:
 
 
 def _merge(group: list[Issue]) -> Issue:
+    """Return the issue of a group with the largest distance from its limit, with the count of the group."""
     count = sum(issue.count for issue in group)
     first = group[0]
     if len(group) == 1:
@@ -218,6 +227,7 @@ def _merge(group: list[Issue]) -> Issue:
 
 
 def _limit_excess(issue: Issue) -> float:
+    """Return the distance of an issue's value from its limit, 0 if one of them is unknown."""
     if issue.value is None or issue.limit is None:
         return 0.0
     return abs(issue.value - issue.limit)

@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from planner.targets import Job, Targets
 
 Progress = Callable[[str, float], None]
+"""Function that is called with the name of a stage and its fraction done."""
 MAX_PROGRAM_BYTES = 20_000_000
 """Maximum size of a program file that is read [bytes]. Larger than any module that a controller loads."""
 
@@ -77,7 +78,7 @@ def import_dependencies() -> None:
 
 
 def warm_up() -> None:
-    """Import what planning needs in a process that is about to plan, and hide Drake's informational log."""
+    """Import the modules for planning in a process that is about to plan, and silence Drake's information."""
     import_dependencies()
     logging.getLogger("drake").setLevel(logging.WARNING)
 
@@ -119,12 +120,12 @@ class Outcome:
 
     @property
     def issues(self) -> tuple[Issue, ...]:
-        """All issues of part, planning and proof, with repeated ones merged and counted."""
+        """All issues of the input, of planning and of the proof, with repeated ones merged and counted."""
         return aggregate((*_input_notes(self.problem), *self.plan.issues, *self.proof.issues))
 
     @property
     def accepted(self) -> tuple[str, ...]:
-        """Codes of errors that occur and that the problem accepts. They are shown next to the verdict."""
+        """Codes of errors that occurred and that the problem accepts. They are shown next to the verdict."""
         return accepted_codes(self.plan.issues)
 
     def save(self, folder: str | Path, progress: Progress | None = None, pages: bool = True) -> None:
@@ -152,10 +153,10 @@ class Outcome:
         report_progress("report", 1.0)
 
     def show(self, browser: bool | None = None) -> Viewer:
-        """Return the replay.
+        """Return the viewer of the replay, an animation of the plan that is served on this machine.
 
         A notebook shows the returned viewer in its cell, with the time bar, and stores it. Outside a notebook
-        the replay is served on this machine and a browser tab opens.
+        a browser tab opens.
 
         Args:
             browser: Whether to open a browser tab; None for only outside a notebook.
@@ -163,7 +164,8 @@ class Outcome:
         from planner.report import output, replay
 
         viewer = output.show(self.problem, self.plan, self.proof)
-        if not replay.in_notebook() if browser is None else browser:
+        opens_tab = not replay.in_notebook() if browser is None else browser
+        if opens_tab:
             webbrowser.open(viewer.url)
         return viewer
 
@@ -190,6 +192,12 @@ def build(problem: spec.Problem) -> Problem:
 
 
 def _build_document(document: Document) -> Problem:
+    """Build the problem of a document.
+
+    Raises:
+        TandemError: With all faults found. If the only fault is a block or sheet that is too small, its hint
+            states a larger size that was tried.
+    """
     try:
         return problem_file.build_problem(document, processes.readers())
     except TandemError as error:
@@ -205,9 +213,11 @@ def _required_widening_mm(document: Document, depth: float, rounded: bool) -> fl
     The result is the maximum over the processes that the document uses and the built-in ones.
     """
     used_processes = {operation["process"] for operation in document.data["operations"]}
-    known = plugins.loadable(Process, "wider", FunctionType).items()
+    function_by_process = plugins.loadable(Process, "wider", FunctionType)
     functions = (
-        function for name, function in known if name in used_processes or plugins.is_built_in(Process, name)
+        function
+        for name, function in function_by_process.items()
+        if name in used_processes or plugins.is_built_in(Process, name)
     )
     return max((float(function(depth, rounded)) for function in functions), default=0.0)
 
@@ -217,11 +227,12 @@ def ensure_problem(problem: Problem | spec.Problem) -> Problem:
 
     Raises:
         TandemError: As :func:`build`.
-        TypeError: If ``problem`` is no problem.
+        TypeError: If ``problem`` is not a problem.
     """
     if not isinstance(problem, Problem | spec.Problem):
-        what = f"problem must come from planner.load or planner.spec.Problem, got a {type(problem).__name__}"
-        raise TypeError(what)
+        raise TypeError(
+            f"problem must come from planner.load or planner.spec.Problem, got a {type(problem).__name__}"
+        )
     return build(problem) if isinstance(problem, spec.Problem) else problem
 
 
@@ -242,30 +253,36 @@ def save(problem: Problem | spec.Problem, path: str | Path, overwrite: bool = Fa
         TandemError: ``output.folder`` if another file exists and must not be overwritten, or writing fails;
             ``problem.missing_file`` if a file that the problem names is gone.
     """
-    given = Path(path)
-    target = given if given.suffix.lower() in (".yaml", ".yml") else given / "problem.yaml"
+    file_or_folder = Path(path)
+    is_yaml_name = file_or_folder.suffix.lower() in (".yaml", ".yml")
+    target = file_or_folder if is_yaml_name else file_or_folder / "problem.yaml"
     built_problem = ensure_problem(problem)
     try:
         files = problem_file.bundle(built_problem)
     except (OSError, ValueError) as error:
         name = getattr(error, "filename", None)
-        what = f"{name or error}: a file that the problem names cannot be read; load or build it again"
-        raise issue_error("problem.missing_file", what, file=name) from error
+        message = f"{name or error}: a file that the problem names cannot be read; load or build it again"
+        raise issue_error("problem.missing_file", message, file=name) from error
     try:
         if is_file(target) and not overwrite and target.read_bytes() != files["problem.yaml"]:
-            what = f"{target}: another file exists; give another name, or overwrite=True"
-            raise issue_error("output.folder", what, file=str(target))
-        for name, content in reversed(files.items()):  # what the problem names before the problem
+            message = f"{target}: another file exists; give another name, or overwrite=True"
+            raise issue_error("output.folder", message, file=str(target))
+        for name, content in reversed(files.items()):  # files that the problem names before the problem
             write_atomic(target if name == "problem.yaml" else target.parent / name, content)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        what = f"{target} cannot be written ({reason}); choose another folder"
-        raise issue_error("output.folder", what, file=str(target)) from error
+        message = f"{target} cannot be written ({reason}); choose another folder"
+        raise issue_error("output.folder", message, file=str(target)) from error
     return target
 
 
 def _check_changed(document: Document, include_motion: bool) -> list[Issue]:
-    """Check a changed problem before motion, and with ``include_motion`` the reach of its targets too."""
+    """Return the issues of a changed document: its supports and targets, and on request their reach.
+
+    Args:
+        document: Document of a problem with a size changed.
+        include_motion: Whether to check the reach of the targets too.
+    """
     from planner.motion import solve
 
     problem = problem_file.build_problem(document, processes.readers())
@@ -302,8 +319,8 @@ def plan(
             report and checks rules of the proof in parallel. It needs 300 to 550 MB of memory. The result is
             identical.
         reference: Result folder of a similar problem, or what :func:`load_reference_plan` reads from it.
-            Placement, joint paths, approaches and retreats are taken from its plan if they hold;
-            ``motion.like`` notes say which.
+            Placement, joint paths, approaches and retreats are taken from its plan if they suit this problem,
+            too. Notes ``motion.like`` name those that were taken.
 
     Raises:
         TandemError: If no plan is feasible.
@@ -319,7 +336,7 @@ def load_reference_plan(folder: str | Path) -> ReferencePlan:
 
     Raises:
         TandemError: ``plan.missing_file``, ``plan.damaged``, ``plan.schema``, or the faults of the problem in
-            it.
+            the folder.
     """
     from planner.motion.reference_plan import ReferencePlan
 
@@ -334,14 +351,14 @@ def _plan_and_prove(
     draw: bool,
     reference: ReferencePlan | None,
 ) -> Outcome:
-    """Implement :func:`plan`.
+    """Plan a built problem, write its programs and prove them.
 
     Args:
         problem: Built problem.
         report_progress: Called with the stage and its fraction done.
         executor: Runs independent work.
-        draw: Whether ``executor`` draws the pictures too.
-        reference: Reference plan.
+        draw: Whether ``executor`` draws the pictures of the report meanwhile.
+        reference: Plan of a similar problem, or None.
     """
     report_progress("targets", 0.0)
     import_dependencies()
@@ -391,9 +408,13 @@ def _plan_and_prove(
 def _check_executed_timing(
     jobs: Sequence[Job[Any]], motion_plan: Plan, clocks: Mapping[int, FloatArray | None]
 ) -> None:
-    """Raise the issues that processes find in the executed timing of their operations.
+    """Raise the issues that processes find in the executed timing of their operations, if one is an error.
 
-    ``clocks`` {index of an operation: clock of its program}; None means the clock of the plan.
+    Args:
+        jobs: Jobs of all operations.
+        motion_plan: Plan of all operations.
+        clocks: {index of an operation: clock of its program (2, K)}, as :meth:`Job.check_timing` takes it.
+            None means the clock of the plan.
     """
     issues: list[Issue] = []
     for index, clock in clocks.items():
@@ -404,7 +425,10 @@ def _check_executed_timing(
 
 
 TargetFactory = Callable[[int, "Job[Any]"], "Targets"]
-"""Creates the targets of an operation from its index and job. It may reuse those of a similar operation."""
+"""Function that creates the targets of an operation from its index and job.
+
+It may reuse the targets of a similar operation.
+"""
 QUICK_CHECK_TARGETS = 40
 """Default number of targets that a quick check samples. Chosen: few, because it runs while a user edits."""
 
@@ -417,8 +441,8 @@ class CheckResult:
         issues: Issues found.
         checked: Number of targets checked.
         total: Number of all targets; 0 if they cannot be created.
-        is_placed: Whether a quick check found a placement of the stock. A full check searches longer.
-        is_subsampled: Whether there were fewer targets than the plan will have.
+        is_placed: False if a quick check did not find a placement of the stock. A full check searches longer.
+        is_subsampled: Whether there were fewer targets than a plan will have.
     """
 
     issues: tuple[Issue, ...]
@@ -439,7 +463,7 @@ def check(problem: Problem | spec.Problem, advise: bool = True) -> tuple[Issue, 
     Returns:
         All issues found, errors included.
     """
-    return _check(problem, advise, None, None).issues
+    return _check(problem, advise, max_targets=None, make=None).issues
 
 
 @_contain_system_exit()
@@ -456,15 +480,25 @@ def quick_check(
 
     Args:
         problem: Problem to check.
-        max_targets: Number of targets; None for the full check.
-        make: Creates the targets of an operation.
+        max_targets: Number of targets to check; None for the full check.
+        make: Creates the targets of an operation; None for its job.
     """
-    return _check(problem, max_targets is None, max_targets, make)
+    return _check(problem, advise=max_targets is None, max_targets=max_targets, make=make)
 
 
 def _check(
     problem: Problem | spec.Problem, advise: bool, max_targets: int | None, make: TargetFactory | None
 ) -> CheckResult:
+    """Check a problem, either completely or at about ``max_targets`` targets.
+
+    Errors that end the check become issues of the result.
+
+    Args:
+        problem: Problem to check.
+        advise: Whether to try changes that may help if there is no path.
+        max_targets: Number of targets to check; None for the full check.
+        make: Creates the targets of an operation; None for its job.
+    """
     try:
         problem = ensure_problem(problem)
     except TandemError as error:
@@ -486,7 +520,7 @@ def _check(
         issues += [*write.refusals(problem, targets), *solve.check(problem, targets, advise, first_look)]
         checked = total if first_look is None else sum(first_look.checked.values())
         is_placed = first_look is None or first_look.is_stock_placed
-        if first_look is None:  # a quick check does not cover all issues, so an acceptance may be needed
+        if first_look is None:  # in a quick check, the accepted issue may be among those that it leaves out
             issues += _unused_acceptances(problem, issues)
         return CheckResult(
             aggregate(issues), checked, total, is_placed, any(item.is_subsampled for item in targets)
@@ -505,10 +539,13 @@ def create_targets(
         jobs: Jobs of its operations.
         make: Creates the targets of an operation; None for the job itself.
 
+    Returns:
+        The targets of each operation, in order.
+
     Raises:
-        TandemError: With the errors of all jobs.
+        TandemError: With the issues of all jobs and of the supports, if one of them is an error.
     """
-    out: list[Targets] = []
+    targets_of_jobs: list[Targets] = []
     issues = _support_issues(problem)
     for index, job in enumerate(jobs):
         try:
@@ -516,22 +553,23 @@ def create_targets(
         except TandemError as error:
             issues += error.issues
         else:
-            out.append(dataclasses.replace(targets, issues=apply_acceptances(targets.issues, problem.accept)))
-            issues += out[-1].issues
-    if len(out) < len(jobs) or has_errors(issues):
+            accepted = apply_acceptances(targets.issues, problem.accept)
+            targets_of_jobs.append(dataclasses.replace(targets, issues=accepted))
+            issues += accepted
+    if len(targets_of_jobs) < len(jobs) or has_errors(issues):
         raise TandemError(aggregate(issues))
-    return out
+    return targets_of_jobs
 
 
 def _support_issues(problem: Problem) -> list[Issue]:
-    """Return issues of the supports of the stock."""
+    """Return issues of the supports of the stock, with the acceptances of the problem applied."""
     from planner.cell import support
 
     return list(apply_acceptances(support.support_issues(problem), problem.accept))
 
 
 def _unused_acceptances(problem: Problem, issues: Sequence[Issue]) -> list[Issue]:
-    """Return notes on acceptances whose issue does not occur."""
+    """Return a note for each code that the problem accepts although no issue of that code occurs."""
     return [
         Issue(
             "problem.accepted",
@@ -551,19 +589,22 @@ def _input_notes(problem: Problem) -> tuple[Issue, ...]:
 
 
 def _missing_visuals_notes(cell: Cell) -> Iterator[Issue]:
-    """Yield a note for each custom robot some of whose links have no readable visual mesh."""
+    """Yield a note for each custom robot with links whose visual meshes cannot be read.
+
+    Robots with the same such links, as two of the same file, share one note.
+    """
     reported: set[tuple[str, ...]] = set()
     for number, arm in enumerate(cell.arms):
         links = arm.data.file.unseen if arm.data.file is not None else ()
         if not links or links in reported:
             continue
         reported.add(links)
-        more = f" and {len(links) - 7} more" if len(links) > 7 else ""
-        what = f"{len(links)} links of {arm.robot} are shown by their collision bodies, because their "
-        what += f"visual meshes cannot be read: {', '.join(links[:7])}{more}"
+        rest_text = f" and {len(links) - 7} more" if len(links) > 7 else ""
+        message = f"{len(links)} links of {arm.robot} are shown by their collision bodies, because their "
+        message += f"visual meshes cannot be read: {', '.join(links[:7])}{rest_text}"
         field = f"cell.arms.{number}.robot.urdf"
-        hint = "put the files next to the URDF or state them under visuals. Only "
-        yield Issue("robot.unseen", what, Severity.NOTE, field=field, hint=f"{hint}pictures depend on them")
+        hint = "put the files next to the URDF or state them under visuals. Only pictures depend on them"
+        yield Issue("robot.unseen", message, Severity.NOTE, field=field, hint=hint)
 
 
 @_contain_system_exit()
@@ -573,7 +614,7 @@ def verify(problem: Problem | spec.Problem, programs: Mapping[str, str], process
     Args:
         problem: Problem that the programs solve.
         programs: Program text by file name.
-        processes: As for :func:`plan`.
+        processes: 2 for a second process that checks rules in parallel. The verdict is identical.
     """
     problem = ensure_problem(problem)
     with second_process.open_executor(processes, WARM_UP) as executor:
@@ -624,6 +665,11 @@ def read_programs(folder: str | Path, bare: bool = False) -> dict[str, str]:
 
 
 def _read_program_text(path: Path) -> str:
+    """Read the text of a program file.
+
+    Raises:
+        TandemError: ``verify.files`` if it is too large, cannot be read or is not text.
+    """
     from planner.programs import text as program_text
 
     try:
@@ -631,18 +677,18 @@ def _read_program_text(path: Path) -> str:
             text = program_text.decode(path.read_bytes(), path.name)
             if "\0" not in text:
                 return text
-            what = "is not text (it contains the byte 0)"
+            reason = "is not text (it contains the byte 0)"
         else:
-            what = f"is over {MAX_PROGRAM_BYTES // 1_000_000} MB, more than any module of a controller"
+            reason = f"is over {MAX_PROGRAM_BYTES // 1_000_000} MB, more than any module of a controller"
     except OSError as error:
-        what = f"cannot be read ({error})"
+        reason = f"cannot be read ({error})"
     except UnicodeDecodeError as error:
-        what = f"is not UTF-8 text ({error})"
-    raise issue_error("verify.files", f"{path} {what}; remove it or plan again", file=str(path))
+        reason = f"is not UTF-8 text ({error})"
+    raise issue_error("verify.files", f"{path} {reason}; remove it or plan again", file=str(path))
 
 
 def load_result(folder: str | Path) -> Problem:
-    """Load the problem of a result folder from the copy that it carries."""
+    """Load the problem of a result folder from the copy in its subfolder ``problem``."""
     return load(Path(folder) / "problem" / "problem.yaml")
 
 
@@ -650,9 +696,8 @@ def load_planned_result(folder: str | Path) -> tuple[Problem, Plan]:
     """Load problem and plan of a result folder, with external axes at the stations of the plan."""
     from planner import plans
 
-    motion_plan = plans.load(
-        folder
-    )  # first, so that a folder that is no result lacks its plan, not its problem
+    # The plan first, so that the error of a folder that is not a result names the missing plan
+    motion_plan = plans.load(folder)
     return load_result(folder).with_stations(motion_plan.stations), motion_plan
 
 
@@ -660,13 +705,16 @@ def prepare_output(folder: str | Path, problem: str | Path) -> None:
     """Check before any work that results can be written to ``folder`` without harm to the problem file.
 
     Raises:
-        TandemError: ``output.folder``.
+        TandemError: ``output.folder`` if this is not so.
     """
     prepare_folder(Path(folder), RESULT_ENTRIES, problem_file.find_problem(Path(problem)))
 
 
 def save_failure(problem: Problem | None, issues: tuple[Issue, ...], folder: str | Path) -> None:
-    """Write only the report, for a problem that was refused or has no plan; remove older results."""
+    """Write only the report, for a problem that was refused or has no plan.
+
+    Older results in the folder are removed.
+    """
     import_dependencies()
     from planner.report import output
 
@@ -674,14 +722,18 @@ def save_failure(problem: Problem | None, issues: tuple[Issue, ...], folder: str
 
 
 def exit_code(outcome: Outcome) -> int:
-    """Return 0 for planned and verified, 4 for planned but not proven."""
+    """Return the exit code of the command: 0 if the programs are proven without errors, else 4."""
     return 4 if not outcome.verified or has_errors(outcome.issues) else 0
 
 
 def _with_margin_headers(
     motion_plan: Plan, problem: Problem, programs: Mapping[str, str], proof: Proof
 ) -> Mapping[str, str]:
-    """Return the proven programs with the margins of the proof in their headers; only comments may change."""
+    """Return the proven programs with the margins of the proof in their headers.
+
+    Raises:
+        TandemError: ``internal.error`` if more than comments of the programs changed by this.
+    """
     from planner.languages.writing import write
     from planner.proof import verdict
     from planner.proof.same_program import is_same_program

@@ -1,4 +1,4 @@
-"""Plans: joint paths on one clock, with what programs and reports need. Plans are saved and loaded whole.
+"""Plans: joint paths on one clock, with the data that programs and reports need, and their files.
 
 ``plan.npz`` holds the arrays, ``plan.json`` everything else, in this encoding:
 
@@ -55,12 +55,12 @@ class OperationPlan:
         retreat: {arm: (M, 6)} joint waypoints from the last target to home [rad].
         arm_order: Order in which arms run their approach, one after the other while the others stand still.
             The retreat uses the reverse order.
-        metrics: Figures by name (costs, margins, clearances, stage times), for reports.
+        metrics: Values by name (costs, margins, clearances, stage times), for reports.
         issues: Issues of the motion.
         synchronised: "entry" and "exit" for an approach or retreat in which all arms move at once, in as many
             synchronised moves.
-        commanded: {arm: (N, 6)} [rad] joint angles that the controller is sent to, for arms with sag
-            compensation. The sagged arm is then at ``q``.
+        commanded: {arm: (N, 6)} [rad] joint angles that the program commands, for arms with sag compensation.
+            The sagged arm is then at ``q``.
     """
 
     name: str
@@ -129,7 +129,7 @@ class Plan:
             which its holder moves it.
         bases: {arm: (4, 4)} base poses in the world, of arms without linear axes.
         operations: Plans of the operations.
-        metrics: Figures by name, for reports.
+        metrics: Values by name, for reports.
         issues: Issues of planning.
         stations: Values of the external axes, as :attr:`planner.problem.Problem.stations`.
     """
@@ -160,8 +160,8 @@ class Plan:
     def frame(self, t: float) -> PlanFrame:
         """Return the state of the arms at a time.
 
-        Joint angles are interpolated linearly between targets, as in the replay. The proof contains the
-        motion that follows from the text of the programs.
+        Joint angles are interpolated linearly between targets, as in the replay. The motion that robots
+        execute follows from the text of the programs, and is examined by the proof.
 
         Args:
             t: Time [s], from 0 to :attr:`duration`.
@@ -201,13 +201,13 @@ class Plan:
         }
         q = {arm: np.full((len(time), count), np.nan) for arm, count in joints.items()}
         for number, operation_plan in enumerate(self.operations):
-            rows = operation == number
-            clock = time[rows] - (ends[number] - lengths[number]) + operation_plan.time[0]
-            target[rows] = np.clip(
+            in_operation = operation == number
+            clock = time[in_operation] - (ends[number] - lengths[number]) + operation_plan.time[0]
+            target[in_operation] = np.clip(
                 np.searchsorted(operation_plan.time, clock, side="left"), 0, len(operation_plan.time) - 1
             )
             for arm, path in operation_plan.q.items():
-                q[arm][rows] = np.stack(
+                q[arm][in_operation] = np.stack(
                     [np.interp(clock, operation_plan.time, joint) for joint in path.T], axis=1
                 )
         return PlanSamples(time, operation, target, q)
@@ -216,40 +216,41 @@ class Plan:
 FORMAT: Final = "tandem-plan"
 """Name of the format at the head of a plan file."""
 SCHEMA: Final = 2
-"""Version of the format. Files of another version are refused."""
+"""Version of the format. Files of any other version are refused."""
 ARRAYS_FILE: Final = "plan.npz"
 """Name of the file with the arrays of a plan."""
 DATA_FILE: Final = "plan.json"
 """Name of the file with everything else of a plan."""
 
 
-def _collect_dataclasses(kinds: Iterable[Any], known: dict[str, type]) -> dict[str, type]:
-    """Collect the dataclasses among ``kinds`` and the types of their fields, by name.
+def _collect_dataclasses(kinds: Iterable[Any], classes: dict[str, type]) -> dict[str, type]:
+    """Add the dataclasses among type hints, and those in the types of their fields, to ``classes`` by name.
 
-    Issues and segments are left out, because they have an encoding of their own.
+    Issues and segments are left out, because they have an encoding of their own. The result is ``classes``.
     """
     for kind in kinds:
         if dataclasses.is_dataclass(kind) and isinstance(kind, type) and kind not in (Issue, Segment):
-            if known.get(kind.__name__) is not kind:
-                known[kind.__name__] = kind
-                _collect_dataclasses(get_type_hints(kind).values(), known)
+            if classes.get(kind.__name__) is not kind:
+                classes[kind.__name__] = kind
+                _collect_dataclasses(get_type_hints(kind).values(), classes)
         else:
-            _collect_dataclasses(get_args(kind), known)
-    return known
+            _collect_dataclasses(get_args(kind), classes)
+    return classes
 
 
 def _value_classes() -> dict[str, type]:
     """Return the classes of values that plans hold, by name.
 
-    Claims are those of all installed processes. Cutters are listed because the fields of exhibits are
-    untyped.
+    These are the classes in the fields of a plan, the claims of all installed processes, and cutters, which
+    occur in exhibits, whose types no field states.
     """
-    plugins.loadable(Process, "claims", tuple)  # imports them
+    plugins.loadable(Process, "claims", tuple)  # imports the modules that register the kinds of claims
     return _value_classes_with(claim.kinds())
 
 
 @functools.cache
 def _value_classes_with(kinds: tuple[type[claim.Claim], ...]) -> dict[str, type]:
+    """Return the classes of values that plans with these kinds of claims hold, by name."""
     return _collect_dataclasses((Plan, Cutter, *kinds), {})
 
 
@@ -268,6 +269,7 @@ _DAMAGED_FILE_ERRORS: Final = (
 """Errors that the decoding of a damaged file may raise."""
 
 Arrays = dict[str, NDArray[Any]]
+"""Arrays of a plan by their keys, which are their paths in the plan, such as "/operations/0/time"."""
 
 
 def save(plan: Plan, folder: str | os.PathLike[str]) -> None:
@@ -277,11 +279,11 @@ def save(plan: Plan, folder: str | os.PathLike[str]) -> None:
 
 
 def dump(plan: Plan) -> dict[str, bytes]:
-    """Return the content of ``plan.npz`` and ``plan.json``.
+    """Return the content of ``plan.npz`` and ``plan.json``, by name.
 
     Equal plans give equal bytes. For this the wall-clock times of planning (``stages`` in the metrics) are
-    left out. ``plan.json`` is last and carries the hash of ``plan.npz``, so that :func:`load` detects a pair
-    that was separated by a kill.
+    left out. ``plan.json`` is last and carries the hash of ``plan.npz``. So :func:`load` detects two files of
+    different plans, as a killed run may leave them.
 
     Raises:
         TandemError: ``plan.not_saveable`` for a value that is neither an array nor plain data.
@@ -315,6 +317,8 @@ def load(folder: str | os.PathLike[str]) -> Plan:
 
 
 def _without_stage_times(plan: Plan) -> Plan:
+    """Return the plan without the wall-clock times of its stages, which differ from run to run."""
+
     def without_stages(metrics: Mapping[str, Any]) -> dict[str, Any]:
         return {name: value for name, value in metrics.items() if name != "stages"}
 
@@ -323,6 +327,16 @@ def _without_stage_times(plan: Plan) -> Plan:
 
 
 def _encode(value: Any, key: str, arrays: Arrays) -> Any:
+    """Return a value as plain data for JSON, in the encoding of this module.
+
+    Args:
+        value: Value to encode.
+        key: Path of the value in the plan, with "/" before each name or index.
+        arrays: Arrays of the plan, to which those in the value are added.
+
+    Raises:
+        TandemError: ``plan.not_saveable`` for a value without an encoding.
+    """
     if isinstance(value, np.ndarray):
         if value.dtype.hasobject:
             raise _not_saveable_error(key, "an array of Python objects")
@@ -348,11 +362,11 @@ def _encode(value: Any, key: str, arrays: Arrays) -> Any:
     if isinstance(value, Mapping):
         if all(isinstance(k, str) and not k.startswith("$") for k in value):
             return _encode_items(value, key, arrays)
-        rows = [
+        pairs = [
             [_encode(k, f"{key}/{i}k", arrays), _encode(v, f"{key}/{i}", arrays)]
             for i, (k, v) in enumerate(value.items())
         ]
-        return {"$map": rows}
+        return {"$map": pairs}
     if isinstance(value, tuple | list):
         items = [_encode(item, f"{key}/{i}", arrays) for i, item in enumerate(value)]
         return items if isinstance(value, tuple) else {"$list": items}
@@ -360,6 +374,11 @@ def _encode(value: Any, key: str, arrays: Arrays) -> Any:
 
 
 def _encode_items(items: Mapping[str, Any], key: str, arrays: Arrays) -> dict[str, Any]:
+    """Return named values as plain data, each with its name at the end of its path.
+
+    In paths, "~" and "/" of names are escaped as in JSON pointers.
+    """
+
     def path(name: str) -> str:
         return f"{key}/{name.replace('~', '~0').replace('/', '~1')}"
 
@@ -367,6 +386,10 @@ def _encode_items(items: Mapping[str, Any], key: str, arrays: Arrays) -> dict[st
 
 
 def _decode(value: Any, arrays: Arrays) -> Any:
+    """Return the value that :func:`_encode` encoded, with its arrays from ``arrays``.
+
+    Raises one of :data:`_DAMAGED_FILE_ERRORS` for data in another form.
+    """
     if isinstance(value, list):
         return tuple(_decode(item, arrays) for item in value)
     if not isinstance(value, dict):
@@ -396,21 +419,28 @@ def _decode(value: Any, arrays: Arrays) -> Any:
 
 
 def _pack(arrays: Arrays) -> bytes:
-    """Return the bytes of an npz file with fixed dates, so that equal arrays give equal bytes."""
+    """Return the bytes of an npz file. Its dates are fixed, so that equal arrays give equal bytes."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for key, array in arrays.items():
-            with archive.open(zipfile.ZipInfo(f"{key[1:]}.npy"), "w", force_zip64=True) as member:
+            name = f"{key[1:]}.npy"  # without the slash at the start, as names in an archive are relative
+            with archive.open(zipfile.ZipInfo(name), "w", force_zip64=True) as member:
                 np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
     return stream.getvalue()
 
 
 def _unpack(packed: bytes) -> Arrays:
+    """Return the arrays that :func:`_pack` packed."""
     with np.load(io.BytesIO(packed), allow_pickle=False) as archive:
         return {f"/{key}": archive[key] for key in archive.files}
 
 
 def _read_bytes(path: Path) -> bytes:
+    """Return the content of a file of a plan.
+
+    Raises:
+        TandemError: ``plan.missing_file`` if it cannot be read.
+    """
     try:
         return path.read_bytes()
     except OSError as error:
@@ -424,6 +454,11 @@ def _read_bytes(path: Path) -> bytes:
 
 
 def _read_header(path: Path) -> dict[str, Any]:
+    """Return the content of ``plan.json``, whose format and version are checked.
+
+    Raises:
+        TandemError: ``plan.missing_file``, ``plan.damaged`` (not JSON) or ``plan.schema``.
+    """
     try:
         header = json.loads(_read_bytes(path))
     except (ValueError, RecursionError) as error:
@@ -437,9 +472,9 @@ def _read_header(path: Path) -> dict[str, Any]:
     return header
 
 
-def _damaged_error(path: Path, why: str) -> TandemError:
+def _damaged_error(path: Path, reason: str) -> TandemError:
     return issue_error(
-        "plan.damaged", f"{path.name} is damaged: {why}", file=str(path), hint="plan the problem again"
+        "plan.damaged", f"{path.name} is damaged: {reason}", file=str(path), hint="plan the problem again"
     )
 
 
@@ -447,9 +482,10 @@ def _schema_error(path: Path, message: str) -> TandemError:
     return issue_error("plan.schema", message, file=str(path), hint="plan the problem again")
 
 
-def _not_saveable_error(key: str, what: str) -> TandemError:
+def _not_saveable_error(key: str, kind: str) -> TandemError:
+    """Return ``plan.not_saveable`` for a value of a kind at the path ``key`` of a plan."""
     return issue_error(
         "plan.not_saveable",
-        format_message("plan.not_saveable", field=key[1:] or "itself", kind=what),
+        format_message("plan.not_saveable", field=key[1:] or "itself", kind=kind),
         field=key[1:],
     )

@@ -29,7 +29,9 @@ from planner.issues import Issue
 from planner.tooling import Gripper, Tool
 
 KrlDialect = Literal["krc4", "krc2"]
+"""Generation of KUKA controllers for which KRL is written."""
 KrlPath = Literal["slin", "spline"]
+"""Motion of KUKA arms between targets: single linear moves or spline blocks."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,13 +67,13 @@ class Force:
 MAX_BLIND_SPEED_M_S: Final = 0.25
 """Maximum speed [m/s] of motion that starts at an unknown position or goes to a station.
 
-It limits an arm on its way to the first target, a track, and what a turntable carries.
+It limits an arm on its way to the first target, a track, and the bodies that a turntable carries.
 """
 
 
 @dataclasses.dataclass(frozen=True)
 class LinearAxis:
-    """A linear axis under an arm. At value v [m] it moves what it carries by v times ``axis``.
+    """A linear axis under an arm. At value v [m] the bodies that it carries are moved by v times ``axis``.
 
     Attributes:
         axis: Unit vector (3,) in the world.
@@ -83,7 +85,7 @@ class LinearAxis:
         home: Position [m] before a program starts.
         follow_fraction: Fraction of the tool's motion along the axis that the axis follows while the arm
             works; None if it stands still then.
-        column: Index among the external axes, from 0.
+        column: Index among the external axes of the arm's program, from 0.
         axis_name: Name of the axis within a gantry; empty for a track.
         carries: Bodies of the cell that are mounted on the axis, placed at its value 0.
     """
@@ -106,10 +108,10 @@ class LinearAxis:
         return f"{self.unit} {self.axis_name}".strip()
 
     def translate(self, pose: FloatArray, value: float) -> FloatArray:
-        """Translate a pose (4, 4) by ``value`` [m] along the axis."""
-        out = np.array(pose, dtype=np.float64)
-        out[:3, 3] += value * self.axis
-        return out
+        """Return a pose (4, 4) in the world translated by ``value`` [m] along the axis."""
+        translated = np.array(pose, dtype=np.float64)
+        translated[:3, 3] += value * self.axis
+        return translated
 
 
 def motion_order(
@@ -117,8 +119,9 @@ def motion_order(
 ) -> tuple[str, ...]:
     """Return the names of linear axes under one arm in the order in which they move, one after the other.
 
-    First move the axes that come closer to their homes, from the arm down. Then the others move, from the
-    floor up. So a column is raised before the bridge moves.
+    First the axes that come closer to their homes move, from the arm down to the floor. Then the others move,
+    from the floor up. So a column is raised before the bridge under it moves. Axes that keep their values are
+    left out.
 
     Args:
         axes: Axes by name, from the floor up.
@@ -126,14 +129,11 @@ def motion_order(
         goal: Values [m] after the motion.
     """
     names = [name for name in axes if goal[name] != start[name]]
-    home_distances = {
-        name: [abs(values[name] - axes[name].home) for values in (goal, start)] for name in names
-    }
-    homing = [
-        name
-        for name in names
-        if home_distances[name][1] - home_distances[name][0] > HOME_DISTANCE_TOLERANCE_M
-    ]
+    homing = []
+    for name in names:
+        goal_distance, start_distance = (abs(values[name] - axes[name].home) for values in (goal, start))
+        if start_distance - goal_distance > HOME_DISTANCE_TOLERANCE_M:
+            homing.append(name)
     return (*reversed(homing), *(name for name in names if name not in homing))
 
 
@@ -142,14 +142,14 @@ STOCK_AXIS: Final = "stock"
 TILT_AXIS: Final = "stock/tilt"
 """Name of the value of a positioner's tilt axis among the stations. No arm can have this name."""
 END_SUFFIX: Final = "//end"
-"""Suffix of an arm's name among the stations: the value of its coordinated track after an operation.
+"""Suffix of an arm's name among the stations. The value is that of its coordinated track after an operation.
 
-No axis of a gantry can have this name, because its name follows a single slash.
+No value of a gantry axis can have such a name, because there the name of the axis follows a single slash.
 """
 TURNTABLE_BODY: Final = "turntable"
 """Name of the body of the cell that is a turntable's plate."""
 HOME_DISTANCE_TOLERANCE_M: Final = 1e-6
-"""Distances [m] of linear axes from home that differ by less are equal."""
+"""Distances [m] of linear axes from home are taken as equal if they differ by at most this."""
 EXTERNAL_AXIS_DECIMALS: Final = 4
 """Decimals with which programs write values of external axes [mm, deg]."""
 EXTERNAL_AXIS_FAMILIES: Final = ("ABB", "KUKA")
@@ -158,7 +158,7 @@ EXTERNAL_AXIS_FAMILIES: Final = ("ABB", "KUKA")
 
 @dataclasses.dataclass(frozen=True)
 class RotaryAxis:
-    """An axis that rotates the stock: by its value v [rad], right-handed, about ``axis`` through ``centre``.
+    """An axis that rotates the stock by its value [rad], right-handed about ``axis`` through ``centre``.
 
     Attributes:
         arm: Arm whose program moves the axis.
@@ -192,24 +192,25 @@ class RotaryAxis:
         return f"{self.unit} {self.axis_name}".strip()
 
     def rotate(self, pose: FloatArray, value: float | FloatArray) -> FloatArray:
-        """Rotate poses (..., 4, 4) by values (...,) [rad] about the axis."""
+        """Return poses (..., 4, 4) in the world rotated by values (...,) [rad] about the axis."""
         rotation = exp_rotation(np.asarray(value)[..., None] * self.axis)
-        count = np.broadcast_shapes(rotation.shape[:-2], pose.shape[:-2])
-        out = np.array(np.broadcast_to(pose, (*count, 4, 4)), dtype=np.float64)
-        out[..., :3, :3] = rotation @ out[..., :3, :3]
-        out[..., :3, 3] = self.centre + (rotation @ (out[..., :3, 3] - self.centre)[..., None])[..., 0]
-        return out
+        shape = np.broadcast_shapes(rotation.shape[:-2], pose.shape[:-2])
+        rotated = np.array(np.broadcast_to(pose, (*shape, 4, 4)), dtype=np.float64)
+        rotated[..., :3, :3] = rotation @ rotated[..., :3, :3]
+        offset = rotated[..., :3, 3] - self.centre
+        rotated[..., :3, 3] = self.centre + (rotation @ offset[..., None])[..., 0]
+        return rotated
 
 
 @dataclasses.dataclass(frozen=True)
 class Turntable(RotaryAxis):
-    """Rotary axis that carries the stock and what is clamped under it; vertical with all values 0.
+    """Rotary axis that carries the stock and its support. It is vertical if all values are 0.
 
     Its plate, round about the axis, is the body :data:`TURNTABLE_BODY` of the cell.
 
     Attributes:
         tilt: Tilt axis of a positioner, fixed in the world, which tilts the rotary axis, the plate and the
-            bracket; None for a plain turntable.
+            bracket; None for a turntable without tilt.
         bracket: Bodies of the cell that tilt with a positioner.
         load: Maximum payload [kg], None if not stated.
     """
@@ -234,7 +235,7 @@ class Turntable(RotaryAxis):
         return () if self.tilt is None else (TURNTABLE_BODY, *self.bracket)
 
     def axis_at_tilt(self, name: str, tilt: float) -> RotaryAxis:
-        """Return the axis of a name of :attr:`axes` as it lies in the world at tilt value ``tilt`` [rad]."""
+        """Return the axis with that name in :attr:`axes`, as it lies in the world at a tilt [rad]."""
         if name == TILT_AXIS or self.tilt is None:
             return self.axes[name]
         pose = np.eye(4)
@@ -248,12 +249,13 @@ class Turntable(RotaryAxis):
         values: Mapping[str, float | FloatArray],
         reference: Mapping[str, float] | None = None,
     ) -> FloatArray:
-        """Move a pose (4, 4) with the turntable: Rot(tilt axis) Rot(rotary axis) pose.
+        """Return poses (..., 4, 4) in the world of a body that moves with the turntable.
 
         Args:
-            pose: Pose at the values ``reference``.
-            values: Values [rad] by the names of :attr:`axes`, one each or arrays for several poses.
-            reference: Values [rad] at which ``pose`` is given; 0 for each that is not stated.
+            pose: Pose (4, 4) at the values ``reference``.
+            values: Values [rad] by the names of :attr:`axes`, one each or arrays (...,) for several poses.
+                The default is 0.
+            reference: Values [rad] at which the body has the pose ``pose``. The default is 0.
         """
         reference = reference or {}
         if self.tilt is not None:
@@ -273,8 +275,8 @@ class Arm:
         tool: Tool on the flange.
         home: Joint values at home (6,) [rad].
         base_auto: Whether the placement search may move the base.
-        stiffness: Joint stiffness from the robot's file, else from the catalogue; None for neither.
-        sag: Sag compensation, None for none.
+        stiffness: Joint stiffness from the robot's file, else from the catalogue; None if neither states it.
+        sag: Sag compensation; None if the arm has none.
         custom_data: Data of a robot from a file of the user; None for one of the catalogue.
         linear_axes: Axes that carry the base, from the floor up: one is a track, two or three are a gantry.
         axis_positions: Values [m] of these axes in a setup; empty in a cell.
@@ -296,8 +298,7 @@ class Arm:
     def axes_by_name(self) -> dict[str, LinearAxis]:
         """Axes under the arm by the names of their values among the stations, from the floor up.
 
-        The name of a track is that of the arm. The names of gantry axes have the name of the axis as a
-        suffix.
+        The name is "arm" for the track and "arm/axis" for an axis of the gantry of an arm called "arm".
         """
         return {
             f"{self.name}/{axis.axis_name}" if axis.axis_name else self.name: axis
@@ -311,7 +312,7 @@ class Arm:
 
     @property
     def track(self) -> LinearAxis | None:
-        """Axis of an arm on a track; None for a fixed arm and for one on a gantry."""
+        """Axis of the track under the arm; None for a fixed arm and for one on a gantry."""
         return self.linear_axes[0] if len(self.linear_axes) == 1 else None
 
     @property
@@ -325,12 +326,13 @@ class Arm:
         return self.track is not None and self.track.follow_fraction is not None
 
     def at_stations(self, values: Mapping[str, float]) -> "Arm":
-        """Return the arm with its axes at these values [m], by name.
+        """Return the arm with its linear axes at these values [m], by the names of :attr:`axes_by_name`.
 
         Raises:
             KeyError: If the value of an axis is missing.
         """
-        base, current = self.base, self.axis_values
+        base = self.base
+        current = self.axis_values
         for name, axis in self.axes_by_name.items():
             base = axis.translate(base, values[name] - current.get(name, 0.0))
         return dataclasses.replace(
@@ -345,7 +347,7 @@ class Arm:
 
 @dataclasses.dataclass(frozen=True)
 class Obstacle:
-    """A fixed body of the cell, placed in the world by the poses of its shapes."""
+    """A body of the cell, placed in the world by the poses of its shapes. Only external axes may move it."""
 
     name: str
     shapes: tuple[Shape, ...]
@@ -377,12 +379,12 @@ class BentWire:
 
 @dataclasses.dataclass(frozen=True)
 class Cell:
-    """Robots with what surrounds them.
+    """Robots with the bodies and devices around them.
 
     Attributes:
         name: Name of the cell.
         arms: Arms.
-        obstacles: Fixed bodies.
+        obstacles: Bodies around the arms, including those that external axes carry.
         controller: Names of tasks and signals, and limits of the controllers.
         grippers: Available grippers, of which one is chosen for a stock that an arm holds.
         wires: Available bent wires, of which one is chosen if an operation states none.
@@ -401,7 +403,7 @@ class Cell:
         """Return the arm of that name.
 
         Raises:
-            KeyError: If there is none.
+            KeyError: If no arm has that name.
         """
         for arm in self.arms:
             if arm.name == name:
@@ -409,10 +411,10 @@ class Cell:
         raise KeyError(name)
 
     def linear_axis(self, name: str) -> tuple[Arm, LinearAxis]:
-        """Return the linear axis whose value has this name among the stations, and its arm.
+        """Return the arm of a linear axis and the axis, by the name of its value among the stations.
 
         Raises:
-            KeyError: If there is none.
+            KeyError: If no axis has that name.
         """
         for arm in self.arms:
             if name in arm.axes_by_name:
@@ -423,30 +425,31 @@ class Cell:
     def carried_bodies(self) -> dict[str, tuple[str, ...]]:
         """Bodies of the cell that are mounted on an axis, by the name of its value among the stations.
 
-        The axes are the tilt axis of a positioner and those of gantries. Axes without bodies are left out.
+        The axes are the tilt axis of a positioner and the linear axes. Axes without bodies are left out.
         """
-        out = {name: axis.carries for arm in self.arms for name, axis in arm.axes_by_name.items()}
-        out[TILT_AXIS] = () if self.turntable is None else self.turntable.tilted_bodies
-        return {name: bodies for name, bodies in out.items() if bodies}
+        bodies_by_axis = {name: axis.carries for arm in self.arms for name, axis in arm.axes_by_name.items()}
+        bodies_by_axis[TILT_AXIS] = () if self.turntable is None else self.turntable.tilted_bodies
+        return {name: bodies for name, bodies in bodies_by_axis.items() if bodies}
 
     def carried_motions(self, goal: Mapping[str, float], start: Mapping[str, float]) -> dict[str, FloatArray]:
         """Return the motions (4, 4) in the world of bodies on axes, by the names of :attr:`carried_bodies`.
 
         Args:
-            goal: Axis values [m, rad] after the motion.
-            start: Axis values before it. An axis in neither mapping stays.
+            goal: Axis values [m, rad] after the motion, by the names of the axes. The default is 0.
+            start: Axis values before it. The default is 0.
         """
-        out, table = {}, self.turntable
+        motions = {}
+        table = self.turntable
         for arm in self.arms:
             motion = np.eye(4)
-            for name, axis in arm.axes_by_name.items():  # an axis is carried by those below it
+            for name, axis in arm.axes_by_name.items():  # from the floor up: each carries the following ones
                 motion = axis.translate(motion, goal.get(name, 0.0) - start.get(name, 0.0))
-                out[name] = motion
+                motions[name] = motion
         if table is not None and table.tilt is not None:
-            out[TILT_AXIS] = table.tilt.rotate(
+            motions[TILT_AXIS] = table.tilt.rotate(
                 np.eye(4), goal.get(TILT_AXIS, 0.0) - start.get(TILT_AXIS, 0.0)
             )
-        return {name: out[name] for name in self.carried_bodies}
+        return {name: motions[name] for name in self.carried_bodies}
 
     def with_moved_bodies(self, goal: Mapping[str, float], start: Mapping[str, float]) -> "Cell":
         """Return the cell with the bodies on axes moved from axis values ``start`` to ``goal`` [m, rad]."""
@@ -468,12 +471,12 @@ def default_output_name(request: str) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class PowerOutput:
-    """Output that a request of the program drives.
+    """Output that the controller switches when the program requests it.
 
     Attributes:
         signal: Name of the output.
-        device: Device of an ABB controller; empty if the output is not wired.
-        bit: Bit of the device.
+        device: Name of the device of an ABB controller to which it is wired; empty if it is not wired.
+        bit: Number of the bit of the device.
     """
 
     signal: str
@@ -487,7 +490,7 @@ class DeviceBit:
 
     Attributes:
         device: Name of the device.
-        bit: Bit of the device.
+        bit: Number of the bit of the device.
     """
 
     device: str
@@ -496,13 +499,13 @@ class DeviceBit:
 
 @dataclasses.dataclass(frozen=True)
 class Interlock:
-    """Conditions of power besides the program.
+    """Interlock of power: the signal of a program only requests it, and the controller switches an output.
 
     Attributes:
-        outputs: Output by the signal that the program sets, which is a request.
+        outputs: {signal that the program sets as a request: output that is switched}.
         cycle: System output of an ABB controller that is high while a program runs.
         motors: System output of an ABB controller that is high while motors are on.
-        device_bits: {arm: {signal: wiring}} of signals that power nothing, at ABB controllers.
+        device_bits: {arm: {signal: wiring}} of signals that do not switch power, at ABB controllers.
     """
 
     outputs: Mapping[str, PowerOutput] = dataclasses.field(default_factory=dict)
@@ -511,12 +514,15 @@ class Interlock:
     device_bits: Mapping[str, Mapping[str, DeviceBit]] = dataclasses.field(default_factory=dict)
 
     def power_output(self, request: str) -> PowerOutput:
-        """Return the output that a request drives; by default the name of the request with suffix ``Out``."""
+        """Return the output that a request drives. Names are compared without case.
+
+        The default is an output without wiring, with the name of the request and the suffix ``Out``.
+        """
         outputs = {name.lower(): output for name, output in self.outputs.items()}
         return outputs.get(request.lower(), PowerOutput(default_output_name(request)))
 
     def device_bit(self, arm: str, signal: str) -> DeviceBit | None:
-        """Return the wiring of a signal that powers nothing; None if the cell does not state it."""
+        """Return the wiring of a signal that does not switch power; None if the cell does not state it."""
         bits = {name.lower(): device_bit for name, device_bit in self.device_bits.get(arm, {}).items()}
         return bits.get(signal.lower())
 
@@ -538,9 +544,10 @@ class Controller:
         path: Motion of KUKA arms between targets: single linear moves or spline blocks.
         robotware: Main version of ABB controllers.
         interlock: Conditions of power besides the program.
-        robots: Names of the robots in the configuration of ABB controllers; the units' unless stated.
+        robots: Names of the robots in the configuration of ABB controllers; empty if they are those of
+            ``units``.
         options: Installed options; None if the cell does not state them.
-        language: Language of all arms: "own" for that of each arm's family, "ros" for joint trajectories.
+        language: Language of all programs: "own" for that of each arm's family, "ros" for joint trajectories.
         joint_prefix: {arm: prefix of the names of its joints}, for joint trajectories.
         path_tolerance: Tolerance [rad] of each joint on the path, for joint trajectories.
         goal_tolerance: Tolerance [rad] of each joint at the goal, for joint trajectories.
@@ -581,8 +588,8 @@ class Controller:
 class FormedPart:
     """A part to be formed from the sheet.
 
-    By the sine law t = t0 cos(a), a sheet formed in one pass has the same thickness along z everywhere as at
-    first. So one face is the other face translated along z.
+    By the sine law t = t0 cos(a), where t0 is the initial thickness and a the wall angle, a sheet formed in
+    one pass keeps its thickness along z everywhere. So one face is the other face translated along z.
 
     Attributes:
         mesh: Lower face of the part in the stock frame, with normals up.
@@ -599,7 +606,7 @@ class FormedPart:
 
     @property
     def source(self) -> Mesh:
-        """Mesh as it was given."""
+        """Mesh of the user's file, in the stock frame."""
         return self.mesh if self.file_mesh is None else self.file_mesh
 
 
@@ -629,7 +636,7 @@ class SheetHole:
     Attributes:
         name: Name of the curve.
         ring: Curve in plan (K, 2) [m].
-        inside: Whether the sheet inside the curve drops; otherwise all that is outside.
+        inside: Whether the sheet inside the curve is cut off. Otherwise all that is outside is.
         face_offset: Offset [m] in plan, outward or inward, by which the cut may deviate on the other face of
             the sheet.
     """
@@ -642,14 +649,15 @@ class SheetHole:
 
 @dataclasses.dataclass(frozen=True)
 class FormingStages:
-    """Operations that form a sheet before and after another operation, each with its features.
+    """Operations that form a sheet before and after a given operation, each with its features.
 
-    Operations of single levels are left out.
+    Operations that form only a single level are left out.
 
     Attributes:
-        previous: (name, numbers of the features that it forms; None for all), in order.
-        following: (name, numbers of the features) of the operations after it.
-        stays_clamped: Whether the sheet stays clamped after the operation.
+        previous: (name, numbers of the features that it forms; None for all) of the operations before the
+            given one, in order.
+        following: (name, numbers of features) of the operations after it, in order.
+        stays_clamped: Whether the sheet stays clamped after the given operation.
     """
 
     previous: tuple[tuple[str, tuple[int, ...] | None], ...] = ()
@@ -667,12 +675,12 @@ class Sheet:
             of the stock frame.
         border: Stiffness of the clamp's grip in plane per length [N/m^2]: 0 if the sheet slides, infinite if
             it is rigidly clamped.
-        formed: Convex solids in the stock frame that enclose what stands out of the flat sheet once the part
-            is formed, or at any earlier time. Bodies of the cell keep clear of them from the start.
+        formed: Convex solids in the stock frame that enclose all parts of the sheet that stand out of its
+            plane at any time of the forming. Bodies of the cell keep clear of them from the start.
         holes: Curves along which earlier operations have cut it.
-        stages: Other operations that form it, as one operation finds it; None if not stated or if there are
-            none.
-        die: Whether an operation has a die under the sheet; nothing states that it is ever removed.
+        stages: Other operations that form it, seen from the operation that finds it in this state; None if
+            this is not stated or no operation forms it.
+        die: Whether an operation has put a die under the sheet. No problem states that a die is removed.
     """
 
     metal: SheetMetal
@@ -692,8 +700,8 @@ class Pedestal:
         kind: Table or pedestal.
         sides: Available side lengths [m].
         heights: Available heights [m].
-        width_fraction: Fraction of the block's sides that the support may be wide.
-        overhang: Width [m] by which the support extends beyond the block.
+        width_fraction: Maximum ratio of the support's sides to those of the block.
+        overhang: Width [m] by which the support extends beyond the block on each side.
     """
 
     kind: Literal["table", "pedestal"]
@@ -749,11 +757,11 @@ class Stock:
     @property
     def axis_values(self) -> dict[str, float]:
         """Values [rad] of the turntable's axes by their names among the stations; empty without one."""
-        both = {STOCK_AXIS: self.station, TILT_AXIS: self.tilt}
-        return {name: value for name, value in both.items() if value is not None}
+        axis_values = {STOCK_AXIS: self.station, TILT_AXIS: self.tilt}
+        return {name: value for name, value in axis_values.items() if value is not None}
 
     def at_station(self, table: Turntable, values: Mapping[str, float]) -> "Stock":
-        """Return the stock with the axes of its turntable at these values [rad], by name.
+        """Return the stock with the axes of its turntable at these values [rad], by the names of the axes.
 
         Raises:
             ValueError: If the pose of the stock is unknown.
@@ -761,9 +769,8 @@ class Stock:
         if self.place is None:
             raise ValueError("the place of a block on a turntable is not known")
         pose = table.move_pose(self.place, values, self.axis_values)
-        axis_values = (values[STOCK_AXIS], values.get(TILT_AXIS))
         return dataclasses.replace(
-            self, place=pose, attitude=pose[:3, :3], station=axis_values[0], tilt=axis_values[1]
+            self, place=pose, attitude=pose[:3, :3], station=values[STOCK_AXIS], tilt=values.get(TILT_AXIS)
         )
 
     @property
@@ -788,7 +795,7 @@ class Stock:
 
     @property
     def is_attitude_free(self) -> bool:
-        """Whether the search may give the block any attitude. Only a held block has no fixed bottom."""
+        """Whether the search may give the block any attitude. Other blocks than held ones stand on a face."""
         return self.any_attitude and self.held_by is not None and self.place is None
 
     @property
@@ -799,7 +806,7 @@ class Stock:
 
 @runtime_checkable
 class Operation(Protocol):
-    """What the operation of every process has."""
+    """Fields and methods that the operations of all processes have."""
 
     name: str
     process: str
@@ -812,7 +819,7 @@ class Operation(Protocol):
 def allows_any_attitude(operation: Operation) -> bool:
     """Whether targets and claims of an operation do not depend on the attitude of the block.
 
-    Only if its process declares it (``any_lean = True`` in its schema).
+    This is so if its process declares it (``any_lean = True`` in its schema).
     """
     return bool(getattr(operation, "any_lean", False))
 
@@ -820,7 +827,7 @@ def allows_any_attitude(operation: Operation) -> bool:
 def allows_moving_base(operation: Operation) -> bool:
     """Whether the base of its arm may move while an operation is executed.
 
-    Only if its process declares it (``any_base = True`` in its schema).
+    This is so if its process declares it (``any_base = True`` in its schema).
     """
     return bool(getattr(operation, "any_base", False))
 
@@ -838,7 +845,7 @@ def torch_signals(operations: Sequence[Operation]) -> frozenset[str]:
 
 @runtime_checkable
 class HasFixtures(Protocol):
-    """An operation with fixtures of its own, or with shapes of the stock that others do not know."""
+    """An operation that adds fixtures or shapes to the stock, from which bodies must keep clear."""
 
     def with_fixtures(
         self, stock: Stock, part: Part | None, previous_operations: Sequence[Operation]
@@ -853,7 +860,10 @@ class HasFixtures(Protocol):
 
 
 FORMING: Final = "forming"
-"""Process that forms sheets. Operations of other processes may have fields of the same names."""
+"""Name of the process that forms sheets.
+
+The fields of :class:`FormingOperation` alone do not tell it, because other processes may have the same ones.
+"""
 
 
 @runtime_checkable
@@ -887,8 +897,8 @@ class Settings:
 
     Attributes:
         clearance: Clearance [m] between bodies.
-        own_clearance: Stated clearance [m] of links and tool of one arm; :attr:`self_clearance` is the
-            effective one.
+        own_clearance: Clearance [m] between links and tool of one arm as stated, None if it is not stated.
+            :attr:`self_clearance` is the effective one.
         speed_fraction: Fraction of the joint speed limits.
         acceleration_fraction: Fraction of the joint acceleration limits.
         joint_margin: Margin [rad] to joint limits.
@@ -909,9 +919,8 @@ class Settings:
     @property
     def self_clearance(self) -> float:
         """Clearance [m] between links and tool of one arm; at most the clearance between other bodies."""
-        return min(
-            self.clearance, DEFAULT_SELF_CLEARANCE_M if self.own_clearance is None else self.own_clearance
-        )
+        stated = DEFAULT_SELF_CLEARANCE_M if self.own_clearance is None else self.own_clearance
+        return min(self.clearance, stated)
 
     def widen_clearances(self, by: float) -> "Settings":
         """Return the settings with both clearances increased by a distance [m]."""
@@ -944,8 +953,8 @@ class Setup:
         cell: Cell with the mounted tools.
         stock: Stock.
         operations: Indices of the operations of the problem; empty for the end of a program.
-        steps: Instructions for the operator before them, one sentence each. If there are any, programs ask
-            for a confirmation.
+        steps: Instructions for the operator before the operations, one sentence each. If there are any,
+            programs ask for a confirmation.
     """
 
     number: int
@@ -971,7 +980,7 @@ class Setup:
 
     @property
     def with_zero_tilt(self) -> "Setup":
-        """The setup with the tilt of a positioner at 0, with the stock upright on its plate."""
+        """The setup with the tilt axis of a positioner at 0, so that the stock is upright on its plate."""
         table, tilt = self.cell.turntable, self.stock.tilt
         if table is None or not tilt:
             return self
@@ -1028,35 +1037,36 @@ class Problem:
     @property
     def axis_homes(self) -> dict[str, float]:
         """Values [m, rad] of the external axes before anything moves, by their names among the stations."""
-        out = {name: axis.home for arm in self.cell.arms for name, axis in arm.axes_by_name.items()}
-        table = self.cell.turntable
-        return out | ({} if table is None else {name: axis.home for name, axis in table.axes.items()})
+        homes = {name: axis.home for arm in self.cell.arms for name, axis in arm.axes_by_name.items()}
+        if self.cell.turntable is not None:
+            homes |= {name: axis.home for name, axis in self.cell.turntable.axes.items()}
+        return homes
 
     def tool_force(self, arm: str, setup: Setup) -> Force | None:
         """Return the force of the process on the tool of an arm in a setup; None if none is stated."""
-        stated = (self.forces.get(index, {}).get(arm) for index in setup.operations)
-        return next((force for force in stated if force is not None), None)
+        forces = (self.forces.get(index, {}).get(arm) for index in setup.operations)
+        return next((force for force in forces if force is not None), None)
 
     @property
     def setups(self) -> tuple[Setup, ...]:
-        """State of the cell for the operations, in order. A change starts a new setup.
+        """Setups of the operations, in order. A change starts a new setup.
 
-        With a track, gantry or turntable each operation is a setup, and the operator keeps away from the
-        axes. So the setups do not depend on the stations.
+        In a cell with external axes, each operation has a setup of its own, whose instructions tell the
+        operator to keep away from the axes. So the number of setups does not depend on the stations.
         """
         axis_values, table = self.axis_homes, self.cell.turntable
-        cell, stock, stock_left = self.cell, self.stock, self.stock
-        out: list[Setup] = []
+        # ``stock`` is that of the setup, ``next_stock`` as the next operation finds it
+        cell, stock, next_stock = self.cell, self.stock, self.stock
+        setups: list[Setup] = []
         for index, operation in enumerate(self.operations):
             change = self.changes.get(index)
             if change is not None:
                 arms = tuple(dataclasses.replace(a, tool=change.tools.get(a.name, a.tool)) for a in cell.arms)
-                cell, stock_left = (
-                    dataclasses.replace(cell, arms=arms),
-                    dataclasses.replace(stock_left, **change.stock),
-                )
-            if not out or change is not None or axis_values:
-                stock, steps = stock_left, change.steps if change else ()
+                cell = dataclasses.replace(cell, arms=arms)
+                next_stock = dataclasses.replace(next_stock, **change.stock)
+            if not setups or change is not None or axis_values:
+                stock = next_stock
+                steps = change.steps if change else ()
                 axis_values |= self.stations.get(index, {})
                 setup_cell = dataclasses.replace(
                     cell, arms=tuple(_arm_at_stations(arm, axis_values) for arm in cell.arms)
@@ -1070,13 +1080,13 @@ class Problem:
                 if table is not None and stock.place is not None:
                     stock = stock.at_station(table, {name: axis_values[name] for name in table.axes})
                     steps += (_keep_off_turntable_instruction(table, stock.axis_values),)
-                out.append(Setup(len(out) + 1, setup_cell, stock, (index,), steps))
+                setups.append(Setup(len(setups) + 1, setup_cell, stock, (index,), steps))
             else:
-                out[-1] = dataclasses.replace(out[-1], operations=(*out[-1].operations, index))
-            stock_left = operation.leaves(stock_left)
+                setups[-1] = dataclasses.replace(setups[-1], operations=(*setups[-1].operations, index))
+            next_stock = operation.leaves(next_stock)
             end_names = [name for name in axis_values if name.endswith(END_SUFFIX)]
             axis_values |= {name.removesuffix(END_SUFFIX): axis_values.pop(name) for name in end_names}
-        return tuple(out)
+        return tuple(setups)
 
     @property
     def closing_setup(self) -> Setup | None:
@@ -1104,7 +1114,8 @@ class Problem:
     def setup_on_arrival(self, index: int) -> Setup:
         """Return the setup of the operation of an index, with a sheet as this operation finds it.
 
-        The sheet has what earlier operations of the setup leave, and the other operations that form it.
+        The sheet is as the earlier operations of the setup leave it, and its ``stages`` name the other
+        operations that form it. Without a sheet, this is :meth:`setup_of`.
         """
         setup = self.setup_of(index)
         stock = setup.stock
@@ -1117,13 +1128,13 @@ class Problem:
             for k, op in enumerate(self.operations)
             if isinstance(op, FormingOperation) and op.process == FORMING
         ]
-        # operations of one level each form the same features, level by level
-        whole = [(k, (op.name, op.features)) for k, op in forming_operations if op.level is None]
-        moved = self.changes.get(index + 1, SetupChange()).stock.keys() & {"place", "support"}
+        # not operations of single levels, which form the same features level by level
+        all_levels = [(k, (op.name, op.features)) for k, op in forming_operations if op.level is None]
+        moved_fields = self.changes.get(index + 1, SetupChange()).stock.keys() & {"place", "support"}
         stages = FormingStages(
-            tuple(operation_features for k, operation_features in whole if k < index),
-            tuple(operation_features for k, operation_features in whole if k > index),
-            index + 1 < len(self.operations) and not moved,
+            previous=tuple(name_and_features for k, name_and_features in all_levels if k < index),
+            following=tuple(name_and_features for k, name_and_features in all_levels if k > index),
+            stays_clamped=index + 1 < len(self.operations) and not moved_fields,
         )
         sheet = dataclasses.replace(stock.sheet, stages=stages if forming_operations else None)
         return dataclasses.replace(setup, stock=dataclasses.replace(setup.stock, sheet=sheet))
@@ -1136,9 +1147,9 @@ def _arm_at_stations(arm: Arm, stations: Mapping[str, float]) -> Arm:
 def _keep_off_instruction(arm: Arm, is_coordinated: bool = False) -> str:
     """Return the instruction to keep away before the axes under an arm move to a station.
 
-    ``is_coordinated``: the track also moves while the arm works.
+    ``is_coordinated`` says whether the track also moves while the arm works.
     """
-    # rounded as in programs first: noise must not decide a half, and 0 must have no sign
+    # First rounded as in programs, so that noise does not decide how a half is rounded. Zero gets no sign.
     values = {
         name: f"{round(1e3 * value, EXTERNAL_AXIS_DECIMALS) + 0.0:.3f}"
         for name, value in arm.axis_values.items()
@@ -1164,5 +1175,5 @@ def _keep_off_turntable_instruction(table: Turntable, values: Mapping[str, float
 
 
 def all_setups(problem: Problem) -> tuple[Setup, ...]:
-    """Return all setups, with the closing one, without operations, in which all axes are at home again."""
+    """Return all setups, with the closing one at the end if there is one."""
     return problem.setups if problem.closing_setup is None else (*problem.setups, problem.closing_setup)

@@ -67,14 +67,18 @@ class Section(Mapping[str, Any]):
     fixed: ClassVar[Mapping[str, Any]] = {}
 
     def __init_subclass__(cls, model: type[BaseModel] | None = None, **fixed: Any) -> None:
+        """Give a section the fields and the signature of the model that checks it.
+
+        ``fixed`` are keys with values that the section always has, such as ``kind``.
+        """
         super().__init_subclass__()
         if model is None:
             return
         cls.model, cls.fixed = model, fixed
-        described = inspect.getdoc(model) or ""
-        # A docstring here that is only the summary of the model's one is completed by it.
-        if " ".join(described.split()).startswith(" ".join((cls.__doc__ or "").split())):
-            cls.__doc__ = described
+        model_doc = inspect.getdoc(model) or ""
+        # A docstring that only repeats the start of the model's docstring is replaced by the latter.
+        if " ".join(model_doc.split()).startswith(" ".join((cls.__doc__ or "").split())):
+            cls.__doc__ = model_doc
         parameters = [p for p in inspect.signature(model).parameters.values() if p.name not in fixed]
         cls.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
 
@@ -83,14 +87,16 @@ class Section(Mapping[str, Any]):
         self._check()
 
     def _check(self) -> None:
+        """Raise ``TandemError`` with the faults that the section's model finds."""
         if self.model is not None:
             _, faults = problem_file.validate(self.model, self._words, _document(self._words), ())
             _raise_faults(faults, type(self).__name__)
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name != "_words":
-            what = f"a {type(self).__name__} is immutable; replace({name}=...) returns a changed one"
-            raise AttributeError(what)
+            raise AttributeError(
+                f"a {type(self).__name__} is immutable; replace({name}=...) returns a changed one"
+            )
         super().__setattr__(name, value)
 
     def __getitem__(self, key: str) -> Any:
@@ -139,9 +145,10 @@ class Pose(Section, model=cell.PoseFile):
 
     def __init__(self, *, matrix: Any = None, unit: str | None = None, **words: Any) -> None:
         if matrix is not None:
-            if both := sorted({"xyz_mm", "rpy_deg"} & set(words)):
-                what = f"{' and '.join(both)} together with a matrix; give one of them"
-                _raise_faults([Issue("problem.field", what, field=both[0])], "Pose")
+            conflicts = sorted({"xyz_mm", "rpy_deg"} & set(words))
+            if conflicts:
+                message = f"{' and '.join(conflicts)} together with a matrix; give one of them"
+                _raise_faults([Issue("problem.field", message, field=conflicts[0])], "Pose")
             pose = values.rigid_poses(matrix, unit, "Pose.matrix", (4, 4))
             words = {**words, "xyz_mm": pose[:3, 3] / MM, "rpy_deg": to_rpy(pose[:3, :3]) / DEG}
         elif unit is not None:
@@ -293,14 +300,13 @@ class Cell(Section, model=cell.CellFile):
     @classmethod
     def read(cls, path: str | Path) -> Self:
         """Read the cell of a file, or a bundled one by its name, such as ``irb140_bow``."""
-        named = Path("cells") / f"{path}.yaml"
-        file = Path(path) if is_file(Path(path)) else bundled_path(named)
+        file = Path(path) if is_file(Path(path)) else bundled_path(Path("cells") / f"{path}.yaml")
         if not is_file(file):
-            known = ", ".join(
-                sorted(file_path.stem for file_path in (data_dir("problems") / "cells").glob("*.yaml"))
+            bundled_names = sorted(
+                file_path.stem for file_path in (data_dir("problems") / "cells").glob("*.yaml")
             )
-            what = f"{path}: no such file or built-in cell; built-in cells are {known}"
-            raise issue_error("problem.missing_file", what, file=str(path))
+            message = f"{path}: no such file or built-in cell; built-in cells are {', '.join(bundled_names)}"
+            raise issue_error("problem.missing_file", message, file=str(path))
         document = strict_yaml.read(file)
         return cls(**problem_file.resolve_files({"cell": document.path.name}, document.path.parent)["cell"])
 
@@ -444,22 +450,24 @@ class Operation(Section):
         super().__init__(**words)
         if forces is not None:
             self._words["forces"] = values.to_plain(forces, type(self).__name__)
-            stated = {"forces": self._words["forces"]}
-            _, faults = problem_file.validate(process_forces.ForcesFile, stated, _document(stated), ())
+            forces_data = {"forces": self._words["forces"]}
+            document = _document(forces_data)
+            _, faults = problem_file.validate(process_forces.ForcesFile, forces_data, document, ())
             _raise_faults(faults, type(self).__name__)
         if setup is not None:
             if not isinstance(setup, Mapping) or any(not isinstance(key, str) for key in setup):
-                what = f"setup: got a {type(setup).__name__}; give a Setup, or a mapping with its keys"
-                _raise_faults([Issue("problem.field", what, field="setup")], type(self).__name__)
+                message = f"setup: got a {type(setup).__name__}; give a Setup, or a mapping with its keys"
+                _raise_faults([Issue("problem.field", message, field="setup")], type(self).__name__)
             self._words["setup"] = dict(setup if isinstance(setup, Setup) else Setup(**setup))
 
     def _check(self) -> None:
-        known = registry.readers()
-        model = self.model or known.get(str(self._words.get("process")))
+        """Raise ``TandemError`` with the faults that the reader of the process finds."""
+        readers = registry.readers()
+        model = self.model or readers.get(str(self._words.get("process")))
         if isinstance(model, type):
             _, faults = problem_file.validate(model, self._words, _document(self._words), ())
         else:
-            _, faults = problem_file.read_operation(self._words, 0, _document({}), known)
+            _, faults = problem_file.read_operation(self._words, 0, _document({}), readers)
         _raise_faults(faults, type(self).__name__)
 
 
@@ -597,13 +605,13 @@ class Targets(Operation, model=pose_table.Posed, process="targets"):
     ) -> None:
         if poses is not None:
             if "file" in words:
-                what = "file together with poses; give one of them"
-                _raise_faults([Issue("problem.field", what, field="file")], "Targets")
+                message = "file together with poses; give one of them"
+                _raise_faults([Issue("problem.field", message, field="file")], "Targets")
             file = values.write_pose_file(poses, unit, {} if columns is None else columns)
             words = {"arms": list(poses), **words, "file": file}
         elif unit is not None or columns is not None:
-            what = "unit and columns are for poses; a file has its own"
-            _raise_faults([Issue("problem.field", what, field="poses")], "Targets")
+            message = "unit and columns are for poses; a file has its own"
+            _raise_faults([Issue("problem.field", message, field="poses")], "Targets")
         super().__init__(**words)
 
 
@@ -616,6 +624,7 @@ class Problem(Section, model=problem_file.ProblemFile, tandem=1):
         super().__init__(**words)
 
     def _check(self) -> None:
+        """Raise ``TandemError`` with the faults of the problem's keys, or of its first faulty operation."""
         super()._check()
         for index, operation in enumerate(self._words["operations"]):
             faults = problem_file.read_operation(operation, index, _document({}), registry.readers())[1]
@@ -643,9 +652,9 @@ class Problem(Section, model=problem_file.ProblemFile, tandem=1):
         text = strict_yaml.dump(self._words).encode("utf-8", "surrogatepass")
         max_bytes = strict_yaml.MAX_YAML_BYTES
         if len(text) > max_bytes:
-            what = f"Problem: {len(text) / 1e6:.1f} MB as a file, allowed {max_bytes / 1e6:.0f} MB"
+            message = f"Problem: {len(text) / 1e6:.1f} MB as a file, allowed {max_bytes / 1e6:.0f} MB"
             hint = "give points as a mesh or a separate file"
-            raise issue_error("problem.too_large", f"{what}; {hint}")
+            raise issue_error("problem.too_large", f"{message}; {hint}")
         data, _ = strict_yaml.parse(text, "Problem")
         if data != self._words:
             raise issue_error("problem.not_yaml", "Problem: a file would not state the same. Report this")
@@ -653,11 +662,12 @@ class Problem(Section, model=problem_file.ProblemFile, tandem=1):
 
 
 def _document(data: Mapping[str, Any]) -> Document:
-    """Wrap data that come from no file. Relative file names refer to the working directory."""
-    return Document(Path.cwd() / "problem.yaml", data, None, b"", file=False)
+    """Return a document of data without a file. Relative file names in it refer to the working directory."""
+    return Document(Path.cwd() / "problem.yaml", data, root=None, text=b"", file=False)
 
 
 def _raise_faults(faults: Sequence[Issue], name: str) -> None:
+    """Raise ``TandemError`` if there are faults, with the name of the section before each message."""
     if faults:
         subject = f"{name}: " if name else ""
         raise TandemError(

@@ -31,11 +31,12 @@ from planner.problem import Part, Setup
 from planner.tooling import Tool, working_solid
 
 ActionKind = Literal["message", "confirm", "on", "off", "wait", "input"]
+"""Kind of an action at a stop, as :class:`TargetAction` explains them."""
 FEED_FRACTION: Final = 0.97
-"""Fraction of the feed at which clocks run if nothing else binds.
+"""Fraction of the feed at which clocks run if no other limit is lower.
 
-The rest covers what controllers do in ramps and corners. Kerf widths, which depend on speed, are those at
-this fraction.
+The rest is a reserve for speed changes of controllers in ramps and corners. Kerf widths, which depend on
+speed, are those at this fraction.
 """
 PREFERENCE_COST_S: Final = 0.5
 """Cost [s] of a path that stays at the far end of the range of a freedom with a preferred value."""
@@ -46,8 +47,8 @@ class Aim:
     """Preferred direction of a tool that is free to spin.
 
     Attributes:
-        arm: Arm toward whose base the tool turns, or in whose work frame ``point`` is.
-        ray: Unit vector (3,) in the tool frame, perpendicular to the spin axis, that is turned toward the
+        arm: Arm toward whose base the ray is rotated, or in whose work frame ``point`` is.
+        ray: Unit vector (3,) in the tool frame, perpendicular to the spin axis, that is rotated toward the
             aim.
         point: Point (3,) [m] in the work frame of ``arm``; None for the base of ``arm``.
         is_preferred: Whether motion prefers the aim. Otherwise motion only reports what aiming would gain.
@@ -70,9 +71,9 @@ class ScrewFreedom:
         axis: {arm: (6,)} twist in the tool frame, angular part [-] first, then linear part [m per unit of
             value]. Arms that are not named stay. Several arms share one value.
         lower: Lower bounds (N,) of the value, in rad for a spin and in m for a slide.
-        upper: Upper bounds (N,).
+        upper: Upper bounds (N,) of the value.
         prefer: Preferred value (N,), or None.
-        periodic: Whether the value wraps at 2 pi, whatever the bounds.
+        periodic: Whether values that differ by 2 pi give the same pose, whatever the bounds.
         aim: Aim from which motion, which knows the robots' positions, derives preferred values.
         weight: Cost [s] of a path that stays at the far end of the range.
     """
@@ -116,18 +117,18 @@ class TableFreedom:
     @functools.cached_property
     def twists(self) -> dict[str, tuple[FloatArray, FloatArray]]:
         """{arm: (middle nodes (N, 4, 4), twists (N, K, 6) of all nodes relative to them)}, computed once."""
-        out = {}
+        twists = {}
         for arm, table in self.pose.items():
             middle = table[:, len(self.nodes) // 2]
-            out[arm] = (middle, log_pose(np.linalg.inv(middle)[:, None] @ table))
-        return out
+            twists[arm] = (middle, log_pose(np.linalg.inv(middle)[:, None] @ table))
+        return twists
 
 
 @dataclasses.dataclass(frozen=True)
 class JointFreedom:
-    """Last joint of an arm with one joint more than a pose requires, as a freedom that moves no tool.
+    """Last joint of an arm with one joint more than a pose requires. This freedom does not move the tool.
 
-    Motion adds it, because motion knows the arms. No process has it.
+    ``planner.motion`` adds it, because it knows the arms. Processes never state it.
 
     Attributes:
         name: Name of the freedom.
@@ -181,12 +182,13 @@ class TargetAction:
 
 @dataclasses.dataclass(frozen=True)
 class FlexibleTool:
-    """Flexible tool (wire) at every target, for clearance and for pictures.
+    """Shape of a flexible tool (wire) at every target, for clearances and pictures.
 
     Attributes:
         points: Points (N, P, 3) [m] in the work frame of ``arms[0]``, from the TCP of the first arm to that
             of the second.
-        radius: Half thickness [m] that must keep clear of everything but the stock in cutting segments.
+        radius: Half thickness [m]. The wire keeps clear of all bodies, except for the stock in cutting
+            segments.
     """
 
     points: FloatArray
@@ -194,12 +196,14 @@ class FlexibleTool:
 
 
 def tool_reach(tool: Tool) -> float:
-    """Return the distance [m] from its TCP at which a tool still works.
+    """Return the largest distance [m] from its TCP at which a tool works.
 
     It is the distance to the far end of the axis of its working solid, and at least
-    :data:`planner.geometry.corner_rounding.ROTATION_LEVER_MM`, which also applies to a solid with corners.
+    :data:`planner.geometry.corner_rounding.ROTATION_LEVER_MM`. The latter is the result for a tool without a
+    working solid and for a solid that is given by its vertices, which has no axis.
     """
-    solid, min_reach = working_solid(tool), ROTATION_LEVER_MM * MM
+    solid = working_solid(tool)
+    min_reach = ROTATION_LEVER_MM * MM
     if solid is None or solid.vertices is not None:
         return min_reach
     offsets = axis_ends(solid) - tool.tcp[:3, 3]
@@ -212,12 +216,13 @@ class CornerRounding:
 
     Attributes:
         work: Corner deviation [m] after a move that works (:attr:`Segment.works`).
-        approach: Corner deviation [m] after a move that precedes a move that works.
+        approach: Corner deviation [m] after another move that precedes a move that works.
         air: Corner deviation [m] after any other move.
-        rotation_levers: {arm: (3,)} [m/rad] distance that a rotation about the tool's x, y, z axis counts as;
-            :func:`tool_reach` for other arms.
+        rotation_levers: {arm: (3,)} [m/rad] distance as which a rotation about the tool's x, y and z axis
+            counts. For other arms it is :func:`tool_reach`.
         spline_deviations: {arm: ((distance from the TCP [m], deviation [m]), ...)} allowed deviation of a
-            spline block from straight moves, at points of the tool, if it is less than blocks keep to anyway.
+            spline block from straight moves, at points of the tool. Only stated if it is less than spline
+            blocks keep to anyway.
     """
 
     work: float = CORNER_DEVIATION_MM * MM
@@ -233,11 +238,11 @@ class CornerRounding:
             segments: Segment of each move.
         """
         works = np.array([segment.works for segment in segments], dtype=np.bool_)
-        follows = np.append(works[1:], False)
-        return np.where(works, self.work, np.where(follows, self.approach, self.air))
+        next_works = np.append(works[1:], False)
+        return np.where(works, self.work, np.where(next_works, self.approach, self.air))
 
     def rotation_lever(self, arm: str, tool: Tool) -> FloatArray:
-        """Return the distance (3,) [m/rad] that a rotation about each tool axis of ``arm`` counts as."""
+        """Return the distance (3,) [m/rad] as which a rotation about each axis of an arm's tool counts."""
         levers = self.rotation_levers.get(arm)
         return np.full(3, tool_reach(tool)) if levers is None else levers
 
@@ -255,8 +260,8 @@ class Targets:
         frame: {arm: "stock", "world" or "held:<arm>"} work frame.
         freedoms: Freedoms of the poses. Column j of the values belongs to ``freedoms[j]``; tables apply
             first, then screws in order.
-        feed: Maximum speed (N,) [m/s] of the fastest guarded point during the move to target i; entry 0 is
-            unused.
+        feed: Maximum speed (N,) [m/s] during the move to target i of the fastest of the points whose
+            speed matters; entry 0 is unused.
         feed_min: Minimum speed (N,) [m/s] of that point; 0 for none.
         travel: Distance (N,) [m] that the point moves to target i; travel[0] = 0. Speed is travel / time.
         stop: Whether the motion stops at the target (N,) (fine point).
@@ -273,13 +278,14 @@ class Targets:
             need not stop; 0 if they must stop at each.
         max_lead_lag: Allowed change [m] of the TCP distance, relative to both ends of a move, if one arm has
             finished the move while the other has not started it (controllers without a common clock).
-        run_up: Distance [m] before and after stops within which the point reaches ``feed_min``, which is then
-            required. None: a note says if the minimum is not kept.
+        run_up: Distance [m] before and after stops within which the point may be slower than ``feed_min``,
+            which is required elsewhere. None if the minimum is not required, so that only a note says where
+            it is not kept.
         rounding: Allowed corner deviations.
-        may_stop: Whether a single arm may stop at further targets, if no minimum feed is required and a sharp
-            corner takes longer than a stop.
-        may_join: Whether targets on one line may be dropped, and moves slowed, if moves are shorter than
-            controllers handle well.
+        may_stop: Whether a single arm may stop at further targets, if no minimum feed is required and to
+            round a sharp corner takes longer than a stop.
+        may_join: Whether targets on a straight line may be dropped, and moves slowed, if moves are shorter
+            than controllers can process at their speed.
         feed_throughout: Whether the feed limits every instant, not only each move as a whole.
         feed_source: Origin of a feed that varies along the path ("the G-code file"), of which a spline keeps
             only one per segment; empty if there is none.
@@ -327,9 +333,9 @@ class Targets:
         return f"{segment}/{index - first + 1}"
 
     def last_joint_angle(self, arm: str, values: FloatArray) -> FloatArray | None:
-        """Return the angle (...,) [rad] of the last joint of an arm at freedom values (..., F).
+        """Return the angle (...,) [rad] of the last joint of an arm, from freedom values (..., F).
 
-        None if that joint is not a freedom.
+        The result is None if that joint is not a freedom.
         """
         for j, freedom in enumerate(self.freedoms):
             if isinstance(freedom, JointFreedom) and freedom.arm == arm:
@@ -349,22 +355,24 @@ class Targets:
 
         Args:
             values: Freedom values (..., F). Without ``index`` the leading axis is the N targets.
-            index: Target (...,) of each row of ``values``, so that many samples of one target need one call.
+            index: Index (...,) of the target of each row of ``values``. Several rows may be of one target.
         """
-        rows = np.arange(self.count) if index is None else index
-        return {arm: self._pose(arm, values, rows) for arm in self.arms}
+        target_index = np.arange(self.count) if index is None else index
+        return {arm: self._pose(arm, values, target_index) for arm in self.arms}
 
     def perturbed_poses(
         self, values: FloatArray, step: float
     ) -> Iterator[tuple[dict[str, FloatArray], dict[str, FloatArray]]]:
-        """Yield :meth:`poses` for each freedom with its values increased, and decreased, by ``step``.
+        """Yield, for each freedom, the poses with its values increased and those with its values decreased.
+
+        Poses are those of :meth:`poses` at all N targets.
 
         Args:
             values: Freedom values (N, F).
-            step: Increment, in the unit of the freedom.
+            step: Increment and decrement, in the unit of the freedom.
         """
-        # the screws of unchanged freedoms are computed once, not for each perturbed one
-        rows = np.arange(self.count)
+        # The screw transforms of unchanged freedoms are computed once, not for each perturbed freedom.
+        target_index = np.arange(self.count)
         screw_transforms = {
             arm: {
                 j: _screw_transform(freedom.axis[arm], values[:, j])
@@ -380,7 +388,7 @@ class Targets:
                 arm: {k: pose for k, pose in screw_transforms[arm].items() if k != j} for arm in self.arms
             }
             increased, decreased = (
-                {arm: self._pose(arm, perturbed, rows, others[arm]) for arm in self.arms}
+                {arm: self._pose(arm, perturbed, target_index, others[arm]) for arm in self.arms}
                 for perturbed in (values + shift, values - shift)
             )
             yield increased, decreased
@@ -389,32 +397,43 @@ class Targets:
         self,
         arm: str,
         values: FloatArray,
-        rows: IndexArray,
+        target_index: IndexArray,
         screw_transforms: Mapping[int, FloatArray] | None = None,
     ) -> FloatArray:
-        """Return TCP poses of an arm.
+        """Return TCP poses (..., 4, 4) of an arm in its work frame.
 
-        ``screw_transforms`` has transforms of screws, by index of the freedom.
+        Args:
+            arm: Name of the arm.
+            values: Freedom values (..., F).
+            target_index: Index (...,) of the target of each row of ``values``.
+            screw_transforms: Transforms (..., 4, 4) of screws that are known already, by index of the
+                freedom.
         """
         # tables first, because they replace the nominal pose: pose = middle exp(sum_k L_k(v) twist_k)
-        pose = self.pose[arm][rows]
+        pose = self.pose[arm][target_index]
         for j, freedom in enumerate(self.freedoms):
             if isinstance(freedom, TableFreedom) and arm in freedom.pose:
                 middle, twists = freedom.twists[arm]
                 weights = lagrange_weights(freedom.nodes, values[..., j])
-                pose = middle[rows] @ exp_twist(np.einsum("...k,...kc->...c", weights, twists[rows]))
+                twist = np.einsum("...k,...kc->...c", weights, twists[target_index])
+                pose = middle[target_index] @ exp_twist(twist)
         # then screws in order, in the tool frame: pose exp(v axis)
         for j, freedom in enumerate(self.freedoms):
             if isinstance(freedom, ScrewFreedom) and arm in freedom.axis:
                 transform = None if screw_transforms is None else screw_transforms.get(j)
-                pose = pose @ (
-                    _screw_transform(freedom.axis[arm], values[..., j]) if transform is None else transform
-                )
+                if transform is None:
+                    transform = _screw_transform(freedom.axis[arm], values[..., j])
+                pose = pose @ transform
         return pose
 
 
 def _screw_transform(axis: FloatArray, value: FloatArray) -> FloatArray:
-    """Return poses (..., 4, 4) of a screw ``axis`` (6,), angular part first, at values (...,)."""
+    """Return the transforms exp(value * axis) (..., 4, 4) of a screw.
+
+    Args:
+        axis: Twist (6,), angular part first.
+        value: Values (...,) of the screw's freedom.
+    """
     twist = value[..., None] * axis
     return exp_twist(twist) if axis[:3].any() else from_parts(np.eye(3), twist[..., 3:])
 
@@ -426,8 +445,8 @@ _Operation = TypeVar("_Operation")
 class Job(abc.ABC, Generic[_Operation]):
     """One operation as its process sees it, with the cell, tools and stock at that time.
 
-    Targets and claims are derived from the same inputs, which are never modified. Claims never depend on
-    targets.
+    Targets and claims are both derived from these inputs alone, which are never modified. Claims never depend
+    on targets.
 
     Attributes:
         operation: Operation of the process.
@@ -443,8 +462,8 @@ class Job(abc.ABC, Generic[_Operation]):
     is_brief: bool = dataclasses.field(default=False, init=False)
     """Whether the targets are for a quick check of reach and clearance.
 
-    Such targets have no claims and exhibits. Checks of the part and the paths that do not change the targets
-    are left to the full check. Similar paths may be dropped.
+    Such targets have no claims and exhibits. Checks that do not change the targets are left to the full
+    check. Paths that resemble others may be left out.
     """
 
     @abc.abstractmethod
@@ -460,7 +479,7 @@ class Job(abc.ABC, Generic[_Operation]):
     ) -> tuple[Issue, ...]:
         """Return issues of the executed timing.
 
-        Most processes depend on their feeds alone, which the clock keeps; they return nothing.
+        Most processes depend on their feeds alone, which every clock keeps, so they have no such issues.
 
         Args:
             targets: Targets of the operation.
@@ -485,7 +504,7 @@ class Job(abc.ABC, Generic[_Operation]):
 
 
 def lagrange_weights(nodes: FloatArray, value: FloatArray) -> FloatArray:
-    """Return Lagrange weights (..., K) of the nodes (K,) at values (...,)."""
+    """Return the values (..., K) at ``value`` (...,) of the Lagrange basis polynomials of nodes (K,)."""
     count = len(nodes)
     weights = np.ones((*np.shape(value), count))
     for k in range(count):

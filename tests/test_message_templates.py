@@ -35,7 +35,9 @@ def _code(call: ast.Call) -> str | None:
 
 
 def _fields(template: str) -> set[str]:
-    return {name for _, name, _, _ in string.Formatter().parse(template) if name is not None}
+    return {
+        name.partition("[")[0] for _, name, _, _ in string.Formatter().parse(template) if name is not None
+    }
 
 
 def test_every_template_is_filled_with_exactly_its_fields() -> None:

@@ -66,8 +66,9 @@ class RangeFile(BaseModel):
                 _tidy_number(self.to)
             ]
         step = (self.step or 1.0) * (1.0 if self.to >= self.start else -1.0)
-        steps = int((self.to - self.start) / step * (1.0 + 1e-12) + 1e-9)
-        return [_tidy_number(self.start + i * step) for i in range(steps + 1)]
+        # The tolerances keep the last value if rounding makes the quotient slightly too small.
+        step_count = int((self.to - self.start) / step * (1.0 + 1e-12) + 1e-9)
+        return [_tidy_number(self.start + i * step) for i in range(step_count + 1)]
 
 
 class BatchFile(BaseModel):
@@ -98,8 +99,8 @@ class BatchFile(BaseModel):
             raise ValueError("nothing varies; give vary or csv, or plan the problem itself")
         counts = {path: len(self.values_of(path)) for path in self.vary}
         if self.combine == "zip" and len(set(counts.values())) > 1:
-            found = ", ".join(f"{path} has {count}" for path, count in counts.items())
-            raise ValueError(f"combine: zip needs the same number of values for each field; {found}")
+            counts_text = ", ".join(f"{path} has {count}" for path, count in counts.items())
+            raise ValueError(f"combine: zip needs the same number of values for each field; {counts_text}")
         return self
 
     def values_of(self, path: str) -> list[Any]:
@@ -108,10 +109,10 @@ class BatchFile(BaseModel):
         return values.values() if isinstance(values, RangeFile) else list(values)
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the values by path, for each combination that ``vary`` requires."""
+        """Return the values by path, one dictionary for each combination of ``vary``."""
         columns = [self.values_of(path) for path in self.vary]
-        mixed = zip(*columns, strict=True) if self.combine == "zip" else itertools.product(*columns)
-        return [dict(zip(self.vary, row, strict=True)) for row in mixed] if columns else [{}]
+        combinations = zip(*columns, strict=True) if self.combine == "zip" else itertools.product(*columns)
+        return [dict(zip(self.vary, row, strict=True)) for row in combinations] if columns else [{}]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -155,19 +156,30 @@ class BatchVariant:
                 raise TandemError([self._relocated(issue, file) for issue in error.issues]) from error
         return dataclasses.replace(problem, path=self.base.path)
 
-    def _field_issue(self, path: str, what: str) -> Issue:
+    def _field_issue(self, path: str, problem: str) -> Issue:
         line = self.document.line(("vary", path)) if path in self.document.data.get("vary", {}) else None
         file = str(self.document.path)
-        return Issue("batch.field", f"{self.name}: {path}: {what}", file=file, line=line, field=path)
+        return Issue("batch.field", f"{self.name}: {path}: {problem}", file=file, line=line, field=path)
 
     def _relocated(self, issue: Issue, file: Path) -> Issue:
+        """Return an issue of the temporary problem file ``file`` with the line that the user can correct.
+
+        This is the line of the batch file for a varied field, else the line of the problem file.
+        """
         if issue.file != str(file):
             return issue
         field = issue.field or ""
-        varied_field = next((p for p in self.values if field == p or field.startswith(f"{p}.")), None)
+        varied_field = next(
+            (
+                varied_path
+                for varied_path in self.values
+                if field == varied_path or field.startswith(f"{varied_path}.")
+            ),
+            None,
+        )
         if varied_field is None:
-            steps = tuple(int(s) if s.isdigit() else s for s in field.split("."))
-            return dataclasses.replace(issue, file=str(self.base.path), line=self.base.line(steps))
+            location = tuple(int(part) if part.isdigit() else part for part in field.split("."))
+            return dataclasses.replace(issue, file=str(self.base.path), line=self.base.line(location))
         line = self.document.line(("vary", varied_field))
         message = f"{self.name}: {issue.message}"
         return dataclasses.replace(issue, file=str(self.document.path), line=line, message=message)
@@ -183,7 +195,9 @@ def read_batch(path: Path) -> list[BatchVariant]:
     try:
         batch_file = BatchFile.model_validate(document.data, strict=False)
     except ValidationError as error:
-        raise TandemError([_validation_issue(dict(e), document) for e in error.errors()]) from error
+        raise TandemError(
+            [_validation_issue(dict(error_details), document) for error_details in error.errors()]
+        ) from error
     issues: list[Issue] = []
     base: Document | None = None
     table: list[dict[str, Any]] = [{}]
@@ -197,61 +211,74 @@ def read_batch(path: Path) -> list[BatchVariant]:
         issues += error.issues
     if base is None or issues:
         raise TandemError(issues)
-    rows = [(line, row) for line in table for row in batch_file.rows()]
-    if len(rows) > MAX_JOBS:
-        what = f"vary: got {len(rows)} jobs, allowed {MAX_JOBS}; vary less, or use several batch files"
-        raise issue_error("batch.field", what, file=str(path), line=document.line(("vary",)))
-    width = max(3, len(str(len(rows))))
-    out = []
-    for number, (line, row) in enumerate(rows, 1):
-        values = {k: v for k, v in line.items() if k != "name"} | row
-        row_name = str(line.get("name") or "")
-        single = row_name and len(batch_file.rows()) == 1
-        name = row_name if single else f"{row_name}-{number:0{width}d}" if row_name else f"{number:0{width}d}"
-        out.append(BatchVariant(name, values, base, document))
-    return out
+    jobs = [(table_row, varied_values) for table_row in table for varied_values in batch_file.rows()]
+    if len(jobs) > MAX_JOBS:
+        message = f"vary: got {len(jobs)} jobs, allowed {MAX_JOBS}; vary less, or use several batch files"
+        raise issue_error("batch.field", message, file=str(path), line=document.line(("vary",)))
+    digits = max(3, len(str(len(jobs))))
+    variants = []
+    for number, (table_row, varied_values) in enumerate(jobs, 1):
+        values = {field: value for field, value in table_row.items() if field != "name"} | varied_values
+        row_name = str(table_row.get("name") or "")
+        is_name_unique = row_name and len(batch_file.rows()) == 1
+        name = (
+            row_name
+            if is_name_unique
+            else f"{row_name}-{number:0{digits}d}"
+            if row_name
+            else f"{number:0{digits}d}"
+        )
+        variants.append(BatchVariant(name, values, base, document))
+    return variants
 
 
 def _base_document(spec: BatchFile, document: Document) -> Document:
-    given = Path(spec.problem)
-    relative_file = document.path.parent / given
+    """Read the problem file of a batch: a file next to the batch file, else a bundled problem."""
+    stated_path = Path(spec.problem)
+    relative_file = document.path.parent / stated_path
     for file in (
         relative_file,
         relative_file / PROBLEM_FILE,
-        bundled_path(given),
-        bundled_path(given / PROBLEM_FILE),
+        bundled_path(stated_path),
+        bundled_path(stated_path / PROBLEM_FILE),
     ):
         if is_file(file):
             return strict_yaml.read(file)
-    what = f"problem: no file {relative_file} and no bundled problem of that name; check the path"
+    message = f"problem: no file {relative_file} and no bundled problem of that name; check the path"
     line = document.line(("problem",))
-    raise issue_error("batch.field", what, file=str(document.path), line=line, field="problem")
+    raise issue_error("batch.field", message, file=str(document.path), line=line, field="problem")
 
 
 def _read_table(path: Path, document: Document) -> list[dict[str, Any]]:
-    """Return the rows of a CSV file. Values are read as YAML, empty cells are left out."""
+    """Return the rows of a CSV file, as values by the path in the heading.
+
+    Values are read as YAML, empty cells are left out. ``document`` is the batch file, for the line of issues.
+
+    Raises:
+        TandemError: ``batch.csv``.
+    """
     try:
         if path.stat().st_size > MAX_CSV_BYTES:
             raise _table_error(path, f"is larger than {MAX_CSV_BYTES // 1_000_000} MB; split it", document)
         text = path.read_text("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise _table_error(path, f"cannot be read ({error}); check the path", document) from error
-    lines = list(csv.reader(io.StringIO(text)))
-    heads = [head.strip() for head in lines[0]] if lines else []
-    if not heads or any(not head for head in heads) or len(set(heads)) < len(heads):
-        what = "has no valid heading; write one path in each column of its first line, none twice"
-        raise _table_error(path, what, document)
+    csv_rows = list(csv.reader(io.StringIO(text)))
+    paths = [path_name.strip() for path_name in csv_rows[0]] if csv_rows else []
+    if not paths or any(not path_name for path_name in paths) or len(set(paths)) < len(paths):
+        message = "has no valid heading; write one path in each column of its first line, none twice"
+        raise _table_error(path, message, document)
     issues = []
     rows = []
-    for number, cells in enumerate(lines[1:], 2):
+    for number, cells in enumerate(csv_rows[1:], 2):
         if not any(cell.strip() for cell in cells):
             continue
-        if len(cells) != len(heads):
-            what = f"{path}: {len(cells)} cells, but the heading has {len(heads)}; give one for each"
-            issues.append(Issue("batch.csv", what, file=str(path), line=number))
+        if len(cells) != len(paths):
+            message = f"{path}: {len(cells)} cells, but the heading has {len(paths)}; give one for each"
+            issues.append(Issue("batch.csv", message, file=str(path), line=number))
             continue
-        pairs = zip(heads, cells, strict=True)
-        rows.append({head: _parse_cell(cell) for head, cell in pairs if cell.strip()})
+        pairs = zip(paths, cells, strict=True)
+        rows.append({path_name: _parse_cell(cell) for path_name, cell in pairs if cell.strip()})
     if issues:
         raise TandemError(issues)
     if not rows:
@@ -259,9 +286,9 @@ def _read_table(path: Path, document: Document) -> list[dict[str, Any]]:
     return rows
 
 
-def _table_error(path: Path, what: str, document: Document) -> TandemError:
+def _table_error(path: Path, problem: str, document: Document) -> TandemError:
     line = document.line(("csv",))
-    return issue_error("batch.csv", f"{path} {what}", file=str(document.path), line=line, field="csv")
+    return issue_error("batch.csv", f"{path} {problem}", file=str(document.path), line=line, field="csv")
 
 
 def _parse_cell(cell: str) -> Any:
@@ -275,17 +302,21 @@ def _parse_cell(cell: str) -> Any:
 
 def _tidy_number(value: float) -> float:
     """Return a number without rounding noise, and as an integer if possible: count fields accept no 3.0."""
-    tidy = float(f"{value:.12g}")
-    return int(tidy) if tidy.is_integer() and abs(tidy) < 1e15 else tidy
+    rounded = float(f"{value:.12g}")
+    return int(rounded) if rounded.is_integer() and abs(rounded) < 1e15 else rounded
 
 
 def _validation_issue(error: Mapping[str, Any], document: Document) -> Issue:
-    location = tuple(s for s in error["loc"] if s not in ("RangeFile",) and not str(s).startswith("list["))
+    """Convert an error of pydantic to an issue with the line in the batch file."""
+    # Pydantic adds the alternatives of a union to the location. They are not keys of the file.
+    location = tuple(
+        step for step in error["loc"] if step not in ("RangeFile",) and not str(step).startswith("list[")
+    )
     field = ".".join(str(step) for step in location)
-    what = "unknown key; remove it or correct its spelling"
+    message = "unknown key; remove it or correct its spelling"
     if error["type"] != "extra_forbidden":
-        what = f"{error['msg']}; " + ("add it" if error["type"] == "missing" else "correct it")
-    text = f"{field}: {what}" if field else what
+        message = f"{error['msg']}; " + ("add it" if error["type"] == "missing" else "correct it")
+    text = f"{field}: {message}" if field else message
     return Issue(
         "batch.field", text, file=str(document.path), line=document.line(location), field=field or None
     )

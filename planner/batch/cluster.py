@@ -54,6 +54,11 @@ INSTALL_COMMAND: Final = "pip install 'tandem-planner[cluster]'"
 
 @dataclasses.dataclass(frozen=True)
 class _SubmittedJob:
+    """A job on the cluster. ``token`` is the key of its future, unique for each submission.
+
+    ``start_time`` is the time of the submission [s, monotonic clock].
+    """
+
     job: BatchJob
     result_folder: ResultFolder
     future: Any
@@ -74,18 +79,19 @@ class ClusterPlanners:
         module: Module that the planning processes run.
 
     Raises:
-        TandemError: ``batch.install``, ``batch.field``, ``batch.cluster``.
+        TandemError: ``batch.install`` without Dask, ``batch.field`` for an invalid address,
+            ``batch.cluster`` if the cluster cannot be reached.
     """
 
     def __init__(
         self, address: str, count: int = 1, memory_mb: float | None = None, module: str = WORKER_MODULE
     ) -> None:
         if importlib.util.find_spec("distributed") is None:
-            what = "a cluster needs Dask, which is not installed"
-            raise issue_error("batch.install", what, hint=f"install it: {INSTALL_COMMAND}")
+            message = "a cluster needs Dask, which is not installed"
+            raise issue_error("batch.install", message, hint=f"install it: {INSTALL_COMMAND}")
         if address != "local" and not address.startswith(("tcp://", "tls://")):
-            what = f"--cluster: got {address!r}; give tcp://HOST:PORT of a scheduler, or local"
-            raise issue_error("batch.field", what, field="--cluster")
+            message = f"--cluster: got {address!r}; give tcp://HOST:PORT of a scheduler, or local"
+            raise issue_error("batch.field", message, field="--cluster")
         self._memory_mb, self._module = memory_mb, module
         self._submitted: dict[str, _SubmittedJob] = {}
         self._messages: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
@@ -99,6 +105,7 @@ class ClusterPlanners:
             raise
 
     def _connect(self, address: str, count: int) -> Any:
+        """Return a client that receives the events of the workers. A local cluster is started."""
         import dask
         from distributed import Client, LocalCluster
 
@@ -126,9 +133,9 @@ class ClusterPlanners:
             )
             client.wait_for_workers(1, timeout=WORKERS_TIMEOUT_S)
         except (OSError, TimeoutError, ValueError) as error:
-            what = f"cluster {address}: cannot be reached, or has no workers ({error})"
+            message = f"cluster {address}: cannot be reached, or has no workers ({error})"
             hint = "start `dask scheduler` and `dask worker`, and give the scheduler's address"
-            raise issue_error("batch.cluster", what, hint=hint) from error
+            raise issue_error("batch.cluster", message, hint=hint) from error
         client.subscribe_topic(self._topic, lambda event: self._messages.put(("event", event)))
         return client
 
@@ -156,7 +163,7 @@ class ClusterPlanners:
 
         if self._client.status != "running":
             raise TandemError(_connection_lost_issue(job.name))
-        place = ResultFolder.claim(folder, record)
+        result_folder = ResultFolder.claim(folder, record)
         token = f"tandem-{uuid.uuid4().hex}"
         fields = {
             "name": job.name,
@@ -168,20 +175,22 @@ class ClusterPlanners:
         }
         arguments = (token, self._topic, dict(job.files), fields, self._versions)
         future = self._client.submit(plan_on_worker, *arguments, key=token, pure=False)
-        self._submitted[job.name] = _SubmittedJob(job, place, future, token, time.monotonic())
+        self._submitted[job.name] = _SubmittedJob(job, result_folder, future, token, time.monotonic())
         future.add_done_callback(lambda _: self._messages.put(("ended", (job.name, token))))
 
     def cancel(self, name: str) -> bool:
         """Cancel a job, as `planner.batch.workers.BatchWorkers.cancel`."""
-        sent = self._submitted.pop(name, None)
-        if sent is None:
+        submitted = self._submitted.pop(name, None)
+        if submitted is None:
             return False
         if self._client.status == "running":
             with contextlib.suppress(OSError, TimeoutError):  # if the workers are gone, so is the job
-                self._client.run(cancel_on_worker, sent.token, on_error="ignore")
-                sent.future.cancel(force=True)
-        done = JobResult(name, "cancelled", (cancelled_issue(name),), {}, time.monotonic() - sent.start_time)
-        self._messages.put(("cancelled", JobFinished(name, done)))
+                self._client.run(cancel_on_worker, submitted.token, on_error="ignore")
+                submitted.future.cancel(force=True)
+        result = JobResult(
+            name, "cancelled", (cancelled_issue(name),), {}, time.monotonic() - submitted.start_time
+        )
+        self._messages.put(("cancelled", JobFinished(name, result)))
         return True
 
     def events(self, timeout_s: float) -> Iterator[JobEvent]:
@@ -190,15 +199,15 @@ class ClusterPlanners:
         Raises:
             TandemError: ``batch.cluster``, ``batch.versions``, if the cluster has become unusable.
         """
-        wait_until = time.monotonic() + timeout_s
+        deadline = time.monotonic() + timeout_s
         while True:
             try:
-                kind, content = self._messages.get(timeout=max(0.0, wait_until - time.monotonic()))
+                kind, content = self._messages.get(timeout=max(0.0, deadline - time.monotonic()))
             except queue.Empty:
                 return
             for event in self._events_in(kind, content):
                 yield event
-                wait_until = time.monotonic()  # deliver what is available, without waiting
+                deadline = time.monotonic()  # deliver what is available, without waiting
 
     def close(self) -> None:
         """Disconnect from the cluster. Running jobs are cancelled."""
@@ -209,6 +218,12 @@ class ClusterPlanners:
             self._resources.close()
 
     def _events_in(self, kind: str, content: Any) -> Iterator[JobEvent]:
+        """Yield the events that a message of the queue stands for.
+
+        Args:
+            kind: ``cancelled``, ``event`` (published by a worker) or ``ended`` (a future is done).
+            content: A `JobFinished`, a time and a JSON text, or name and token of the job.
+        """
         if kind == "cancelled":
             yield content
         elif kind == "event":
@@ -226,60 +241,64 @@ class ClusterPlanners:
             if name in self._submitted and self._submitted[name].token == token:
                 yield self._finish(self._submitted.pop(name))
 
-    def _finish(self, sent: _SubmittedJob) -> JobFinished:
-        status = sent.future.status
+    def _finish(self, submitted: _SubmittedJob) -> JobFinished:
+        """Return the end of a job whose future is done, and publish its result."""
+        status = submitted.future.status
         if status == "finished":
-            done = self._collect_result(sent)
+            result = self._collect_result(submitted)
         elif status == "error":
-            done = self._failure_result(sent)
+            result = self._failure_result(submitted)
         else:  # cancelled or lost by the scheduler, which no longer knows this client
-            raise TandemError(_connection_lost_issue(sent.job.name))
-        return JobFinished(sent.job.name, done)
+            raise TandemError(_connection_lost_issue(submitted.job.name))
+        return JobFinished(submitted.job.name, result)
 
-    def _collect_result(self, sent: _SubmittedJob) -> JobResult:
-        with _connection_errors_reported(sent.job.name):
-            answer = sent.future.result()
-        sent.future.release()
+    def _collect_result(self, submitted: _SubmittedJob) -> JobResult:
+        """Write the result folder that a worker has returned, and return the result."""
+        with _connection_errors_reported(submitted.job.name):
+            answer = submitted.future.result()
+        submitted.future.release()
         if "versions" in answer:
             raise TandemError(self._other_versions(answer))
-        done = JobResult.from_dict(answer["done"])
-        if done.state == "cancelled":
-            return done
+        result = JobResult.from_dict(answer["done"])
+        if result.state == "cancelled":
+            return result
         try:
             if answer["files"]:
                 from planner.batch.results import write_result
 
-                write_result(sent.result_folder.prepare({})[1], answer["files"])
+                write_result(submitted.result_folder.prepare({})[1], answer["files"])
         except TandemError as error:
-            return dataclasses.replace(done, state="crashed", issues=(*done.issues, *error.issues))
-        return sent.result_folder.publish(done)
+            return dataclasses.replace(result, state="crashed", issues=(*result.issues, *error.issues))
+        return submitted.result_folder.publish(result)
 
-    def _failure_result(self, sent: _SubmittedJob) -> JobResult:
-        name = sent.job.name
+    def _failure_result(self, submitted: _SubmittedJob) -> JobResult:
+        """Publish and return the result of a job whose worker disappeared or raised an error."""
+        name = submitted.job.name
         with _connection_errors_reported(name):
-            error = sent.future.exception()
+            error = submitted.future.exception()
         if type(error).__name__ == "KilledWorker":
-            what = f"{name}: the workers that planned it disappeared one after another; other jobs continue"
-            issue = Issue("batch.crashed", what, hint="check the memory of the workers, and plan it again")
+            text = f"{name}: the workers that planned it disappeared one after another; other jobs continue"
+            issue = Issue("batch.crashed", text, hint="check the memory of the workers, and plan it again")
         elif isinstance(error, TandemError):
             issue = error.issues[0]
         else:
-            what = f"{name}: {type(error).__name__}: {error}; please report this"
-            issue = Issue("internal.error", what)
-        return sent.result_folder.publish(
-            JobResult(name, "crashed", (issue,), {}, time.monotonic() - sent.start_time)
+            text = f"{name}: {type(error).__name__}: {error}; please report this"
+            issue = Issue("internal.error", text)
+        return submitted.result_folder.publish(
+            JobResult(name, "crashed", (issue,), {}, time.monotonic() - submitted.start_time)
         )
 
     def _other_versions(self, answer: dict[str, Any]) -> Issue:
-        theirs = answer["versions"]
-        names = sorted({*theirs, *self._versions})
+        """Return the issue of a worker with other versions, from the answer of `plan_on_worker`."""
+        worker_versions = answer["versions"]
+        names = sorted({*worker_versions, *self._versions})
         differing = ", ".join(
-            f"{name} {theirs.get(name, 'none')} instead of {self._versions.get(name, 'none')}"
+            f"{name} {worker_versions.get(name, 'none')} instead of {self._versions.get(name, 'none')}"
             for name in names
-            if theirs.get(name) != self._versions.get(name)
+            if worker_versions.get(name) != self._versions.get(name)
         )
-        what = format_message("batch.versions", worker=answer["worker"], differences=differing)
-        return Issue("batch.versions", what, hint="install the same versions on all machines")
+        message = format_message("batch.versions", worker=answer["worker"], differences=differing)
+        return Issue("batch.versions", message, hint="install the same versions on all machines")
 
 
 @contextlib.contextmanager
@@ -294,8 +313,8 @@ def _connection_errors_reported(job: str) -> Iterator[None]:
 
 
 def _connection_lost_issue(job: str) -> Issue:
-    what = f"{job}: the connection to the cluster's scheduler is lost"
-    return Issue("batch.cluster", what, hint="start it again, and a batch with --resume")
+    message = f"{job}: the connection to the cluster's scheduler is lost"
+    return Issue("batch.cluster", message, hint="start it again, and a batch with --resume")
 
 
 PROGRESS_INTERVAL_S: Final = 0.5
@@ -364,9 +383,11 @@ def plan_on_worker(
     job = BatchJob(fields["name"], files, *limits, fields["origins"], fields["reports"])
     with tempfile.TemporaryDirectory(prefix="tandem-") as folder:
         result = Path(folder) / "result"
-        done = _run_job(token, topic, job, result, fields["module"])
-        result_files = {p.relative_to(result).as_posix(): p.read_bytes() for p in _files_below(result)}
-        return {"done": done.done.to_dict(), "files": result_files}
+        finished = _run_job(token, topic, job, result, fields["module"])
+        result_files = {
+            path.relative_to(result).as_posix(): path.read_bytes() for path in _files_below(result)
+        }
+        return {"done": finished.done.to_dict(), "files": result_files}
 
 
 def cancel_on_worker(token: str) -> None:
@@ -375,6 +396,10 @@ def cancel_on_worker(token: str) -> None:
 
 
 def _run_job(token: str, topic: str, job: BatchJob, result: Path, module: str) -> JobFinished:
+    """Plan a job in the planning process of this thread, publish its events, and return its end.
+
+    The job stops when its token is cancelled. The planning process runs ``module``.
+    """
     state = _worker_state()
     process = state.planning_process(module)
     process.start(job, result)
@@ -413,4 +438,4 @@ def _publish(topic: str, event: JobEvent) -> None:
 
 
 def _files_below(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.rglob("*") if p.is_file())
+    return sorted(path for path in folder.rglob("*") if path.is_file())

@@ -1,8 +1,8 @@
 """Comparison of two plans or batches, and the summary of one batch.
 
-Figures, changed segments and issues that appeared or disappeared are compared. A result folder is read as it
-was saved: the plan, the proof of it, and its figures. Rows of the summary serve the table on the command
-line, ``summary.csv`` and one HTML file with thumbnails and a link to each report.
+The comparison lists numeric values, changed segments, and issues that appeared or disappeared. A result
+folder is read as it was saved: the plan, its proof, and its values. The summary of a batch is shown as a
+table on the command line, as ``summary.csv``, and as one HTML file with thumbnails and a link to each report.
 """
 
 import base64
@@ -40,7 +40,7 @@ class SavedResult:
         ok: Whether its programs were proven, None without a proof.
         rules: Results of the rules.
         issues: Issues of plan and proof.
-        figures: Figures by name.
+        figures: Values by name, as :func:`planner.batch.rows.result_figures` returns them.
     """
 
     folder: Path
@@ -60,18 +60,23 @@ def read_result(folder: Path) -> SavedResult:
     plan = plans.load(folder)
     path = folder / "proof.json"
     ok, rules, issues = _proof(path) if path.is_file() else (None, (), ())
-    all_issues = [*plan.issues, *(issue for op in plan.operations for issue in op.issues), *issues]
+    all_issues = [
+        *plan.issues,
+        *(issue for operation in plan.operations for issue in operation.issues),
+        *issues,
+    ]
     return SavedResult(folder, plan, ok, rules, aggregate(all_issues), result_figures(plan, rules))
 
 
 def _proof(path: Path) -> tuple[bool | None, tuple[RuleResult, ...], tuple[Issue, ...]]:
+    """Read ``proof.json``. Return the verdict, the results of the rules, and the issues."""
     try:
         data = json.loads(path.read_text("utf-8"))
         rules = tuple(RuleResult(**rule) for rule in data["rules"])
         return bool(data["ok"]), rules, tuple(Issue.from_dict(issue) for issue in data["issues"])
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        what = f"{path.name} is damaged: {type(error).__name__}: {error}"
-        raise issue_error("plan.damaged", what, file=str(path), hint="plan the problem again") from error
+        message = f"{path.name} is damaged: {type(error).__name__}: {error}"
+        raise issue_error("plan.damaged", message, file=str(path), hint="plan the problem again") from error
 
 
 EQUALITY_TOLERANCE = 1e-9
@@ -80,12 +85,12 @@ EQUALITY_TOLERANCE = 1e-9
 
 @dataclasses.dataclass(frozen=True)
 class FigurePair:
-    """A figure of two results, None where it is unknown.
+    """A value of two results, None where it is unknown.
 
     Attributes:
-        name: Name of the figure.
-        first: Value of the first.
-        second: Value of the second.
+        name: Name of the value.
+        first: Value of the first result.
+        second: Value of the second result.
     """
 
     name: str
@@ -100,15 +105,17 @@ class FigurePair:
 
 @dataclasses.dataclass(frozen=True)
 class SegmentChange:
-    """A run of targets of one label that differs.
+    """Consecutive targets with the same segment label that differ between two plans.
 
     Attributes:
         operation: Name of the operation.
         segment: Label of the segment.
         targets: Number of targets in each plan, None without this segment.
         seconds: Duration in each plan [s], None without this segment.
-        joints_deg: Largest difference of joint angles, target by target, if the numbers of targets are equal.
-        poses_mm: Largest difference of tool positions, target by target, if the numbers of targets are equal.
+        joints_deg: Largest difference of joint angles at the same target [deg], or None if the numbers of
+            targets differ.
+        poses_mm: Largest difference of tool positions along an axis at the same target [mm], or None if the
+            numbers of targets differ.
     """
 
     operation: str
@@ -126,9 +133,9 @@ class PlanComparison:
     Attributes:
         first: The first plan.
         second: The second plan.
-        figures: Figures of both.
+        figures: Values of both plans.
         segments: Segments that differ.
-        issues: Counts in both plans by code, where they differ.
+        issues: Numbers of issues in the first and the second plan, by code, if they differ.
     """
 
     first: SavedResult
@@ -140,12 +147,12 @@ class PlanComparison:
 
 @dataclasses.dataclass(frozen=True)
 class JobPair:
-    """A job that both batches have, or one of them.
+    """A job of two batches. It may be missing in one of them.
 
     Attributes:
         name: Name of the job.
-        first: Result in the first batch.
-        second: Result in the second batch.
+        first: Result in the first batch, or None.
+        second: Result in the second batch, or None.
     """
 
     name: str
@@ -153,13 +160,13 @@ class JobPair:
     second: JobResult | None
 
     def figure(self, name: str) -> FigurePair:
-        """Return one figure of both. ``planning_s`` is the time of planning."""
-        sides = [None if done is None else _figure_of(done, name) for done in (self.first, self.second)]
-        return FigurePair(name, *sides)
+        """Return a value of both results. ``planning_s`` is the planning time [s]."""
+        values = [None if done is None else _figure_of(done, name) for done in (self.first, self.second)]
+        return FigurePair(name, *values)
 
     @property
     def issues(self) -> Mapping[str, tuple[int, int]]:
-        """Counts of issue codes that differ."""
+        """Numbers of issues in both results, by code, if they differ."""
         issue_lists = [() if done is None else done.issues for done in (self.first, self.second)]
         return differing_counts(*issue_lists)
 
@@ -168,18 +175,18 @@ def compare_plans(first: Path, second: Path) -> PlanComparison:
     """Compare two result folders.
 
     Raises:
-        TandemError: What cannot be read of both.
+        TandemError: A folder cannot be read. Contains the issues of both.
     """
-    sides: list[SavedResult] = []
+    results: list[SavedResult] = []
     issues: list[Issue] = []
     for folder in (first, second):
         try:
-            sides.append(read_result(folder))
+            results.append(read_result(folder))
         except TandemError as error:
             issues += error.issues
     if issues:
         raise TandemError(issues)
-    first_result, second_result = sides
+    first_result, second_result = results
     names = dict.fromkeys((*first_result.figures, *second_result.figures))
     return PlanComparison(
         first_result,
@@ -213,7 +220,9 @@ def compare_batches(first: Path, second: Path) -> list[JobPair]:
     ]
     if issues:
         raise TandemError(issues)
-    first_jobs, second_jobs = ({d.name: d for d in _records(folder)} for folder in (first, second))
+    first_jobs, second_jobs = (
+        {result.name: result for result in _records(folder)} for folder in (first, second)
+    )
     return [
         JobPair(name, first_jobs.get(name), second_jobs.get(name))
         for name in dict.fromkeys((*first_jobs, *second_jobs))
@@ -221,9 +230,14 @@ def compare_batches(first: Path, second: Path) -> list[JobPair]:
 
 
 def differing_counts(first: Iterable[Issue], second: Iterable[Issue]) -> dict[str, tuple[int, int]]:
-    """Return counts by code {code: (count, count)} that differ, sorted by code."""
+    """Count issues by code, and return the counts that differ.
+
+    Returns:
+        Numbers of issues in ``first`` and ``second`` {code: (count, count)}, sorted by code.
+    """
     first_counts, second_counts = (
-        sum((Counter({i.code: i.count}) for i in found), Counter[str]()) for found in (first, second)
+        sum((Counter({issue.code: issue.count}) for issue in issues), Counter[str]())
+        for issues in (first, second)
     )
     return {
         code: (first_counts[code], second_counts[code])
@@ -233,6 +247,7 @@ def differing_counts(first: Iterable[Issue], second: Iterable[Issue]) -> dict[st
 
 
 def _records(folder: Path) -> Iterator[JobResult]:
+    """Yield the recorded results of a batch, by file name. Invalid records are skipped."""
     for path in sorted((folder / RECORDS_FOLDER).glob("*.json")):
         record = JobRecord.read(path)
         if record is not None:
@@ -246,31 +261,43 @@ def _figure_of(done: JobResult, name: str) -> float | None:
 def _segment_changes(
     first: tuple[OperationPlan, ...], second: tuple[OperationPlan, ...]
 ) -> Iterator[SegmentChange]:
-    first_operations, second_operations = ({op.name: op for op in side} for side in (first, second))
+    """Yield the segments that differ, by operation and label, including those that one plan does not have."""
+    first_operations, second_operations = (
+        {operation.name: operation for operation in operations} for operations in (first, second)
+    )
     for name in dict.fromkeys((*first_operations, *second_operations)):
-        runs = [
-            _label_runs(side[name]) if name in side else {} for side in (first_operations, second_operations)
+        runs_by_label = [
+            _label_runs(operations[name]) if name in operations else {}
+            for operations in (first_operations, second_operations)
         ]
-        for label in dict.fromkeys((*runs[0], *runs[1])):
-            pieces = [side.get(label) for side in runs]
+        for label in dict.fromkeys((*runs_by_label[0], *runs_by_label[1])):
+            segment_runs = [operations.get(label) for operations in runs_by_label]
             changed = _segment_change(
-                name, label, pieces[0], pieces[1], first_operations.get(name), second_operations.get(name)
+                name,
+                label,
+                segment_runs[0],
+                segment_runs[1],
+                first_operations.get(name),
+                second_operations.get(name),
             )
             if changed is not None:
                 yield changed
 
 
 def _label_runs(operation: OperationPlan) -> dict[str, slice]:
-    """Return consecutive targets of one label, by label: ``cut``, and ``cut (2)`` if it occurs again."""
+    """Return the ranges of consecutive targets with the same segment label.
+
+    The keys are the labels. A label that occurs again gets a number: ``cut``, ``cut (2)``.
+    """
     labels = [str(segment) for segment in operation.targets.segment]
-    starts = [i for i, label in enumerate(labels) if i == 0 or labels[i - 1] != label]
-    seen: Counter[str] = Counter()
-    out = {}
+    starts = [index for index, label in enumerate(labels) if index == 0 or labels[index - 1] != label]
+    occurrences: Counter[str] = Counter()
+    runs = {}
     for start, end in zip(starts, [*starts[1:], len(labels)], strict=True):
-        seen[labels[start]] += 1
-        occurrence = seen[labels[start]]
-        out[labels[start] if occurrence == 1 else f"{labels[start]} ({occurrence})"] = slice(start, end)
-    return out
+        occurrences[labels[start]] += 1
+        occurrence = occurrences[labels[start]]
+        runs[labels[start] if occurrence == 1 else f"{labels[start]} ({occurrence})"] = slice(start, end)
+    return runs
 
 
 def _segment_change(
@@ -281,6 +308,10 @@ def _segment_change(
     first: OperationPlan | None,
     second: OperationPlan | None,
 ) -> SegmentChange | None:
+    """Compare a segment of an operation in two plans. None if it is equal within `EQUALITY_TOLERANCE`.
+
+    The ranges of its targets and the operations are None in a plan without this segment.
+    """
     seconds = _seconds(first, first_run), _seconds(second, second_run)
     counts = _count(first_run), _count(second_run)
     if first is None or second is None or first_run is None or second_run is None or counts[0] != counts[1]:
@@ -308,7 +339,7 @@ def _count(run: slice | None) -> int | None:
 
 
 def _seconds(operation: OperationPlan | None, run: slice | None) -> float | None:
-    """Return the time [s] from the target before a run to its last one."""
+    """Return the time [s] from the target before a range of targets to its last target."""
     if operation is None or run is None:
         return None
     return float(operation.time[run.stop - 1] - operation.time[max(run.start - 1, 0)])
@@ -329,7 +360,7 @@ FIGURE_HEADINGS: Final[dict[str, str]] = {
     "surface_percent": "surface %",
     "path_cost": "path cost",
 }
-"""Figures of a job that every summary shows, with their headings."""
+"""Values of a job that every summary shows, with their headings."""
 STATE_LABELS: Final[dict[str, str]] = {
     "verified": "verified",
     "done": "done",
@@ -370,28 +401,28 @@ def issue_counts(row: BatchRow) -> str:
         count = sum(issue.severity is severity for issue in row.done.issues)
         if count:
             parts.append(f"{count} {severity.value}{'s' if count > 1 else ''}")
-    taken = accepted_codes(row.done.issues)
-    parts += [f"accepted: {' '.join(taken)}"] if taken else []
+    accepted = accepted_codes(row.done.issues)
+    parts += [f"accepted: {' '.join(accepted)}"] if accepted else []
     return ", ".join(parts)
 
 
 def figure_text(name: str, value: float | None) -> str:
-    """Return a figure as text, empty if it is unknown."""
+    """Return a value as text, empty if it is unknown."""
     if value is None:
         return ""
     return f"{value:.0f}" if name == "targets" else f"{value:.4g}"
 
 
 def csv_table(rows: Sequence[BatchRow]) -> str:
-    """Return the summary as CSV (RFC 4180), with figures in full precision.
+    """Return the summary as CSV (RFC 4180), with values in full precision.
 
-    Columns: name, origin, state, issue codes with that of the message first, accepted issues, varied fields,
-    figures, planning time [s], first error or warning.
+    Columns: name, origin, state, issue codes (that of the message first), accepted issues, varied fields,
+    values of `FIGURE_HEADINGS`, planning time [s], message of the most severe issue.
     """
     paths = varied_fields(rows)
     stream = io.StringIO()
     writer = csv.writer(stream)
-    heads = [
+    headings = [
         "name",
         "origin",
         "state",
@@ -402,17 +433,17 @@ def csv_table(rows: Sequence[BatchRow]) -> str:
         "planning_s",
         "message",
     ]
-    writer.writerow(heads)
+    writer.writerow(headings)
     for row in rows:
         main_issue = most_severe_issue(row.done)
         codes = " ".join(
-            dict.fromkeys(i.code for i in (*((main_issue,) if main_issue else ()), *row.done.issues))
+            dict.fromkeys(issue.code for issue in (*((main_issue,) if main_issue else ()), *row.done.issues))
         )
-        values = [value_text(row.item.varied[p]) if p in row.item.varied else "" for p in paths]
+        values = [value_text(row.item.varied[path]) if path in row.item.varied else "" for path in paths]
         figures = [_full_precision(row.done.metrics.get(name)) for name in FIGURE_HEADINGS]
         message = main_issue.message if main_issue is not None else ""
-        taken = " ".join(accepted_codes(row.done.issues))
-        cells = [row.item.name, row.item.origin, row.done.state, codes, taken, *values, *figures]
+        accepted = " ".join(accepted_codes(row.done.issues))
+        cells = [row.item.name, row.item.origin, row.done.state, codes, accepted, *values, *figures]
         writer.writerow([_escape_formula(cell) for cell in (*cells, f"{row.done.seconds:.3f}", message)])
     return stream.getvalue()
 
@@ -441,7 +472,7 @@ SUMMARY_CSS: Final = (
 
 
 def summary_page(title: str, rows: Sequence[BatchRow], out: Path, seconds: float) -> str:
-    """Return the summary page.
+    """Return the summary of a batch as an HTML page.
 
     Args:
         title: Title of the page.
@@ -453,21 +484,21 @@ def summary_page(title: str, rows: Sequence[BatchRow], out: Path, seconds: float
     shown_figures = [name for name in FIGURE_HEADINGS if any(name in row.done.metrics for row in rows)]
     varied_heads = [html.escape(path).replace(".", ".<wbr>") for path in paths]
     figure_heads = [html.escape(FIGURE_HEADINGS[name]) for name in shown_figures]
-    heads = ["", "name", "status", *varied_heads, *figure_heads, "planned in s"]
-    body = "".join(_job_rows(row, paths, shown_figures, out, len(heads)) for row in rows)
+    headings = ["", "name", "status", *varied_heads, *figure_heads, "planned in s"]
+    body = "".join(_job_rows(row, paths, shown_figures, out, len(headings)) for row in rows)
     counts: Counter[str] = Counter(row.done.state for row in rows)
     tiles = "".join(
         _tile(str(counts[state]), name, state != "verified")
         for state, name in STATE_LABELS.items()
         if counts[state]
     )
-    kept = sum(row.is_kept for row in rows)
+    kept_count = sum(row.is_kept for row in rows)
     summary = f"{len(rows)} problems in {seconds:.0f} s" + (
-        f", {kept} kept from earlier runs" if kept else ""
+        f", {kept_count} kept from earlier runs" if kept_count else ""
     )
-    head = f"<header><h1>{html.escape(title)}</h1></header><p class='soft'>{summary}</p>"
-    results = markup.section_html(markup.PageSection("jobs", "Results", (_table(heads, body),)))
-    inner = f'{head}<div class="tiles">{tiles}</div>{results}'
+    header_html = f"<header><h1>{html.escape(title)}</h1></header><p class='soft'>{summary}</p>"
+    results_html = markup.section_html(markup.PageSection("jobs", "Results", (_table(headings, body),)))
+    inner = f'{header_html}<div class="tiles">{tiles}</div>{results_html}'
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
         '<meta name="viewport" content="width=device-width,initial-scale=1">'
@@ -479,31 +510,34 @@ def summary_page(title: str, rows: Sequence[BatchRow], out: Path, seconds: float
 def _job_rows(
     row: BatchRow, paths: Sequence[str], shown_figures: Sequence[str], out: Path, width: int
 ) -> str:
-    """Return a job's row of the table, and another one for its issues if it has any."""
+    """Return the HTML table row of a job, and a second one for its issues if it has any.
+
+    The columns are the varied fields ``paths`` and the values ``shown_figures``. ``width`` is their number.
+    """
     report = f"{row.item.name}/report.html"
     thumbnail_bytes = thumbnail(out / report)
-    shown = ""
+    thumbnail_html = ""
     if thumbnail_bytes is not None:
         data = base64.b64encode(thumbnail_bytes).decode()
-        shown = f'<a href="{report}"><img alt="" src="data:image/png;base64,{data}"></a>'
+        thumbnail_html = f'<a href="{report}"><img alt="" src="data:image/png;base64,{data}"></a>'
     state = row.done.state
     tag = markup.phrase_html(markup.TagPhrase(TAG_OF_STATE.get(state, "bad"), STATE_LABELS[state]))
-    linked = (out / report).is_file()
-    name = f'<a href="{report}">{row.item.name}</a>' if linked else row.item.name
+    has_report = (out / report).is_file()
+    name = f'<a href="{report}">{row.item.name}</a>' if has_report else row.item.name
     name += f'<br><span class="soft">{html.escape(row.item.origin)}</span>'
     values = [value_text(row.item.varied[path]) if path in row.item.varied else "" for path in paths]
     figures = [_figure_cell(figure, row.done.metrics.get(figure)) for figure in shown_figures]
-    marked = "".join(f"<td>{cell}</td>" for cell in (shown, name, tag))
+    html_cells = "".join(f"<td>{cell}</td>" for cell in (thumbnail_html, name, tag))
     cells = "".join(_cell(cell) for cell in (*values, *figures, row.done.seconds))
-    kind = ' class="has"' if row.done.issues else ""
-    line = f"<tr{kind}>{marked}{cells}</tr>"
+    row_class = ' class="has"' if row.done.issues else ""
+    result_row = f"<tr{row_class}>{html_cells}{cells}</tr>"
     main_issue = most_severe_issue(row.done)
     if not row.done.issues:
-        return line
+        return result_row
     text = html.escape(issue_counts(row))
     if main_issue is not None:
         text += f": <code>{main_issue.code}</code> {html.escape(main_issue.message)}"
-    return f'{line}<tr class="said"><td></td><td colspan="{width - 1}">{text}</td></tr>'
+    return f'{result_row}<tr class="said"><td></td><td colspan="{width - 1}">{text}</td></tr>'
 
 
 def _figure_cell(name: str, value: float | None) -> object:
@@ -511,19 +545,19 @@ def _figure_cell(name: str, value: float | None) -> object:
 
 
 def _cell(cell: object) -> str:
-    kind = ' class="n"' if isinstance(cell, int | float) else ""
-    return f"<td{kind}>{markup.phrase_html(cell)}</td>"
+    css_class = ' class="n"' if isinstance(cell, int | float) else ""
+    return f"<td{css_class}>{markup.phrase_html(cell)}</td>"
 
 
-def _table(heads: Sequence[str], body: str) -> markup.Drawing:
-    """Return the table of ``heads`` and rows, both HTML.
+def _table(headings: Sequence[str], body: str) -> markup.Drawing:
+    """Return a table with headings and body rows that are HTML already.
 
-    Its rows have pictures, links and a line for issues.
+    The rows contain pictures, links and a line for issues, which ordinary tables do not support.
     """
-    head = "".join(f"<th>{name}</th>" for name in heads)
-    inner = f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
+    heading_cells = "".join(f"<th>{name}</th>" for name in headings)
+    inner = f"<thead><tr>{heading_cells}</tr></thead><tbody>{body}</tbody>"
     return markup.Drawing(f'<div class="scroll"><table>{inner}</table></div>')
 
 
-def _tile(figure: str, name: str, bad: bool) -> str:
-    return f'<div class="tile{" bad" if bad else ""}"><b>{figure}</b><span>{name}</span></div>'
+def _tile(figure: str, name: str, is_bad: bool) -> str:
+    return f'<div class="tile{" bad" if is_bad else ""}"><b>{figure}</b><span>{name}</span></div>'

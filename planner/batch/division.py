@@ -77,11 +77,11 @@ def divide_element(
     Args:
         element: The element.
         on_progress: Receives the progress.
-        folder: Folder of a job that contains the element. Panels then refer to the files of their templates
-            from ``panels/``, by ``../problem/``, as the result of that job holds them.
+        folder: Folder of a job that contains the element, or None. Panels then refer to the files of their
+            templates by `PANELS_TO_PROBLEM`, because the result of that job holds them there.
 
     Raises:
-        TandemError: As the divisions do.
+        TandemError: The element cannot be divided.
     """
     on_progress("division", 0.0)
     if isinstance(element, element_file.HexagonElement):
@@ -108,9 +108,9 @@ def divide_element(
 
 
 def _with_relative_templates(element: AnyElement, folder: Path | None) -> AnyElement:
-    """Return the element with template file names relative to ``panels/``.
+    """Return the element with the file names in its templates relative to ``panels/``.
 
-    Names are unchanged if the element is not in the ``folder`` of a job.
+    Names are unchanged if ``folder``, the folder of a job, is None.
     """
     if folder is None:
         return element
@@ -121,22 +121,24 @@ def _with_relative_templates(element: AnyElement, folder: Path | None) -> AnyEle
     def with_names(template: AnyTemplate) -> AnyTemplate:
         return dataclasses.replace(template, data=map_file_names(template.data, relative_name))
 
-    saw = None if element.saw is None else with_names(element.saw)
-    return dataclasses.replace(element, templates=tuple(map(with_names, element.templates)), saw=saw)
+    cutting_template = None if element.saw is None else with_names(element.saw)
+    return dataclasses.replace(
+        element, templates=tuple(map(with_names, element.templates)), saw=cutting_template
+    )
 
 
 def _divide_elastic(element: ElasticElement, folder: Path | None) -> DividedFiles:
     """Return all files of elastic panels, their issues, and the summary."""
     cells = elastic.prepare_division(element.surface, element.cells, element.rules)
-    judge = _panel_check(element) if element.are_panels_checked else None
-    panels = elastic.divide_elastic(cells, judge, held=element.options.check != "none")
+    panel_check = _panel_check(element) if element.are_panels_checked else None
+    panels = elastic.divide_elastic(cells, panel_check, held=element.options.check != "none")
     files, issues = output.elastic_folder(_with_relative_templates(element, folder), panels)
-    steps = np.concatenate([joint.steps.ravel() for joint in find_joints(panels)] or [np.zeros(1)]) / MM
+    joint_steps = np.concatenate([joint.steps.ravel() for joint in find_joints(panels)] or [np.zeros(1)]) / MM
     max_deviation = max(panel.misfit for panel in panels) / MM
     summary = (
         f"{len(panels)} panels, at most {max_deviation:.2f} mm from the surface; "
-        f"steps at joints {np.percentile(steps, JOINT_PERCENTILE):.2f} mm for "
-        f"{JOINT_PERCENTILE:g} %, at most {steps.max():.2f} mm"
+        f"steps at joints {np.percentile(joint_steps, JOINT_PERCENTILE):.2f} mm for "
+        f"{JOINT_PERCENTILE:g} %, at most {joint_steps.max():.2f} mm"
     )
     return files, issues, summary
 
@@ -172,7 +174,8 @@ def _divide_strips(element: StripsElement, folder: Path | None) -> DividedFiles:
     division = strips.divide_strips(element)
     files, issues = wall_files.strips_folder(_with_relative_templates(element, folder), division)
     alternatives = "; ".join(
-        f"across {direction}: {p} in {s} strips" for direction, (s, p) in division.tried.items()
+        f"across {direction}: {panel_count} in {strip_count} strips"
+        for direction, (strip_count, panel_count) in division.tried.items()
     )
     summary = (
         f"{len(division.panels)} panels in {len(division.cuts) - 1} ruled strips across {division.across} "
@@ -183,9 +186,10 @@ def _divide_strips(element: StripsElement, folder: Path | None) -> DividedFiles:
 
 
 def _panel_check(element: ElasticElement) -> PanelCheck:
-    """Return the check of a panel's problem as it will be written.
+    """Return a function that checks the problem of a panel as it will be written.
 
-    Panels without a template are reported with their ids at the end.
+    The function returns the first error, or None. It also returns None for a panel without a template, which
+    is reported later with its id.
     """
     from planner import pipeline
     from planner.processes import registry  # loads Drake
@@ -261,7 +265,7 @@ def solve_report(source: Path, result: Path, on_progress: Progress) -> tuple[Iss
         on_progress: Receives the progress.
 
     Raises:
-        TandemError: If a file cannot be read.
+        TandemError: A file cannot be read.
     """
     from planner.batch.compare import csv_table
 

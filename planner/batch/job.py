@@ -1,7 +1,7 @@
 """One problem of many as values, and its result folder.
 
-The job, its result, and events meanwhile. A result is planned in a hidden folder next to its own, which is
-renamed when it is complete.
+The values are the job, its result, and the events until it ends. A result is planned in a hidden folder next
+to its result folder. When it is complete, it is moved there by a rename.
 """
 
 import contextlib
@@ -41,10 +41,10 @@ ELEMENT_FILE = "element.yaml"
 Files that it names are next to it.
 """
 PLANNED_FILE = "planned.json"
-"""Results of the panels of an element as a list of plain data, for a report on the element.
+"""File of a job that reports on an element, instead of a problem file.
 
-It replaces the problem file. The element's folder is ``element/`` there. Results of panels are in ``run/``,
-by id.
+It lists the results of the panels as plain data. Next to it are the element's folder ``element/`` and the
+result folders ``run/ID`` of the panels.
 """
 REFERENCE_FOLDER = "like"
 """Folder, among a job's files, of the result with the reference plan."""
@@ -63,10 +63,10 @@ class BatchJob:
         memory_mb: Maximum memory of its worker [MB], None for no limit.
         origins: The user's name of a file, by its name in ``files``. Issues use it. Files without one keep
             their name.
-        reports: Whether a verified job gets a report and a replay.
+        reports: Which jobs get report and replay.
 
     Raises:
-        ValueError: For unsafe names, and if the problem file is missing.
+        ValueError: A name is unsafe, a limit is not positive, or the problem file is missing.
     """
 
     name: str
@@ -94,9 +94,9 @@ class BatchJob:
 
         Equal jobs have equal results.
         """
-        rows = [f"{name} {hashlib.sha256(self.files[name]).hexdigest()}" for name in sorted(self.files)]
-        rows += [f"{name} {versions[name]}" for name in sorted(versions)]
-        return hashlib.sha256("\n".join(rows).encode()).hexdigest()
+        lines = [f"{name} {hashlib.sha256(self.files[name]).hexdigest()}" for name in sorted(self.files)]
+        lines += [f"{name} {versions[name]}" for name in sorted(versions)]
+        return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,7 +126,7 @@ class JobResult:
         name: Name of the job.
         state: Final state.
         issues: Issues.
-        metrics: Figures by name, which ends with the unit (``cycle_s``).
+        metrics: Numeric values by name, which ends with the unit (``cycle_s``).
         seconds: Planning time [s].
     """
 
@@ -148,10 +148,10 @@ class JobResult:
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> "JobResult":
-        """Return the inverse of :meth:`to_dict`.
+        """Convert the data of :meth:`to_dict` back to a result.
 
         Raises:
-            KeyError, TypeError, ValueError: For other data.
+            KeyError, TypeError, ValueError: The data are of another form.
         """
         if data["state"] not in JOB_STATES:
             raise ValueError(f"state: got {data['state']!r}, allowed {', '.join(JOB_STATES)}")
@@ -224,24 +224,29 @@ def is_safe_name(name: str) -> bool:
 
     Allowed are letters, digits, ``-``, ``_`` and ``.``, without a leading dot.
     """
-    plain = all(c.isascii() and (c.isalnum() or c in "-_.") for c in name)
-    return plain and 0 < len(name) <= MAX_NAME_LENGTH and not name.startswith(".")
+    has_safe_characters = all(
+        character.isascii() and (character.isalnum() or character in "-_.") for character in name
+    )
+    return has_safe_characters and 0 < len(name) <= MAX_NAME_LENGTH and not name.startswith(".")
 
 
 def make_safe_names(names: Iterable[str]) -> list[str]:
     """Return safe names similar to the given ones, all different even ignoring case: ``a``, ``a-2``, ..."""
     taken: set[str] = set()
-    out = []
+    safe_names = []
     for name in names:
-        cleaned = "".join(c if c.isascii() and (c.isalnum() or c in "-_.") else "-" for c in name)
+        cleaned = "".join(
+            character if character.isascii() and (character.isalnum() or character in "-_.") else "-"
+            for character in name
+        )
         base = cleaned.strip(".-")[: MAX_NAME_LENGTH - 8] or "problem"
         unique, count = base, 1
         while unique.lower() in taken:
             count += 1
             unique = f"{base}-{count}"
         taken.add(unique.lower())
-        out.append(unique)
-    return out
+        safe_names.append(unique)
+    return safe_names
 
 
 @dataclasses.dataclass(frozen=True)
@@ -250,7 +255,7 @@ class JobRecord:
 
     Attributes:
         path: The file.
-        more: Additional data besides :class:`JobResult`.
+        more: Additional data that are written with the :class:`JobResult`.
     """
 
     path: Path
@@ -284,25 +289,35 @@ class ResultFolder:
 
     @staticmethod
     def claim(folder: Path, record: JobRecord | None) -> "ResultFolder":
-        """Return the place if ``folder`` is missing or a result.
+        """Return the result folder of a job, if ``folder`` is missing or contains a result.
+
+        Args:
+            folder: Result folder.
+            record: Record that is written with the result, or None.
 
         Raises:
-            TandemError: ``output.folder``.
+            TandemError: ``output.folder``, it contains something else, which a result would replace.
         """
         if os.path.lexists(folder):
-            foreign = (
-                sorted(p.name for p in folder.iterdir() if p.name not in RESULT_ENTRIES)
+            foreign_names = (
+                sorted(path.name for path in folder.iterdir() if path.name not in RESULT_ENTRIES)
                 if folder.is_dir()
                 else []
             )
-            if foreign or folder.is_symlink() or not folder.is_dir():
-                reason = f"contains {', '.join(foreign[:3])}" if foreign else "is not a folder"
-                what = f"output folder {folder}: it {reason}, which a result would replace; choose another"
-                raise issue_error("output.folder", what, file=str(folder))
+            if foreign_names or folder.is_symlink() or not folder.is_dir():
+                reason = f"contains {', '.join(foreign_names[:3])}" if foreign_names else "is not a folder"
+                message = f"output folder {folder}: it {reason}, which a result would replace; choose another"
+                raise issue_error("output.folder", message, file=str(folder))
         return ResultFolder(folder, record)
 
     def prepare(self, files: Mapping[str, bytes]) -> tuple[Path, Path]:
-        """Write the job's files. Returns their folder, and the folder for the result.
+        """Write the job's files into the hidden folder.
+
+        Args:
+            files: Content of the files, by name.
+
+        Returns:
+            Folder of the files, and folder for the result, which does not exist yet.
 
         Raises:
             TandemError: ``output.folder``, ``output.disk_full``.
@@ -321,21 +336,28 @@ class ResultFolder:
         return source, self._staging_folder / "result"
 
     def publish(self, done: JobResult) -> JobResult:
-        """Publish the result under its name, with its record. A job without a result gets only the report.
+        """Rename the hidden result to the result folder, and write its record.
 
-        The returned value has ``output.folder`` or ``output.disk_full`` as an additional issue if the disk
-        refuses.
+        If the job failed without a report, a report with its issues is written first. An older result is
+        replaced.
+
+        Args:
+            done: Result of the job.
+
+        Returns:
+            The result. If the disk refuses, its state is ``crashed``, with ``output.folder`` or
+            ``output.disk_full`` as an additional issue.
         """
         try:
-            hidden = self._staging_folder or self.prepare({})[1].parent
-            result = hidden / "result"
+            staging_folder = self._staging_folder or self.prepare({})[1].parent
+            result = staging_folder / "result"
             if done.state not in ("verified", "done") and not is_file(result / "report.html"):
                 from planner.batch.results import write_failure
 
                 write_failure(result, done.issues)
             with deferred_sigint():
                 if os.path.lexists(self.folder):
-                    self.folder.rename(hidden / "old")
+                    self.folder.rename(staging_folder / "old")
                 if self.record is not None:
                     self.record.write(done)
                 result.rename(self.folder)
@@ -350,20 +372,20 @@ class ResultFolder:
     def _write_issue(self, error: OSError) -> Issue:
         if is_disk_full(error):
             return disk_full_issue()
-        what = f"output folder {self.folder}: cannot be written ({error.strerror or error})"
+        message = f"output folder {self.folder}: cannot be written ({error.strerror or error})"
         return Issue(
             "output.folder",
-            what,
+            message,
             file=str(self.folder),
             hint="check the disk, or choose another folder, and run again",
         )
 
     def release(self) -> None:
-        """Remove the hidden folder. The place can be prepared again."""
+        """Remove the hidden folder. :meth:`prepare` may be called again."""
         self._resources.close()
         self._staging_folder = None
 
 
 def _with_write_error(done: JobResult, issues: tuple[Issue, ...]) -> JobResult:
-    """Return a result that could not be written."""
+    """Return a result as crashed, with the additional issues of writing it."""
     return dataclasses.replace(done, state="crashed", issues=(*done.issues, *issues))

@@ -1,9 +1,9 @@
 """Choice of reference plans within an element: each panel starts from a neighbour that is planned before it.
 
 Neighbours are listed in the ``element.json`` next to the folder of the panels. A few panels, spread over the
-element, are planned without a reference, then those around each, ring by ring. Several are planned at a time,
-and none waits for more than ``MAX_RINGS`` others. The choice follows from the list of problems alone, not
-from the order in which jobs end or the number of workers.
+element, are planned without a reference (the roots). The panels around each root follow, ring by ring.
+Several are planned at a time, and none waits for more than ``MAX_RINGS`` others. The choice depends on the
+list of problems alone, not on the order in which jobs end or the number of workers.
 """
 
 from __future__ import annotations
@@ -28,13 +28,14 @@ They follow a panel that is planned without reference.
 """
 
 PanelKey: TypeAlias = tuple[Path, str]
-"""Folder of its element and its id."""
+"""A panel: the folder of its element, and its id."""
 
 
 def assign_reference_neighbours(items: Sequence[BatchItem]) -> list[BatchItem]:
-    """Return the items, each with the neighbour from which it is planned.
+    """Set the reference of each item to the neighbouring panel whose plan is its reference plan.
 
-    Few of those that are connected and have the same job have none.
+    Panels are neighbours if the element says so and if they belong to the same job of the element. A few of
+    the panels that are connected in this way have no reference, and neither have items that are not panels.
 
     Raises:
         TandemError: ``batch.field``, if no item is a panel of an element.
@@ -49,9 +50,9 @@ def assign_reference_neighbours(items: Sequence[BatchItem]) -> list[BatchItem]:
         if path.stem in panels_by_folder[folder]:
             panels[folder, path.stem] = item.name
     if not panels:
-        what = "--like neighbour: none of the problems is a panel with an element.json next to its folder"
+        message = "--like neighbour: none of the problems is a panel with an element.json next to its folder"
         hint = "give the panels/ folder that tandem element wrote, or the folder of an earlier batch"
-        raise issue_error("batch.field", what, field="--like", hint=hint)
+        raise issue_error("batch.field", message, field="--like", hint=hint)
     references = _reference_forest(panels, panels_by_folder)
     return [dataclasses.replace(item, reference=references.get(item.name)) for item in items]
 
@@ -59,12 +60,15 @@ def assign_reference_neighbours(items: Sequence[BatchItem]) -> list[BatchItem]:
 def reference_panels(
     data: Mapping[str, Any], panels: Sequence[str], done: Iterable[str] = ()
 ) -> dict[str, str]:
-    """Return the reference {id: id} of each of some panels of an ``element.json``.
+    """Choose the reference panels of some panels of an ``element.json``.
 
     Args:
         data: Contents of the file.
-        panels: Ids of the panels.
+        panels: Ids of the panels, including those of ``done``.
         done: Ids of panels with results. They have no reference, and panels near them start from them.
+
+    Returns:
+        Id of the reference panel, by the id of the panel. Panels without a reference are missing.
     """
     done_panels = {(Path(), name) for name in done}
     return _reference_forest(
@@ -74,33 +78,38 @@ def reference_panels(
 
 def _reference_forest(
     panels: Mapping[PanelKey, str],
-    known: Mapping[Path, Mapping[str, tuple[str, tuple[str, ...]]]],
+    panels_by_folder: Mapping[Path, Mapping[str, tuple[str, tuple[str, ...]]]],
     done: Collection[PanelKey] = (),
 ) -> dict[str, str]:
-    """Return the item {name: name} from which each panel is reached first.
+    """Choose the reference of each panel: the neighbour from which a search from all roots reaches it first.
 
-    The search goes ring by ring from all first panels.
+    Args:
+        panels: Name of the item of each panel.
+        panels_by_folder: Job and neighbours of all panels of an element, by its folder and the id.
+        done: Panels with results, which are roots.
+
+    Returns:
+        Name of the reference item, by the name of the item. Roots are missing.
     """
     neighbours = {
         (folder, panel): [
             (folder, name)
-            for name in known[folder][panel][1]
-            if (folder, name) in panels and known[folder][name][0] == known[folder][panel][0]
+            for name in panels_by_folder[folder][panel][1]
+            if (folder, name) in panels
+            and panels_by_folder[folder][name][0] == panels_by_folder[folder][panel][0]
         ]
         for folder, panel in panels
     }
     references: dict[str, str] = {}
-    roots = [
-        first for part in _connected_parts(neighbours) for first in _choose_roots(neighbours, part, done)
-    ]
-    for panel, source in _breadth_first(neighbours, roots).items():
-        if source != panel:
-            references[panels[panel]] = panels[source]
+    roots = [root for part in _connected_parts(neighbours) for root in _choose_roots(neighbours, part, done)]
+    for panel, predecessor in _breadth_first(neighbours, roots).items():
+        if predecessor != panel:
+            references[panels[panel]] = panels[predecessor]
     return references
 
 
 def _connected_parts(neighbours: Mapping[PanelKey, Sequence[PanelKey]]) -> Iterator[list[PanelKey]]:
-    """Yield connected panels, each part from its first one, ring by ring."""
+    """Yield each connected group of panels, in the order of a breadth-first search from its first panel."""
     seen: set[PanelKey] = set()
     for panel in neighbours:
         if panel not in seen:
@@ -112,11 +121,11 @@ def _connected_parts(neighbours: Mapping[PanelKey, Sequence[PanelKey]]) -> Itera
 def _choose_roots(
     neighbours: Mapping[PanelKey, Sequence[PanelKey]], part: Sequence[PanelKey], done: Collection[PanelKey]
 ) -> list[PanelKey]:
-    """Return the panels that are planned without reference, or are ``done``.
+    """Choose the roots of a connected group: the panels that are ``done`` or planned without a reference.
 
-    All others of a part are no more than ``MAX_RINGS`` steps from one of them. Each is chosen that many steps
-    back from the farthest panel that is not near one yet (the smallest number if panels are connected as a
-    tree). Then each is moved to the middle of the panels nearest to it.
+    All other panels are at most ``MAX_RINGS`` steps from a root. As long as a panel is farther away, the
+    farthest one is taken, and the panel ``MAX_RINGS`` steps before it becomes a root. On a tree this gives
+    the smallest number of roots. Finally, each root is moved to the middle of the panels nearest to it.
     """
     predecessors = _breadth_first(neighbours, [part[0]])
     done_panels = [panel for panel in part if panel in done]
@@ -128,12 +137,12 @@ def _choose_roots(
             panel = predecessors[panel]
         roots.append(panel)
         covered.update(_breadth_first(neighbours, [panel], MAX_RINGS))
-    cells: dict[PanelKey, list[PanelKey]] = {first: [] for first in roots}
-    source: dict[PanelKey, PanelKey] = {}
+    cells: dict[PanelKey, list[PanelKey]] = {root: [] for root in roots}
+    root_of_panel: dict[PanelKey, PanelKey] = {}
     for panel, predecessor in _breadth_first(neighbours, roots).items():
-        source[panel] = source.get(predecessor, panel)
-        cells[source[panel]].append(panel)
-    return [first if first in done else _middle_panel(neighbours, cell) for first, cell in cells.items()]
+        root_of_panel[panel] = root_of_panel.get(predecessor, panel)
+        cells[root_of_panel[panel]].append(panel)
+    return [root if root in done else _middle_panel(neighbours, cell) for root, cell in cells.items()]
 
 
 def _middle_panel(neighbours: Mapping[PanelKey, Sequence[PanelKey]], cell: Sequence[PanelKey]) -> PanelKey:
@@ -153,25 +162,26 @@ def _middle_panel(neighbours: Mapping[PanelKey, Sequence[PanelKey]], cell: Seque
 def _breadth_first(
     neighbours: Mapping[PanelKey, Sequence[PanelKey]], roots: Iterable[PanelKey], rings: int | None = None
 ) -> dict[PanelKey, PanelKey]:
-    """Return the panels reached from the ``roots``, in order, each with the one that it is reached from.
+    """Search ring by ring from the ``roots``, at most ``rings`` of them if that is given.
 
-    First panels are reached from themselves. The search proceeds ring by ring, at most ``rings`` of them.
+    Returns:
+        Predecessor of each panel that was reached, in the order of the search. A root is its own predecessor.
     """
-    out = {panel: panel for panel in roots}
-    ring = list(out)
+    predecessors = {panel: panel for panel in roots}
+    ring = list(predecessors)
     while ring and rings != 0:
         next_ring = []
         for panel in ring:
             for neighbour in neighbours[panel]:
-                if neighbour not in out:
-                    out[neighbour] = panel
+                if neighbour not in predecessors:
+                    predecessors[neighbour] = panel
                     next_ring.append(neighbour)
         ring, rings = next_ring, None if rings is None else rings - 1
-    return out
+    return predecessors
 
 
 def _read_panels(path: Path) -> dict[str, tuple[str, tuple[str, ...]]]:
-    """Return the job and the neighbours of each panel; empty if there is no valid file."""
+    """Return job and neighbours of each panel by id. The result is empty if there is no valid file."""
     try:
         return _jobs_and_neighbours(json.loads(path.read_text("utf-8")))
     except (OSError, ValueError, KeyError, TypeError):
@@ -179,8 +189,12 @@ def _read_panels(path: Path) -> dict[str, tuple[str, tuple[str, ...]]]:
 
 
 def _jobs_and_neighbours(data: Mapping[str, Any]) -> dict[str, tuple[str, tuple[str, ...]]]:
-    rows = data["panels"]
+    """Return the job and the ids of the neighbours of each panel of an ``element.json``, by its id."""
+    panels = data["panels"]
     return {
-        str(row["id"]): (str(row.get("job", "")), tuple(str(n) for n in row["neighbours"] if n))
-        for row in rows
+        str(panel["id"]): (
+            str(panel.get("job", "")),
+            tuple(str(name) for name in panel["neighbours"] if name),
+        )
+        for panel in panels
     }

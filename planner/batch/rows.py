@@ -1,6 +1,6 @@
-"""Items and rows of a batch, and the figures of a result that summaries and comparisons show.
+"""Items and rows of a batch, and the numeric values of a result that summaries and comparisons show.
 
-The name of a figure ends with its unit.
+The name of a value ends with its unit.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class BatchItem:
     Attributes:
         name: Name of its result.
         origin: Where it comes from.
-        read: Reads the problem, raises ``TandemError``.
-        varied: Values that a batch file gives it.
-        reference: Item from whose plan planning starts.
+        read: Function that reads the problem. It raises ``TandemError``.
+        varied: Values of the fields that a batch file varies, by path.
+        reference: Name of the item whose plan is the reference plan, or None.
     """
 
     name: str
@@ -63,31 +63,32 @@ FIGURE_OF_RULE: Final[dict[str, str]] = {
     "verify.singularity": "singularity_deg",
     "verify.surface": "surface_percent",
 }
-"""Rules of the proof whose worst values are figures.
+"""Names of the values that are the worst values of rules of the proof, by rule code.
 
-Smallest distance, smallest distance to a limit, largest fraction of a limit, smallest distance to a
-singularity, fraction of the cut faces within tolerance.
+In this order: smallest distance between bodies, and between an arm and itself, smallest distance to a joint
+limit, largest fraction of a speed limit, smallest distance to a singularity, and fraction of the cut faces
+within tolerance.
 """
 
 
 def result_figures(plan: Plan, rules: Iterable[RuleResult]) -> dict[str, float]:
-    """Return the figures of a result.
+    """Return the values of a result by name.
 
-    ``targets``, ``cycle_s`` [s] from first to last target, ``travel_s`` [s] of tracks and turntables if there
-    are any, ``path_cost``, and the worst values of `FIGURE_OF_RULE`. Unknown and infinite values are left
-    out.
+    These are ``targets``, ``cycle_s`` [s] from first to last target, ``travel_s`` [s] of tracks and
+    turntables if there are any, ``path_cost`` if all operations have one, and the worst values of
+    `FIGURE_OF_RULE`. Unknown and infinite values are left out.
     """
-    out: dict[str, float] = {
+    values: dict[str, float] = {
         "targets": float(sum(operation.targets.count for operation in plan.operations)),
         "cycle_s": plan.duration,
     }
     if "travel_s" in plan.metrics:
-        out["travel_s"] = float(plan.metrics["travel_s"])
+        values["travel_s"] = float(plan.metrics["travel_s"])
     costs = [operation.metrics.get("trajopt_cost") for operation in plan.operations]
     known_costs = [float(cost) for cost in costs if isinstance(cost, int | float)]
     if known_costs and len(known_costs) == len(costs):
-        out["path_cost"] = sum(known_costs)
+        values["path_cost"] = sum(known_costs)
     for rule in rules:
         if rule.code in FIGURE_OF_RULE and rule.worst is not None:
-            out[FIGURE_OF_RULE[rule.code]] = float(rule.worst)
-    return {name: value for name, value in out.items() if math.isfinite(value)}
+            values[FIGURE_OF_RULE[rule.code]] = float(rule.worst)
+    return {name: value for name, value in values.items() if math.isfinite(value)}

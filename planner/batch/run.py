@@ -71,25 +71,26 @@ def collect_items(paths: Sequence[Path], excluded_folder: Path) -> list[BatchIte
     return [dataclasses.replace(item, name=name) for item, name in zip(items, names, strict=True)]
 
 
-def _items_at(path: Path, leave_out: Path) -> list[BatchItem]:
+def _items_at(path: Path, excluded_folder: Path) -> list[BatchItem]:
+    """Return the items of one path: a folder, a file, or a bundled name."""
     if path.is_dir():
-        files = [file for file in _files(path) if not file.resolve().is_relative_to(leave_out)]
+        files = [file for file in _files(path) if not file.resolve().is_relative_to(excluded_folder)]
         items = [
             item for file in files for item in _items_in_file(file, path) if _file_kind(file) is not None
         ]
         if not items:
-            what = f"{path}: no problem file in this folder; a problem file is YAML with 'tandem: 1'"
-            raise issue_error("problem.missing_file", what, file=str(path))
+            message = f"{path}: no problem file in this folder; a problem file is YAML with 'tandem: 1'"
+            raise issue_error("problem.missing_file", message, file=str(path))
         return items
     for file in (path, bundled_path(path), bundled_path(path / PROBLEM_FILE)):
         if is_file(file):
             return _items_in_file(file, file.parent.parent if file.name == PROBLEM_FILE else file.parent)
-    what = f"{path}: no such file, folder or bundled problem; check the name"
-    raise issue_error("problem.missing_file", what, file=str(path))
+    message = f"{path}: no such file, folder or bundled problem; check the name"
+    raise issue_error("problem.missing_file", message, file=str(path))
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """Yield YAML files beneath a folder, by name, without hidden files and unfinished results."""
+    """Yield problem and batch files beneath a folder, sorted, without hidden files and unfinished results."""
     for path in sorted(folder.iterdir()):
         if path.name.startswith((".", STAGING)):
             continue
@@ -112,24 +113,29 @@ def _file_kind(path: Path) -> str | None:
 
 
 def _items_in_file(path: Path, root: Path) -> list[BatchItem]:
+    """Return the items of a batch file, or one item for a problem file. ``root`` is as for :func:`_name`."""
     name = _name(path, root)
     if _file_kind(path) == BATCH_KEY:
-        return [BatchItem(f"{name}-{v.name}", f"{path} {v.name}", v.read, v.values) for v in read_batch(path)]
+        return [
+            BatchItem(f"{name}-{variant.name}", f"{path} {variant.name}", variant.read, variant.values)
+            for variant in read_batch(path)
+        ]
     return [BatchItem(name, str(path), lambda: pipeline.load(path))]
 
 
 def _name(path: Path, root: Path) -> str:
     """Return the name of an item relative to a root folder.
 
-    ``wing/problem.yaml`` is ``wing``, ``wing/small.yaml`` is ``wing-small`` seen from above ``wing``.
+    If ``root`` contains ``wing``, the name of ``wing/problem.yaml`` is ``wing``, and that of
+    ``wing/small.yaml`` is ``wing-small``.
     """
     try:
-        steps = list(path.relative_to(root).with_suffix("").parts)
+        parts = list(path.relative_to(root).with_suffix("").parts)
     except ValueError:
-        steps = [path.stem]
-    if steps[-1] == Path(PROBLEM_FILE).stem:
-        steps = steps[:-1] or [path.resolve().parent.name]
-    return "-".join(steps)
+        parts = [path.stem]
+    if parts[-1] == Path(PROBLEM_FILE).stem:
+        parts = parts[:-1] or [path.resolve().parent.name]
+    return "-".join(parts)
 
 
 def make_bundled_job(
@@ -140,7 +146,7 @@ def make_bundled_job(
     reference: Path | None = None,
     reports: Reports = "all",
 ) -> BatchJob:
-    """Return the problem as a job. Its issues name files as the problem file does.
+    """Return a self-contained job that plans a problem. Its issues name files as the problem file does.
 
     Args:
         name: Name of the job.
@@ -169,7 +175,12 @@ def make_bundled_job(
 
 
 def _file_name_pairs(bundle_data: Any, source: Any) -> Iterator[tuple[str, str]]:
-    """Yield names of files in the bundle and in the problem, for values of the key ``file``."""
+    """Yield the name of each file in a bundle and its name in the problem.
+
+    Args:
+        bundle_data: Data of the bundled problem file, at any level.
+        source: Data of the problem at the same level.
+    """
     if isinstance(bundle_data, dict):
         for key, value in bundle_data.items():
             if key in FILE_KEYS and isinstance(value, str):
@@ -237,7 +248,7 @@ def run_batch(
         on_event: Receives every event, also a :class:`JobFinished` of kept results.
 
     Raises:
-        TandemError: If nothing can be written or planned (``output.folder``, ``batch.worker``,
+        TandemError: Nothing can be written or planned (``output.folder``, ``batch.worker``,
             ``batch.cluster``, ``batch.versions``).
     """
     rows: dict[str, BatchRow] = {}
@@ -272,24 +283,29 @@ def run_batch(
 
 
 def _longest_first(items: Sequence[BatchItem]) -> list[BatchItem]:
-    """Return the items with the longest chain of waiting items first, otherwise in order.
+    """Sort the items by the length of the chain of items that wait for them, the longest first.
 
-    No worker is then left with a chain while the others are idle.
+    Otherwise one worker could be left with a long chain while the others are idle. Items with equal lengths
+    keep their order.
     """
     waiting_count = {item.name: 0 for item in items}
     references = {item.name: item.reference for item in items}
     for item in items:
-        steps, name = 1, item.reference
-        while name is not None and waiting_count.get(name, steps) < steps <= len(items):
-            waiting_count[name] = steps
-            steps, name = steps + 1, references[name]
+        chain_length, name = 1, item.reference
+        while name is not None and waiting_count.get(name, chain_length) < chain_length <= len(items):
+            waiting_count[name] = chain_length
+            chain_length, name = chain_length + 1, references[name]
     return sorted(items, key=lambda item: -waiting_count[item.name])
 
 
 def _next_item(
     waiting: Iterable[BatchItem], rows: Mapping[str, BatchRow], running: Mapping[str, BatchItem]
 ) -> BatchItem | None:
-    """Return the first item that waits for no other, or the first one if no running job is waited for."""
+    """Return the first item whose reference has a result, or that has none.
+
+    If there is no such item and nothing is running, the references form a cycle, and the first item is
+    returned.
+    """
     ready = (item for item in waiting if item.reference is None or item.reference in rows)
     return next(ready, None if running else next(iter(waiting), None))
 
@@ -326,8 +342,6 @@ def plan_all(
 ) -> dict[str, JobResult]:
     """Plan problems by name, as ``tandem batch`` plans files.
 
-    Returns the result of each, also if refused or crashed.
-
     Args:
         problems: Problems by name.
         out: Folder of the results, one folder for each name.
@@ -335,14 +349,17 @@ def plan_all(
         settings: Settings of the batch.
         on_event: Receives every event.
 
+    Returns:
+        Result of each problem by its name, also if it was refused or crashed.
+
     Raises:
-        ValueError: If ``workers`` is below 1.
+        ValueError: ``workers`` is below 1.
         TandemError: As :func:`run_batch` and :func:`claimed_folder`.
     """
     folder, names = Path(out), make_safe_names(problems)
     items = [
-        BatchItem(name, given, functools.partial(pipeline.ensure_problem, problem))
-        for name, (given, problem) in zip(names, problems.items(), strict=True)
+        BatchItem(safe_name, name, functools.partial(pipeline.ensure_problem, problem))
+        for safe_name, (name, problem) in zip(names, problems.items(), strict=True)
     ]
     with claimed_folder(folder), BatchWorkers(workers) as planners:
         rows = run_batch(items, folder, planners, settings or BatchSettings(), on_event or (lambda _: None))
@@ -364,12 +381,12 @@ def claimed_folder(out: Path) -> Iterator[None]:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            what = format_message("batch.in_use", folder=out)
-            raise issue_error("batch.in_use", what, file=str(out)) from error
+            message = format_message("batch.in_use", folder=out)
+            raise issue_error("batch.in_use", message, file=str(out)) from error
         prepare_folder(out, ())  # remove what the previous holder of the lock left
         prepare_folder(records, ())
-        for stale in records.glob(".*.json.*"):  # half-written records of killed batches
-            stale.unlink(missing_ok=True)
+        for partial_record in records.glob(".*.json.*"):  # half-written records of killed batches
+            partial_record.unlink(missing_ok=True)
         yield
     finally:
         os.close(handle)
@@ -383,62 +400,75 @@ def _submit(
     versions: Mapping[str, str],
     reference: Path | None,
 ) -> BatchRow | None:
-    """Submit an item with its reference, or return its row if it ended before it started."""
-    folder, path = out / item.name, out / RECORDS_FOLDER / f"{item.name}.json"
+    """Submit an item with the result folder of its reference plan, and return None.
+
+    If the item cannot be read or written, or if an earlier result is kept, return its row instead.
+    """
+    folder, record_path = out / item.name, out / RECORDS_FOLDER / f"{item.name}.json"
     try:
         problem = item.read()
     except TandemError as error:
-        done = JobResult(item.name, "bad_input", error.issues)
+        result = JobResult(item.name, "bad_input", error.issues)
         try:
-            return BatchRow(item, ResultFolder.claim(folder, JobRecord(path)).publish(done))
-        except TandemError as foreign:
-            return BatchRow(item, dataclasses.replace(done, issues=(*done.issues, *foreign.issues)))
+            return BatchRow(item, ResultFolder.claim(folder, JobRecord(record_path)).publish(result))
+        except TandemError as claim_error:
+            return BatchRow(item, dataclasses.replace(result, issues=(*result.issues, *claim_error.issues)))
     job = make_bundled_job(
         item.name, problem, settings.timeout_s, settings.memory_mb, reference, reports=settings.reports
     )
     identity = job.identity(versions)
     if settings.resume:
-        earlier_result = _earlier_result(path, folder, identity, settings)
+        earlier_result = _earlier_result(record_path, folder, identity, settings)
         if earlier_result is not None:
             return BatchRow(item, earlier_result, is_kept=True)
     limits = {"timeout_s": settings.timeout_s, "memory_mb": settings.memory_mb}
     try:
-        planners.start(job, folder, JobRecord(path, {"identity": identity, **limits}))
+        planners.start(job, folder, JobRecord(record_path, {"identity": identity, **limits}))
     except TandemError as error:
         return BatchRow(item, JobResult(item.name, "bad_input", error.issues))
     return None
 
 
-def _earlier_result(path: Path, folder: Path, identity: str, settings: BatchSettings) -> JobResult | None:
-    """Return the recorded result of a job if it was the same job and another attempt is pointless."""
-    read = JobRecord.read(path)
-    if read is None or read[1].get("identity") != identity:
+def _earlier_result(
+    record_path: Path, folder: Path, identity: str, settings: BatchSettings
+) -> JobResult | None:
+    """Return the recorded result of a job if another attempt would end in the same way, else None.
+
+    The job must be identical, and its result complete. A crashed or cancelled job is planned again, and so is
+    one that reached a limit, if the limit is higher now.
+    """
+    record = JobRecord.read(record_path)
+    if record is None or record[1].get("identity") != identity:
         return None
-    done, data = read
-    needed = DATA_FILE if settings.reports == "failed" and done.state == "verified" else "report.html"
-    if not (folder / needed).is_file():
+    result, data = record
+    required_file = (
+        DATA_FILE if settings.reports == "failed" and result.state == "verified" else "report.html"
+    )
+    if not (folder / required_file).is_file():
         return None
-    if done.state in ("crashed", "cancelled"):
+    if result.state in ("crashed", "cancelled"):
         return None
     for state, key, limit in (
         ("timeout", "timeout_s", settings.timeout_s),
         ("memory", "memory_mb", settings.memory_mb),
     ):
         earlier_limit = data.get(key)
-        if done.state == state and (
+        if result.state == state and (
             limit is None or not isinstance(earlier_limit, int | float) or limit > earlier_limit
         ):
             return None
-    return done
+    return result
 
 
 def exit_code(rows: Sequence[BatchRow]) -> int:
-    """Return 0 if all are verified, else the code of the worst state.
+    """Return the exit code of a batch: 0 if all jobs are verified or done, else the code of the worst state.
 
-    1 if any crashed or met a limit, else 4, 3 or 2 as in ``tandem plan``: planned but not proven, no feasible
-    plan, bad input.
+    The code is 1 if any job crashed, was cancelled or reached a limit. Otherwise it is 4, 3 or 2 as for
+    ``tandem plan``: planned but not proven, no feasible plan, bad input.
     """
     states = {row.done.state for row in rows}
     if states & {"crashed", "timeout", "memory", "cancelled"}:
         return 1
-    return next((c for s, c in (("unproven", 4), ("infeasible", 3), ("bad_input", 2)) if s in states), 0)
+    return next(
+        (code for state, code in (("unproven", 4), ("infeasible", 3), ("bad_input", 2)) if state in states), 0
+    )

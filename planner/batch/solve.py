@@ -46,13 +46,13 @@ def solve_job(order: JobOrder, on_progress: pipeline.Progress, on_issues: OnIssu
     try:
         state, issues, metrics = _solve_problem(order, names, on_progress, on_issues)
     except Exception as error:  # unexpected: reported as the job's state
-        what = f"{type(error).__name__}: {error}; nothing was written, please report this"
-        last = traceback.extract_tb(error.__traceback__)[-1]
-        where = f"{Path(last.filename).name}, line {last.lineno}"
+        message = f"{type(error).__name__}: {error}; nothing was written, please report this"
+        last_frame = traceback.extract_tb(error.__traceback__)[-1]
+        location = f"{Path(last_frame.filename).name}, line {last_frame.lineno}"
         crash = (
             disk_full_issue()
             if is_disk_full(error)
-            else Issue("internal.error", names.text(what), hint=where)
+            else Issue("internal.error", names.text(message), hint=location)
         )
         state, issues, metrics = "crashed", (crash,), {}
     return JobResult(order.name, state, issues, metrics, time.perf_counter() - start)
@@ -61,7 +61,7 @@ def solve_job(order: JobOrder, on_progress: pipeline.Progress, on_issues: OnIssu
 def _solve_problem(
     order: JobOrder, names: "UserFileNames", on_progress: pipeline.Progress, on_issues: OnIssues
 ) -> tuple[JobState, tuple[Issue, ...], Mapping[str, float]]:
-    """Return state, issues and figures. Raises unexpected errors, and those of a full disk."""
+    """Return state, issues and metrics. Unexpected errors and those of a full disk are raised."""
     source, result = order.source, order.result
     problem = None
     try:
@@ -89,15 +89,15 @@ def _solve_problem(
 
 
 class UserFileNames:
-    """The user's names of the files of a job in ``source``.
+    """Replacement of the paths of a job's files in texts by the names that the user knows.
 
     Args:
         source: Folder with the files of the job.
-        origins: User's names by name in the job.
+        origins: User's name of a file, by its name in the job. Other files keep their name in the job.
     """
 
     def __init__(self, source: Path, origins: Mapping[str, str]) -> None:
-        names = [p.relative_to(source).as_posix() for p in source.rglob("*") if p.is_file()]
+        names = [path.relative_to(source).as_posix() for path in source.rglob("*") if path.is_file()]
         # longest first, because a name may be a prefix of another
         pairs = [(str(source / name), origins.get(name, name)) for name in sorted(names, key=len)[::-1]]
         self._pairs = (*pairs, (str(source), "the problem's folder"))
@@ -126,11 +126,11 @@ class UserFileNames:
         plan, proof = outcome.plan, outcome.proof
         operations = tuple(
             dataclasses.replace(
-                op,
-                issues=self.issues(op.issues),
-                targets=dataclasses.replace(op.targets, issues=self.issues(op.targets.issues)),
+                operation,
+                issues=self.issues(operation.issues),
+                targets=dataclasses.replace(operation.targets, issues=self.issues(operation.targets.issues)),
             )
-            for op in plan.operations
+            for operation in plan.operations
         )
         plan = dataclasses.replace(plan, operations=operations, issues=self.issues(plan.issues))
         proof = dataclasses.replace(proof, issues=self.issues(proof.issues))

@@ -31,7 +31,10 @@ def main(arguments: Sequence[str], get_solver: Callable[[], Solve] | None = None
 
     Args:
         arguments: Process id of the parent.
-        get_solver: Returns the function that solves a job, by default the real one.
+        get_solver: Function that returns the function that solves a job, or None for the planner.
+
+    Returns:
+        Exit code 0.
     """
     exit_with_parent(int(arguments[0]))
     mark_own_process()
@@ -46,6 +49,7 @@ def main(arguments: Sequence[str], get_solver: Callable[[], Solve] | None = None
 
 
 def _run_order(order: dict[str, Any], answers: TextIO, solve: Solve) -> None:
+    """Solve the job of an order and write its progress, issues and result as answers."""
     from planner.batch.job import JobOrder
 
     def on_progress(stage: str, fraction: float) -> None:
@@ -57,8 +61,8 @@ def _run_order(order: dict[str, Any], answers: TextIO, solve: Solve) -> None:
 
     source, result = Path(order["source"]), Path(order["result"])
     job_order = JobOrder(order["name"], source, result, order["origins"], order["reports"])
-    done = solve(job_order, on_progress, on_issues)
-    _send_answer(answers, "done", done.to_dict())
+    job_result = solve(job_order, on_progress, on_issues)
+    _send_answer(answers, "done", job_result.to_dict())
 
 
 def _send_answer(answers: TextIO, kind: str, content: object) -> None:
@@ -67,7 +71,10 @@ def _send_answer(answers: TextIO, kind: str, content: object) -> None:
 
 
 def _load_planner() -> Solve:
-    """Import everything that planning needs, which takes longer than many jobs."""
+    """Import everything that planning needs, and return the function that solves a job.
+
+    The imports take longer than many jobs. Drake models are kept for the next job.
+    """
     with gc_frozen():
         from planner import pipeline
         from planner.batch.solve import solve_job

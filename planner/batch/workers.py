@@ -40,9 +40,9 @@ from planner.issues import Issue, TandemError, issue_error
 from planner.runtime.second_process import module_path
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Thread variables of linear algebra libraries.
+"""Environment variables that limit the threads of linear algebra libraries.
 
-One thread each, as in ``tandem plan``, unless the environment sets more.
+They are set to one thread, as in ``tandem plan``, unless the environment of the parent sets them.
 """
 WORKER_MODULE = "planner.batch.worker"
 """Module that a worker process runs."""
@@ -100,7 +100,7 @@ class WorkerProcess:
             self._process.stdin.flush()
 
     def read_answers(self) -> tuple[list[dict[str, Any]], bool]:
-        """Return new answers, and whether the process has ended."""
+        """Return the answers that have arrived, without waiting, and whether the process has ended."""
         ended = False
         try:
             while chunk := os.read(self.fileno(), CHUNK_BYTES):
@@ -119,20 +119,24 @@ class WorkerProcess:
             return 0.0
 
     def end(self) -> str:
-        """End the process if it still runs. Returns how it ended and its last error output, as text."""
+        """End the process if it still runs.
+
+        Returns:
+            How it ended, and the last line of its error output, as the predicate of a message.
+        """
         self._process.kill()
         code = self._process.wait()
         outcome = f"ended with code {code}" if code >= 0 else f"was ended by {_signal_name(-code)}"
-        words = self._last_error_line()
+        error_line = self._last_error_line()
         self._close()
-        return f"{outcome} ({words})" if words else outcome
+        return f"{outcome} ({error_line})" if error_line else outcome
 
     def _last_error_line(self) -> str:
         size = self._error_output.seek(0, os.SEEK_END)
         self._error_output.seek(max(0, size - MAX_ERROR_TAIL_BYTES))
         lines = [line.strip() for line in self._error_output.read().decode("utf-8", "replace").splitlines()]
-        nonempty = [line for line in lines if line]
-        return nonempty[-1][:200] if nonempty else ""
+        nonempty_lines = [line for line in lines if line]
+        return nonempty_lines[-1][:200] if nonempty_lines else ""
 
     def _close(self) -> None:
         for stream in (self._process.stdin, self._process.stdout, self._error_output):
@@ -149,8 +153,8 @@ def _signal_name(number: int) -> str:
 
 
 def _environment(unset: Collection[str]) -> dict[str, str]:
-    kept = {name: value for name, value in os.environ.items() if name not in unset}
-    return {**dict.fromkeys(THREAD_VARIABLES, "1"), **kept, "PYTHONPATH": module_path()}
+    inherited = {name: value for name, value in os.environ.items() if name not in unset}
+    return {**dict.fromkeys(THREAD_VARIABLES, "1"), **inherited, "PYTHONPATH": module_path()}
 
 
 JOBS_PER_WORKER = 2
@@ -163,6 +167,8 @@ MAX_FAILED_STARTS = 3
 
 @dataclasses.dataclass(frozen=True)
 class _QueuedJob:
+    """A job that waits for a worker. If it is ``fresh``, the worker must not have had another job."""
+
     job: BatchJob
     result_folder: ResultFolder
     fresh: bool = False
@@ -170,11 +176,15 @@ class _QueuedJob:
 
 @dataclasses.dataclass(frozen=True)
 class _RunningJob:
+    """A job that a worker plans, since ``start_time`` [s, monotonic clock].
+
+    If ``is_first_job`` is set, it is the worker's first job, so that all memory belongs to the job.
+    """
+
     order: _QueuedJob
     process: WorkerProcess
     start_time: float
     is_first_job: bool
-    """Whether it is the worker's first job, so that all memory belongs to the job."""
 
 
 class BatchWorkers:
@@ -283,17 +293,17 @@ class BatchWorkers:
         Raises:
             TandemError: ``batch.worker``, if workers do not start.
         """
-        until = time.monotonic() + timeout_s
+        deadline = time.monotonic() + timeout_s
         while True:
             self._start_missing()
             self._dispatch()
             if not self._events:
-                self._listen(max(0.0, min(WATCH_INTERVAL_S, until - time.monotonic())))
+                self._listen(max(0.0, min(WATCH_INTERVAL_S, deadline - time.monotonic())))
                 self._check_limits()
             yielded = bool(self._events)
             while self._events:
                 yield self._events.popleft()
-            if yielded or time.monotonic() >= until:
+            if yielded or time.monotonic() >= deadline:
                 return
 
     def close(self) -> None:
@@ -313,23 +323,26 @@ class BatchWorkers:
         return (*self._starting, *self._idle, *(running.process for running in self._running.values()))
 
     def _start_missing(self) -> None:
+        """Start workers until there are as many as required."""
         for _ in range(self._count - len(self._processes())):
             process = self._spawner.submit(WorkerProcess, self._module, self._unset).result()
             self._starting.append(process)
             self._selector.register(process, selectors.EVENT_READ)
 
     def _dispatch(self) -> None:
+        """Give queued jobs to idle workers, in order."""
         for order in tuple(self._queue):
-            fit = [p for p in self._idle if p.jobs == 0 or not order.fresh]
-            if order.fresh and not fit and self._idle:
+            suitable = [process for process in self._idle if process.jobs == 0 or not order.fresh]
+            if order.fresh and not suitable and self._idle:
                 self._remove_process(self._idle[0])  # it is replaced by a fresh one
-            if fit:
+            if suitable:
                 self._queue.remove(order)
-                self._start_job(order, fit[0])
+                self._start_job(order, suitable[0])
             if not self._idle:
                 return
 
     def _start_job(self, order: _QueuedJob, process: WorkerProcess) -> None:
+        """Write the files of a job and send it to an idle worker. The job ends here if that fails."""
         try:
             source, result = order.result_folder.prepare(order.job.files)
         except TandemError as error:
@@ -338,8 +351,8 @@ class BatchWorkers:
             )
             return
         self._idle.remove(process)
-        first = process.jobs == 0
-        self._running[order.job.name] = _RunningJob(order, process, time.monotonic(), first)
+        is_first_job = process.jobs == 0
+        self._running[order.job.name] = _RunningJob(order, process, time.monotonic(), is_first_job)
         process.send_order(
             {
                 "name": order.job.name,
@@ -351,6 +364,7 @@ class BatchWorkers:
         )
 
     def _listen(self, timeout_s: float) -> None:
+        """Wait up to ``timeout_s`` for output of the workers, and handle it."""
         for key, _ in self._selector.select(timeout_s):
             process = key.fileobj
             if not isinstance(process, WorkerProcess):
@@ -362,39 +376,51 @@ class BatchWorkers:
                 self._handle_exit(process)
 
     def _take_answer(self, process: WorkerProcess, answer: dict[str, Any]) -> None:
+        """Handle one answer of a worker: it is ready, or reports progress, issues or the end of its job."""
         if "ready" in answer:
             self._failed_starts = 0
             self._starting.remove(process)
             self._idle.append(process)
             return
-        running = next(r for r in self._running.values() if r.process is process)
-        name = running.order.job.name
+        job_in_worker = next(
+            running_job for running_job in self._running.values() if running_job.process is process
+        )
+        name = job_in_worker.order.job.name
         if "progress" in answer:
             stage, fraction = answer["progress"]
             self._events.append(JobProgress(name, stage, fraction))
         elif "found" in answer:
             self._events.append(JobIssues(name, tuple(Issue.from_dict(issue) for issue in answer["found"])))
         else:
-            done = JobResult.from_dict(answer["done"])
+            result = JobResult.from_dict(answer["done"])
             del self._running[name]
             self._idle.append(process)
-            self._events.append(JobFinished(name, running.order.result_folder.publish(done)))
+            self._events.append(JobFinished(name, job_in_worker.order.result_folder.publish(result)))
 
     def _handle_exit(self, process: WorkerProcess) -> None:
-        """Handle a worker that has ended by itself."""
-        running = next((r for r in self._running.values() if r.process is process), None)
-        if running is not None:
-            self._end_job(running, "crashed")
+        """Handle a worker that has ended by itself. Its job, if any, counts as crashed.
+
+        Raises:
+            TandemError: ``batch.worker``, if `MAX_FAILED_STARTS` workers in a row ended while they started.
+        """
+        running_job = next(
+            (running_job for running_job in self._running.values() if running_job.process is process), None
+        )
+        if running_job is not None:
+            self._end_job(running_job, "crashed")
             return
         starting = process in self._starting
-        how = self._remove_process(process)
+        exit_reason = self._remove_process(process)
         self._failed_starts += starting
         if self._failed_starts >= MAX_FAILED_STARTS:
             self._failed_starts = 0
-            what = format_message("batch.worker", failed_start_count=MAX_FAILED_STARTS, exit_reason=how)
-            raise issue_error("batch.worker", what, hint="check memory and the installation")
+            message = format_message(
+                "batch.worker", failed_start_count=MAX_FAILED_STARTS, exit_reason=exit_reason
+            )
+            raise issue_error("batch.worker", message, hint="check memory and the installation")
 
     def _check_limits(self) -> None:
+        """End jobs that exceed their time or memory, at most once per `WATCH_INTERVAL_S`."""
         if time.monotonic() - self._last_watch < WATCH_INTERVAL_S:
             return
         self._last_watch = time.monotonic()
@@ -416,17 +442,19 @@ class BatchWorkers:
     def _end_job(self, running: _RunningJob, state: JobState) -> None:
         """End a running job with a failure."""
         seconds = time.monotonic() - running.start_time
-        how = self._stop(running)
-        self._report_end(running.order, self._end_issue(state, running.order, how), seconds, state)
+        exit_reason = self._stop(running)
+        self._report_end(running.order, self._end_issue(state, running.order, exit_reason), seconds, state)
 
     def _stop(self, running: _RunningJob) -> str:
+        """End the worker of a running job and release its result folder. Return how the worker ended."""
         del self._running[running.order.job.name]
         self._idle.append(running.process)
-        how = self._remove_process(running.process)
+        exit_reason = self._remove_process(running.process)
         running.order.result_folder.release()
-        return how
+        return exit_reason
 
     def _remove_process(self, process: WorkerProcess) -> str:
+        """End an idle or starting worker. Return how it ended."""
         self._selector.unregister(process)
         for processes in (self._idle, self._starting):
             if process in processes:
@@ -436,27 +464,29 @@ class BatchWorkers:
     def _report_end(
         self, order: _QueuedJob, issue: Issue, seconds: float, state: JobState = "cancelled"
     ) -> None:
-        done = JobResult(order.job.name, state, (issue,), {}, seconds)
+        """Append the events of a job that this process has ended. Cancelled jobs get no result folder."""
+        result = JobResult(order.job.name, state, (issue,), {}, seconds)
         if state != "cancelled" and self._reports:
-            done = order.result_folder.publish(done)
-        self._events.append(JobIssues(order.job.name, done.issues))
-        self._events.append(JobFinished(order.job.name, done))
+            result = order.result_folder.publish(result)
+        self._events.append(JobIssues(order.job.name, result.issues))
+        self._events.append(JobFinished(order.job.name, result))
 
-    def _end_issue(self, state: JobState, order: _QueuedJob, how: str = "") -> Issue:
+    def _end_issue(self, state: JobState, order: _QueuedJob, exit_reason: str = "") -> Issue:
+        """Return the issue of a failed or cancelled job. ``exit_reason`` is how its worker ended."""
         job = order.job
         if state == "timeout":
-            what = f"{job.name}: planning was stopped at its time limit of {job.timeout_s:g} s"
+            message = f"{job.name}: planning was stopped at its time limit of {job.timeout_s:g} s"
             hint = "allow more time, or plan a smaller problem"
-            return Issue("batch.timeout", what, limit=job.timeout_s, unit="s", hint=hint)
+            return Issue("batch.timeout", message, limit=job.timeout_s, unit="s", hint=hint)
         if state == "memory":
             limit = self._limit(job)
-            what = f"{job.name}: planning was stopped at its memory limit of {limit:g} MB"
+            message = f"{job.name}: planning was stopped at its memory limit of {limit:g} MB"
             hint = "allow more, or plan a smaller problem: fewer targets, coarser meshes"
-            return Issue("batch.memory", what, limit=limit, unit="MB", hint=hint)
+            return Issue("batch.memory", message, limit=limit, unit="MB", hint=hint)
         if state == "cancelled":
             return cancelled_issue(job.name)
-        what = f"{job.name}: the process that planned it {how}; other jobs continue"
+        message = f"{job.name}: the process that planned it {exit_reason}; other jobs continue"
         hint = (
             "plan it again; if that fails too, report it; after SIGKILL check whether memory is insufficient"
         )
-        return Issue("batch.crashed", what, hint=hint)
+        return Issue("batch.crashed", message, hint=hint)

@@ -1,4 +1,4 @@
-"""Materials of wires, foams and sheets, from data files: figures with their sources, in SI units.
+"""Materials of wires, foams and sheets, from data files: values with their sources, in SI units.
 
 Wires and blocks are in ``data/materials.yaml``, metals of sheets in ``data/sheets.yaml``. Temperatures are
 in degrees Celsius.
@@ -24,12 +24,14 @@ REFERENCE_TEMPERATURE_C: Final = 20.0
 """Temperature [C] at which cold lengths and sections are measured."""
 
 Table = tuple[tuple[float, float], ...]
+"""Pairs (argument, value) of a property, with ascending arguments."""
 _Kind = TypeVar("_Kind")
+"""Kind of a material."""
 
 
 @dataclasses.dataclass(frozen=True)
 class WireMaterial:
-    """A wire's material. Tables are pairs (temperature [C], value).
+    """A wire's material. The arguments of its tables are temperatures [C].
 
     Attributes:
         name: Name in problem files.
@@ -42,7 +44,7 @@ class WireMaterial:
         young_table: Young's modulus [Pa].
         expansion_table: Mean thermal expansion [1/K] from 20 C.
         resistance_table: Resistivity relative to that at 20 C.
-        sources: Source of each figure.
+        sources: Source of each value, by its key in the data file.
     """
 
     name: str
@@ -71,16 +73,18 @@ class WireMaterial:
 
     @property
     def elastic_strain(self) -> float:
-        """Largest strain without permanent bend: yield stress over modulus, both at 20 C.
+        """Largest strain without permanent bend: yield stress over Young's modulus, both at 20 C.
 
-        It is used for hot wires, too, because both fall with heat and the yield stress has no table.
+        It is used for hot wires, too: yield stress and modulus both fall with temperature, and no table of
+            the
+        yield stress is known.
         """
         return self.yield_stress / self.young(REFERENCE_TEMPERATURE_C)
 
 
 @dataclasses.dataclass(frozen=True)
 class KerfTests:
-    """Conditions of test cuts.
+    """Conditions under which test cuts in a foam were made.
 
     Attributes:
         power_per_length: Lowest and highest power per length [W/m].
@@ -99,18 +103,18 @@ class KerfTests:
 
 @dataclasses.dataclass(frozen=True)
 class KerfFit:
-    """Fit of test cuts of a foam: the slot that a hot wire melts in it.
+    """Straight line fitted to test cuts of a foam: the width of the slot that a hot wire melts in it.
 
-    Kerf = ``chi`` * ideal - ``offset``, where the ideal is the width of foam that the wire's whole power
-    would just heat to melting.
+    Kerf = ``chi`` * ideal kerf - ``offset``, where the ideal kerf is the width of foam that the wire's whole
+    power would just heat to melting.
 
     Attributes:
         chi: Slope of the fit.
         offset: Offset [m] of the fit.
         spread: Standard deviation [m] of the residuals.
         count: Number of cuts.
-        mean_ideal: Mean [m] of the ideals.
-        scatter: Sum of squares [m^2] of the ideals about their mean.
+        mean_ideal: Mean [m] of the ideal kerfs of the cuts.
+        scatter: Sum of the squared deviations [m^2] of the ideal kerfs from their mean.
         tests: Conditions of the cuts.
     """
 
@@ -125,13 +129,13 @@ class KerfFit:
 
 @dataclasses.dataclass(frozen=True)
 class FoamMaterial:
-    """A block's material. Figures are None if unknown.
+    """A block's material. Values are None if they are unknown.
 
     Attributes:
         name: Name in problem files.
         title: Name for people.
         density: Density [kg/m^3].
-        sources: Source of each figure.
+        sources: Source of each value, by its key in the data file.
         specific_heat: Specific heat [J/(kg K)].
         melt_temperature: Temperature [C] that cutting requires.
         conductivity: Thermal conductivity [W/(m K)].
@@ -185,15 +189,21 @@ def wire_material(name: str) -> WireMaterial:
     return _find(name, wire_materials(), "wire material", "wire.unknown_material", hint)
 
 
-def _find(name: str, known: dict[str, _Kind], what: str, code: str, hint: str) -> _Kind:
-    if name not in known:
-        text = f"{what}: got {name!r}, allowed {', '.join(sorted(known))}"
+def _find(name: str, materials: dict[str, _Kind], kind: str, code: str, hint: str) -> _Kind:
+    """Return the material of that name, or raise an error with that code and hint if it is unknown."""
+    if name not in materials:
+        text = f"{kind}: got {name!r}, allowed {', '.join(sorted(materials))}"
         raise issue_error(code, text, hint=hint)
-    return known[name]
+    return materials[name]
 
 
 def figures() -> list[tuple[str, str, str, str, str]]:
-    """Return all figures for people: material's name and title, figure, value with its unit, source."""
+    """Return all values of wires and foams for people.
+
+    Returns:
+        For each value: name and title of the material, key of the value, text of the value with its unit,
+        and source.
+    """
     data = _read()
     return [
         (name, str(entry["title"]), key, figure_text(value), str(value["source"]))
@@ -205,7 +215,7 @@ def figures() -> list[tuple[str, str, str, str, str]]:
 
 
 def figure_text(entry: dict[str, Any]) -> str:
-    """Format a figure's value, range, table or fit, as the data file has it, with its unit."""
+    """Format the value, range, table or fit of an entry of the data file, with its unit."""
     if "chi" in entry:
         tests = (
             f"{_span(entry['power_per_length_w_m'])} W/m at {_span(entry['speed_mm_s'])} mm/s, "
@@ -217,34 +227,42 @@ def figure_text(entry: dict[str, Any]) -> str:
         return f"{fit}; {entry['count']} cuts at {tests}"
     unit = str(entry["unit"])
     table, value = entry.get("table"), entry.get("value")
-    numbers = [float(row[1]) for row in table] if table else np.ravel(np.asarray(value, float)).tolist()
+    if table:
+        numbers = [float(row[1]) for row in table]
+    else:
+        numbers = np.ravel(np.asarray(value, float)).tolist()
     scale, prefix = 1.0, ""
     if unit == "Pa" and max(numbers) >= 1e6:
         scale, prefix = (1e9, "G") if max(numbers) >= 1e10 else (1e6, "M")
-    shown = [f"{number / scale:.4g}" for number in numbers]
+    texts = [f"{number / scale:.4g}" for number in numbers]
     if table:
-        over = "W/m" if unit.endswith("over W/m") else "C"
+        argument_unit = "W/m" if unit.endswith("over W/m") else "C"
         unit = unit.removesuffix(" over W/m")
-        pairs = ", ".join(f"{text} at {float(row[0]):.4g}" for row, text in zip(table, shown, strict=True))
-        return f"{pairs} {over}{'' if unit == '1' else f', in {prefix}{unit}'}"
-    return f"{' to '.join(shown)}{'' if unit == '1' else f' {prefix}{unit}'}"
+        pairs = ", ".join(f"{text} at {float(row[0]):.4g}" for row, text in zip(table, texts, strict=True))
+        return f"{pairs} {argument_unit}{'' if unit == '1' else f', in {prefix}{unit}'}"
+    return f"{' to '.join(texts)}{'' if unit == '1' else f' {prefix}{unit}'}"
 
 
 def _span(pair: list[float]) -> str:
+    """Format a range, given as its ends."""
     return f"{pair[0]:.3g} to {pair[1]:.3g}"
 
 
 def _read(file: Path = _MATERIALS_FILE) -> dict[str, Any]:
+    """Return the content of a data file."""
     with file.open(encoding="utf-8") as stream:
         data: dict[str, Any] = yaml.safe_load(stream)
     return data
 
 
 def _sources(entry: dict[str, Any]) -> dict[str, str]:
+    """Return the source of each value of an entry, by the key of the value."""
     return {key: str(value["source"]) for key, value in entry.items() if isinstance(value, dict)}
 
 
 def _wire_material(name: str, entry: dict[str, Any]) -> WireMaterial:
+    """Return the wire material of an entry of the data file."""
+
     def number(key: str) -> float:
         return float(entry[key]["value"])
 
@@ -267,6 +285,8 @@ def _wire_material(name: str, entry: dict[str, Any]) -> WireMaterial:
 
 
 def _foam(name: str, entry: dict[str, Any]) -> FoamMaterial:
+    """Return the foam of an entry of the data file, with None for values that the entry lacks."""
+
     def number(key: str) -> float | None:
         return float(entry[key]["value"]) if key in entry else None
 
@@ -281,11 +301,12 @@ def _foam(name: str, entry: dict[str, Any]) -> FoamMaterial:
         conductivity=number("conductivity"),
         kerf=_kerf_fit(entry["kerf"]) if "kerf" in entry else None,
         radiation=number("radiation"),
-        wire_rise=None if rise is None else tuple((float(q), float(dt)) for q, dt in rise),
+        wire_rise=None if rise is None else tuple((float(power), float(dt)) for power, dt in rise),
     )
 
 
 def _kerf_fit(entry: dict[str, Any]) -> KerfFit:
+    """Return the fit of an entry of the data file, with lengths and speeds in SI units."""
     (min_power, max_power), (slowest, fastest) = entry["power_per_length_w_m"], entry["speed_mm_s"]
     burnt = entry.get("burnt_speed_mm_s")
     return KerfFit(
@@ -306,6 +327,7 @@ def _kerf_fit(entry: dict[str, Any]) -> KerfFit:
 
 
 def _interpolate(table: Table, temperature: float) -> float:
+    """Return the value of a table at a temperature [C], constant beyond the ends of the table."""
     temperatures, values = zip(*table, strict=True)
     return float(np.interp(temperature, temperatures, values))
 
@@ -331,7 +353,7 @@ class SheetMetal:
         wall_angle_single: Wall angle [rad] above which walls tear in one pass.
         wall_angle_supported: Wall angle [rad] above which walls tear in one pass with a tool opposite.
         thickness_range: Thickness range [m] of known forming tests.
-        sources: Source of each figure.
+        sources: Source of each value, by its key in the data file.
     """
 
     name: str
@@ -349,7 +371,10 @@ class SheetMetal:
     sources: dict[str, str]
 
     def wall_angle_limit(self, supported: bool) -> float:
-        """Return the maximum wall angle [rad] of one pass, with or without a tool opposite."""
+        """Return the maximum wall angle [rad] of one pass.
+
+        ``supported`` says whether a second tool supports the opposite face of the sheet.
+        """
         return self.wall_angle_supported if supported else self.wall_angle_single
 
 
@@ -360,26 +385,29 @@ def sheet_metals() -> dict[str, SheetMetal]:
 
 
 def sheet_metal_figures() -> list[tuple[str, str, str, str, str]]:
-    """Return all figures for people: metal's name and title, figure, value with its unit, source."""
+    """Return all values of sheet metals for people, in the form of :func:`figures`."""
     return [
         (name, str(entry["title"]), key, figure_text(value), str(value["source"]))
-        for name, (entry, metal_figures) in _sheets().items()
-        for key, value in metal_figures.items()
+        for name, (entry, metal_values) in _sheets().items()
+        for key, value in metal_values.items()
     ]
 
 
 def _sheets() -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
-    """Return the entry of each metal, and its figures with those of its wall angles."""
+    """Return, for each metal by name, its entry in the data file and its values.
+
+    The wall angles are added to the values. The entry states them itself or names an entry of ``limits``.
+    """
     data = _read(_SHEETS_FILE)
-    out = {}
+    sheets = {}
     for name, entry in data["sheets"].items():
         angles = entry["wall_angle"]
         angles = data["limits"][angles] if isinstance(angles, str) else angles
-        metal_figures = {
+        metal_values = {
             key: value for key, value in entry.items() if isinstance(value, dict) and "source" in value
         }
-        out[name] = entry, metal_figures | {f"wall_angle_{key}": value for key, value in angles.items()}
-    return out
+        sheets[name] = entry, metal_values | {f"wall_angle_{key}": value for key, value in angles.items()}
+    return sheets
 
 
 def sheet_metal(name: str) -> SheetMetal:
@@ -421,6 +449,8 @@ def untested_thickness_warning(metal: SheetMetal, thickness: float) -> Issue | N
 
 
 def _sheet_metal(name: str, entry: dict[str, Any], values: dict[str, Any]) -> SheetMetal:
+    """Return the sheet metal of an entry of the data file and its values (:func:`_sheets`), in SI units."""
+
     def number(key: str) -> float:
         return float(values[key]["value"])
 

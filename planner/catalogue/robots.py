@@ -21,6 +21,7 @@ Family = str
 "ABB", "KUKA", "UR", "ROS", "generic", or a family of an installed language.
 """
 DataKind = Literal["urdf", "problems"]
+"""Folder of data that comes with the package."""
 
 JOINTS: Final = tuple(f"joint_{number}" for number in range(1, 7))
 """Names of the joints in the built-in URDFs."""
@@ -29,19 +30,19 @@ _PACKAGE: Final = Path(__file__).resolve().parents[1]
 
 
 class ArmForm:
-    """Common properties of the closed forms of arms with J axes: theta_i = signs_i * q_i - offsets_i.
+    """Common properties of the geometries of arms with J axes whose inverse kinematics has a closed form.
+
+    The angles of a form are theta_i = signs_i * q_i - offsets_i, where q_i are the robot's serial angles.
 
     Attributes:
-        branches: Number of solutions.
-        axes: Axes x, y or z of the links about which theta_1 to theta_J turn.
-        singular: Joints, from 0, that make postures singular.
-        b: Distance [m] of the wrist from the plane of axis 1.
+        branches: Maximum number of solutions of the inverse kinematics.
+        axes: Axis of each link, "x", "y" or "z", about which theta_1 to theta_J rotate it.
+        singular: Indices of the joints whose angles decide whether a posture is singular.
+        b: Distance [m] of the wrist from the plane through axis 1 in which the arm moves.
         offsets: Joint offsets (J,) [rad].
-        signs: Joint signs (J,).
-        left: Transform (4, 4) of an arm from a file whose base link differs from the form's base, else
-            None.
-        right: Transform (4, 4) of an arm from a file whose tip link differs from the form's flange, else
-            None.
+        signs: Joint signs (J,), 1 or -1.
+        left: Pose (4, 4) of the form's base in the base link of an arm from a file, None if they agree.
+        right: Pose (4, 4) of the tip link of an arm from a file in the form's flange, None if they agree.
     """
 
     branches: ClassVar[int] = 8
@@ -54,10 +55,10 @@ class ArmForm:
     right: FloatArray | None
 
     def inner(self, flange: FloatArray) -> FloatArray:
-        """Return poses of the form's own flange in its own base.
+        """Return poses of the form's own flange in the form's own base.
 
         Args:
-            flange: Flange poses (..., 4, 4).
+            flange: Poses (..., 4, 4) of the robot's flange or tip link in its base link.
 
         Returns:
             Poses (..., 4, 4).
@@ -78,20 +79,20 @@ class ArmForm:
 
     @property
     def flange_rotation(self) -> FloatArray:
-        """Rotation (3, 3) of the flange on the last link."""
+        """Rotation (3, 3) of the flange relative to the last link."""
         return np.eye(3)
 
     @property
     def hand(self) -> float:
-        """Maximum distance [m] of the flange from the wrist's centre.
+        """Maximum distance [m] of the robot's flange from the wrist's centre.
 
-        Without a wrist centre, the distance is from the origin of link 4.
+        Arms without a wrist centre state another point from which the distance counts.
         """
         raise NotImplementedError
 
     @property
     def stretched(self) -> float:
-        """Maximum distance [m] from axis 1 to where the hand starts, in the plane of the arm."""
+        """Maximum distance [m] from axis 1 to where :attr:`hand` starts, in the plane of the arm."""
         raise NotImplementedError
 
     @property
@@ -101,6 +102,7 @@ class ArmForm:
 
     @property
     def _beyond(self) -> float:
+        """Distance [m] of the tip link of an arm from a file from the form's flange."""
         return 0.0 if self.right is None else float(np.linalg.norm(self.right[:3, 3]))
 
 
@@ -152,7 +154,10 @@ class OpwParameters(OrthoParallel):
 
     @property
     def steps(self) -> FloatArray:
-        """Like :attr:`ArmForm.steps`. The wrist's three axes meet."""
+        """Translations (7, 3) [m] between successive links at theta zero, from the base to the flange.
+
+        The wrist's three axes meet, so those between its links are zero.
+        """
         ahead = (0.0, self.a1, 0.0, self.a2, 0.0, 0.0, 0.0)
         across = (0.0, self.b, 0.0, 0.0, 0.0, 0.0, 0.0)
         up = (0.0, self.c1, self.c2, self.c3, 0.0, 0.0, self.c4)
@@ -192,7 +197,10 @@ class OffsetParameters(OrthoParallel):
 
     @property
     def steps(self) -> FloatArray:
-        """Like :attr:`ArmForm.steps`. Axes 4 and 5 meet."""
+        """Translations (7, 3) [m] between successive links at theta zero, from the base to the flange.
+
+        Axes 4 and 5 meet, so that between links 4 and 5 is zero.
+        """
         ahead = (0.0, self.a1, 0.0, self.a2, 0.0, self.a3, 0.0)
         across = (0.0, 0.0, 0.0, 0.0, 0.0, self.b3, 0.0)
         up = (0.0, self.c1, self.c2, self.c3, 0.0, 0.0, self.c4)
@@ -200,7 +208,7 @@ class OffsetParameters(OrthoParallel):
 
     @property
     def hand(self) -> float:
-        """Maximum distance [m] of the flange from where axes 4 and 5 meet."""
+        """Maximum distance [m] of the flange from the point where axes 4 and 5 meet."""
         return float(np.linalg.norm([self.a3, self.b3, self.c4])) + self._beyond
 
 
@@ -208,7 +216,7 @@ class OffsetParameters(OrthoParallel):
 class ParallelParameters(ArmForm):
     """Geometry of an arm whose axes 2, 3 and 4 are parallel, as in UR arms. Lengths [m], ``b`` >= 0.
 
-    Axis 1 meets 2, 5 meets 4 and 6, and each of 1-2, 4-5 and 5-6 is square. Flange pose in the base: Rz(t1)
+    Axis 1 meets 2, 5 meets 4 and 6, and these axes are at right angles. Flange pose in the base: Rz(t1)
     T(0, 0, c1) Ry(t2) T(0, 0, c2) Ry(t3) T(0, 0, c3) Ry(t4) T(0, b, c4) Rz(t5) Ry(t6) T(0, c5, 0) Rx(-90
     deg). In a maker's Denavit-Hartenberg table c1 is d1, c2 and c3 are the sizes of a2 and a3, and b, c4
     and c5 are d4, d5 and d6.
@@ -229,19 +237,25 @@ class ParallelParameters(ArmForm):
 
     @property
     def steps(self) -> FloatArray:
-        """Like :attr:`ArmForm.steps`. Axes 5 and 6 meet."""
+        """Translations (7, 3) [m] between successive links at theta zero, from the base to the flange.
+
+        Axes 5 and 6 meet, so that between links 5 and 6 is zero.
+        """
         up = (0.0, self.c1, self.c2, self.c3, self.c4, 0.0, 0.0)
         across = (0.0, 0.0, 0.0, 0.0, self.b, 0.0, self.c5)
         return np.stack([np.zeros(7), across, up], axis=1)
 
     @property
     def flange_rotation(self) -> FloatArray:
-        """Rx(-90 deg): z of the flange is along axis 6, out of the arm."""
+        """Rotation (3, 3) of the flange relative to the last link.
+
+        It is Rx(-90 deg): the flange's z axis is along axis 6 and points out of the arm.
+        """
         return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
     @property
     def hand(self) -> float:
-        """Maximum distance [m] of the flange from axis 4 in the plane of the arm."""
+        """Maximum distance [m] of the flange from axis 4."""
         return float(np.hypot(self.b, self.c4)) + abs(self.c5) + self._beyond
 
     @property
@@ -252,7 +266,7 @@ class ParallelParameters(ArmForm):
 
 @dataclasses.dataclass(frozen=True)
 class SevenParameters(ArmForm):
-    """Geometry of an arm with seven axes, each square to the one before. Lengths [m].
+    """Geometry of an arm with seven axes, each at a right angle to the one before. Lengths [m].
 
     Axes 1, 2 and 3 meet in its shoulder, 5 and 6 meet, and 7 passes beside that point or through it, as in
     Franka's Panda and KUKA's iiwa. ``a2`` and ``a3`` are the distances by which the elbow is ahead of the
@@ -278,7 +292,10 @@ class SevenParameters(ArmForm):
 
     @property
     def steps(self) -> FloatArray:
-        """Like :attr:`ArmForm.steps`. Axes 2 and 3 meet, and 5 and 6."""
+        """Translations (8, 3) [m] between successive links at theta zero, from the base to the flange.
+
+        Axes 2 and 3 meet, and 5 and 6, so those between their links are zero.
+        """
         ahead = (0.0, 0.0, 0.0, self.a2, self.a3, 0.0, self.a4, 0.0)
         up = (0.0, self.c1, 0.0, self.c2, self.c3, 0.0, 0.0, self.c4)
         return np.stack([ahead, np.zeros(8), up], axis=1)
@@ -290,7 +307,7 @@ class SevenParameters(ArmForm):
 
     @property
     def fore(self) -> float:
-        """Distance [m] from axis 4 to where axes 5 and 6 meet."""
+        """Distance [m] from axis 4 to the point where axes 5 and 6 meet."""
         return float(np.hypot(self.a3, self.c3))
 
     @property
@@ -300,21 +317,21 @@ class SevenParameters(ArmForm):
 
     @property
     def hand(self) -> float:
-        """Maximum distance [m] of the flange from where axes 5 and 6 meet."""
+        """Maximum distance [m] of the flange from the point where axes 5 and 6 meet."""
         return float(np.hypot(self.a4, self.c4)) + self._beyond
 
     @property
     def stretched(self) -> float:
-        """Maximum distance [m] from axis 1 to where axes 5 and 6 meet."""
+        """Maximum distance [m] from axis 1 to the point where axes 5 and 6 meet."""
         return self.upper + self.fore
 
 
 @dataclasses.dataclass(frozen=True)
 class RodCoupling:
-    """A parallel rod: motor 3 turns the upper arm against the base.
+    """A parallel rod, by which motor 3 sets the angle of link 3 to the base instead of that to link 2.
 
-    The controller's axis 3 is therefore serial q3 + q2. The robot's own limits bound the serial q3. Both
-    limits hold.
+    The controller's value of axis 3 is therefore the sum of the serial angles of joints 2 and 3. This sum has
+    limits of its own, in addition to those of the serial angle of joint 3.
 
     Attributes:
         axis3_lower: Lower limit [rad] of the sum.
@@ -331,7 +348,7 @@ class JointStiffness:
 
     Attributes:
         joints: Stiffness (6,) [N m/rad] about the axes as the controller counts them.
-        source: Who identified it, where and how.
+        source: Who measured it, where and how.
     """
 
     joints: FloatArray
@@ -344,7 +361,7 @@ class VisualShape:
 
     Attributes:
         shape: Shape in the link's frame.
-        color: Colour (red, green, blue in 0..1), None for that of collision shapes.
+        color: Colour (red, green, blue, each 0 to 1). None means the colour of collision shapes.
     """
 
     shape: Shape
@@ -353,20 +370,20 @@ class VisualShape:
 
 @dataclasses.dataclass(frozen=True)
 class RobotFile:
-    """What a robot of the user has of its URDF.
+    """Data that the robot of a user takes from its URDF. J is the number of joints.
 
     Attributes:
         text: Text of the URDF.
         base: Name of the base link.
         tip: Name of the tip link.
-        zero: Frames (J + 2, 4, 4) of the base, of the links that the joints turn and of the tip, in the base
-            with all joints at zero.
-        axis: Unit vectors (J, 3) of the axes in the base, through the origins of the links.
-        shapes: Collision shapes of the base and of links 1 to J, in their frames.
+        zero: Poses (J + 2, 4, 4) in the base, with all joints at zero: of the base, of the links that the
+            joints rotate, and of the tip.
+        axis: Unit vectors (J, 3) of the joints' axes in the base, with all joints at zero. The axes pass
+            through the origins of the links.
+        shapes: Collision shapes of the base and of links 1 to J, in the frames of these links.
         joints: Names of the joints.
-        visuals: Visual shapes of the same links, which replace ``shapes`` in pictures. No distance uses
-            them.
-        unseen: What of the URDF is not shown, and why.
+        visuals: Visual shapes of the same links, which replace ``shapes`` in pictures but in no distance.
+        unseen: Texts on parts of the URDF that pictures leave out, and why.
     """
 
     text: str
@@ -382,7 +399,7 @@ class RobotFile:
 
 @dataclasses.dataclass(frozen=True)
 class RobotData:
-    """One robot of J axes. Joint angles are serial angles (J,) [rad].
+    """One robot of J axes. Joint angles are serial angles [rad]: each joint's angle to the link before it.
 
     Attributes:
         name: Name in problem files.
@@ -398,10 +415,10 @@ class RobotData:
         reach: Reach [m].
         coupling: Parallel rod, if any.
         home: Default posture (J,) [rad] of cells that state none.
-        sources: Sources of the figures.
-        assumed: Figures without a source, and on what ground they were chosen.
-        stiffness: Stiffness of the drives, None if nobody has published a reliable one. Then nothing is
-            claimed of the arm's deflection.
+        sources: Sources of the values.
+        assumed: Values without a source, each with the reason why it was chosen.
+        stiffness: Stiffness of the drives. None if no reliable one is published, so that the arm's deflection
+            cannot be computed.
         file: The user's URDF, None for robots of the catalogue, whose URDF is :func:`urdf_path`.
     """
 
@@ -425,7 +442,7 @@ class RobotData:
 
     @property
     def axes(self) -> int:
-        """Number J of its axes."""
+        """Number J of the robot's axes."""
         return self.form.count
 
     @property
@@ -435,7 +452,7 @@ class RobotData:
 
     @property
     def opw(self) -> OpwParameters:
-        """Geometry of an arm with a spherical wrist, whose solutions ABB and KUKA name.
+        """Geometry of an arm with a spherical wrist. Only for these, ABB's and KUKA's programs name postures.
 
         Raises:
             TypeError: The arm has no spherical wrist.
@@ -462,15 +479,17 @@ class RobotData:
         return self._couple(values, -1.0)
 
     def _couple(self, q: FloatArray, sign: float) -> FloatArray:
-        out = np.array(q, dtype=np.float64)
+        """Return joint values (..., J) with ``sign`` times joint 2 added to joint 3 if a rod couples them."""
+        values = np.array(q, dtype=np.float64)
         if self.coupling is not None:
-            out[..., 2] += sign * out[..., 1]
-        return out
+            values[..., 2] += sign * values[..., 1]
+        return values
 
     def limit_margin(self, q: FloatArray) -> FloatArray:
         """Return the smallest distance (...,) [rad] of serial angles (..., J) to any limit.
 
-        It is negative outside of the limits, and NaN for NaN.
+        Limits are those of the joints and of the parallel rod. The distance is negative outside of them, and
+        NaN where an angle is NaN.
         """
         q = np.asarray(q, dtype=np.float64)
         margin = np.minimum(q - self.lower, self.upper - q).min(axis=-1)
@@ -482,16 +501,18 @@ class RobotData:
 
 
 def joint_columns(robots: Mapping[str, RobotData]) -> dict[str, slice]:
-    """Return the columns of each robot's joints among those of all robots, one after the other."""
+    """Return the columns of each robot's joints in arrays with the joints of all robots side by side."""
     ends = [0, *itertools.accumulate(robot.axes for robot in robots.values())]
     return {name: slice(ends[k], ends[k + 1]) for k, name in enumerate(robots)}
 
 
 def data_dir(kind: DataKind) -> Path:
-    """Return the folder of the data that comes with the package, in an installed package or in a checkout.
+    """Return the folder of one kind of the data that comes with the package.
+
+    It is in the package if this is installed, else in the checkout next to it.
 
     Raises:
-        TandemError: Neither has it (``catalogue.missing_data``).
+        TandemError: It is in neither of them (``catalogue.missing_data``).
     """
     for folder in (_PACKAGE / "_installed" / kind, _PACKAGE.parent / kind):
         if folder.is_dir():
@@ -500,9 +521,10 @@ def data_dir(kind: DataKind) -> Path:
 
 
 def bundled_path(path: Path) -> Path:
-    """Return the file itself, or the bundled problem's file of that name if it does not exist.
+    """Return the path itself, or that of the file of this name among the bundled problems.
 
-    The name may start with ``problems/``.
+    The latter is only returned if the path is relative without "..", no file is there, and the bundled
+    file exists. The name may start with ``problems/``.
     """
     parts = path.parts[1:] if path.parts[:1] == ("problems",) else path.parts
     inside = data_dir("problems").joinpath(*parts)
@@ -541,15 +563,17 @@ def urdf_path(name: str) -> Path:
 
 
 def damaged_file_error(path: Path, what: str) -> TandemError:
-    """Return ``catalogue.missing_data`` for a file of Tandem that cannot be read, with the reason."""
+    """Return ``catalogue.missing_data`` for a file of Tandem that cannot be read. ``what`` is the reason."""
     return _error(f"{path} is part of Tandem and cannot be read: {what}")
 
 
 def _missing(path: Path) -> TandemError:
+    """Return ``catalogue.missing_data`` for a file or folder of Tandem that does not exist."""
     return _error(f"{path}, a part of Tandem, is missing")
 
 
 def _error(message: str) -> TandemError:
+    """Return ``catalogue.missing_data`` with a message and the hint to install Tandem again."""
     return issue_error(
         "catalogue.missing_data", message, hint="install tandem-planner again, or restore the checkout"
     )
@@ -557,6 +581,11 @@ def _error(message: str) -> TandemError:
 
 @functools.cache
 def _table() -> dict[str, RobotData]:
+    """Return all built-in robots by name, read from the data file once.
+
+    Raises:
+        TandemError: The file is missing, or an entry's stiffness is damaged (``catalogue.missing_data``).
+    """
     path = data_dir("urdf") / "robots.yaml"
     if not path.is_file():
         raise _missing(path)
@@ -566,20 +595,25 @@ def _table() -> dict[str, RobotData]:
 
 
 def _read(name: str, entry: dict[str, Any]) -> RobotData:
+    """Return the robot of an entry of the data file, with angles in radians and read-only arrays.
+
+    Makers do not publish accelerations. Each is assumed such that the axis reaches its full speed in
+    ``full_speed_after_s`` of the entry.
+    """
     limits = np.array(entry["limits_deg"], dtype=np.float64) * DEG
     velocity = np.array(entry["velocity_deg_s"], dtype=np.float64) * DEG
-    spherical = "opw_m" in entry
-    kind: Any = OpwParameters if spherical else OffsetParameters
-    lengths = entry["opw_m" if spherical else "offset_wrist_m"]
-    rise = float(entry["full_speed_after_s"])
-    coupled = entry.get("coupled_deg")
-    acceleration = f"acceleration: assumed, every axis reaches its full speed in {rise:g} s from rest"
+    is_spherical = "opw_m" in entry
+    form_class: Any = OpwParameters if is_spherical else OffsetParameters
+    lengths = entry["opw_m" if is_spherical else "offset_wrist_m"]
+    rise_time = float(entry["full_speed_after_s"])
+    rod_limits = entry.get("coupled_deg")
+    acceleration = f"acceleration: assumed, every axis reaches its full speed in {rise_time:g} s from rest"
     return RobotData(
         name=name,
         title=entry["title"],
         family=entry["family"],
         controller=entry["controller"],
-        form=kind(
+        form=form_class(
             **{key: float(value) for key, value in lengths.items()},
             offsets=_read_only(np.array(entry["offset_deg"], dtype=np.float64) * DEG),
             signs=_read_only(np.array(entry["sign"], dtype=np.float64)),
@@ -587,10 +621,10 @@ def _read(name: str, entry: dict[str, Any]) -> RobotData:
         lower=_read_only(limits[:, 0]),
         upper=_read_only(limits[:, 1]),
         velocity=_read_only(velocity),
-        acceleration=_read_only(velocity / rise),
+        acceleration=_read_only(velocity / rise_time),
         payload=float(entry["payload_kg"]),
         reach=float(entry["reach_m"]),
-        coupling=None if coupled is None else RodCoupling(coupled[0] * DEG, coupled[1] * DEG),
+        coupling=None if rod_limits is None else RodCoupling(rod_limits[0] * DEG, rod_limits[1] * DEG),
         home=_read_only(np.array(entry.get("home_deg", np.zeros(6)), dtype=np.float64) * DEG),
         sources=tuple(entry["sources"]),
         assumed=(acceleration, *entry.get("unverified", ())),
@@ -599,21 +633,22 @@ def _read(name: str, entry: dict[str, Any]) -> RobotData:
 
 
 def _stiffness(name: str, entry: dict[str, Any] | None) -> JointStiffness | None:
-    """Read the stiffness of an entry.
+    """Return the stiffness of a robot from the ``stiffness`` of its entry, None without one.
 
     Raises:
-        TandemError: It is no stiffness of six axes with a source (``catalogue.missing_data``).
+        TandemError: It is not a positive stiffness of six axes with a source (``catalogue.missing_data``).
     """
     if entry is None:
         return None
     joints, source = np.array(entry.get("joints_nm_rad", ()), dtype=np.float64), entry.get("source", "")
     if joints.shape != (6,) or not (joints > 0.0).all() or not np.isfinite(joints).all() or not source:
-        got = f"{name}: stiffness needs joints_nm_rad of six axes, each above 0, and its source"
-        raise damaged_file_error(data_dir("urdf") / "robots.yaml", got)
+        reason = f"{name}: stiffness needs joints_nm_rad of six axes, each above 0, and its source"
+        raise damaged_file_error(data_dir("urdf") / "robots.yaml", reason)
     return JointStiffness(_read_only(joints), source)
 
 
 def _read_only(array: FloatArray) -> FloatArray:
-    out = array.copy()
-    out.flags.writeable = False
-    return out
+    """Return a read-only copy, because the robots of the catalogue are shared."""
+    read_only = array.copy()
+    read_only.flags.writeable = False
+    return read_only

@@ -1,1 +1,4 @@
-"""The cell in Drake: robots, tools, bodies, their distances; stands beside the flow."""
+"""The cell in Drake: robots, tools and bodies, and the distances between bodies.
+
+Planning and proof both use it. It is not a step between them.
+"""

@@ -54,6 +54,7 @@ def drake_shape(shape: Shape, solid: bool) -> DrakeShape:
 
 
 def _obj(vertices: np.ndarray, faces: np.ndarray) -> str:
+    """Return a triangle mesh as the text of a Wavefront OBJ file, whose indices count from 1."""
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
     lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces.tolist()]
     return "\n".join(lines) + "\n"
@@ -82,8 +83,8 @@ class ClearanceEasing:
     """Pairs of bodies that may be closer to each other than all others.
 
     Attributes:
-        pairs: The pairs.
-        by: Distance that is added to theirs, at least 0 [m].
+        pairs: Pairs of body names.
+        by: Distance [m] that is added to the distance of these pairs, at least 0.
     """
 
     pairs: frozenset[frozenset[str]] = frozenset()
@@ -112,9 +113,12 @@ class Solid:
 
     @functools.cached_property
     def hull(self) -> tuple[FloatArray, FloatArray]:
-        """Half spaces (F, 4), normal and offset, and triangles (F, 3, 3) of a mesh's hull.
+        """Half spaces (F, 4), normal and offset, and triangles (F, 3, 3) of the convex hull of a mesh.
 
         They are in the shape's frame.
+
+        Raises:
+            ValueError: The shape is not a mesh.
         """
         if self.shape.vertices is None:
             raise ValueError(f"a {self.shape.kind} has no hull")
@@ -179,6 +183,7 @@ def signed_distance(solid: Solid, points: FloatArray) -> FloatArray:
 
 
 def _hull_distance(solid: Solid, points: FloatArray) -> FloatArray:
+    """Return signed distances (...,) [m] of points (..., 3) to the convex hull of a mesh, negative inside."""
     planes, triangles = solid.hull
     flat = points.reshape(-1, 3)
     out = (flat @ planes[:, :3].T + planes[:, 3]).max(axis=1)
@@ -189,9 +194,10 @@ def _hull_distance(solid: Solid, points: FloatArray) -> FloatArray:
 
 
 def _triangle_distance(p: FloatArray, triangle: FloatArray) -> FloatArray:
-    """Return distances of points (..., 3) to triangles (..., 3, 3).
+    """Return distances (...,) of points (..., 3) to triangles (..., 3, 3).
 
-    It is the distance to the plane if the projection is inside, else to the edges.
+    The distance is that to the plane if the projection of the point is inside the triangle, else that to the
+    nearest edge.
     """
     a, b, c = triangle[..., 0, :], triangle[..., 1, :], triangle[..., 2, :]
     normal = np.cross(b - a, c - a)
@@ -208,12 +214,15 @@ def _triangle_distance(p: FloatArray, triangle: FloatArray) -> FloatArray:
 
 
 def shapes_by_body(cell: Cell, stock: Stock) -> dict[str, tuple[Shape, ...]]:
-    """Return the shapes by body, in the body's frame, except those of links of catalogue robots."""
+    """Return the collision shapes by body, each with its pose in the frame of the body.
+
+    Links of catalogue robots are left out, because Drake reads their shapes from URDF files.
+    """
     out = {f"{arm.name}/tool": arm.tool.shapes for arm in cell.arms}
     for arm in cell.arms:
         if arm.custom_data is not None and arm.custom_data.file is not None:
-            named = zip(link_chain(arm.data.axes), arm.custom_data.file.shapes, strict=False)
-            out.update({f"{arm.name}/{link}": shapes for link, shapes in named})
+            link_shapes = zip(link_chain(arm.data.axes), arm.custom_data.file.shapes, strict=False)
+            out.update({f"{arm.name}/{link}": shapes for link, shapes in link_shapes})
     solids = {arm.name: working_solid(arm.tool) for arm in cell.arms}
     out.update({f"{name}/edge": (solid,) for name, solid in solids.items() if solid is not None})
     lower, upper = stock.lower, stock.upper
@@ -232,15 +241,15 @@ def collect_solids(
     names: Mapping[int, str],
     given_shapes: Mapping[str, tuple[Shape, ...]],
 ) -> tuple[Solid, ...]:
-    """Return all collision solids.
+    """Return all collision solids of a cell.
 
-    Solids of catalogue links are as Drake read them from the URDFs, the others as they were given.
+    Solids of catalogue links are as Drake read them from the URDF files, the others as in ``given_shapes``.
 
     Args:
         plant: Drake's plant.
         inspector: Drake's inspector of its scene graph.
         names: Names of bodies by index.
-        given_shapes: Shapes by body that are not from URDFs.
+        given_shapes: Shapes by body that are not from URDF files, as by :func:`shapes_by_body`.
     """
     out = []
     for index, name in names.items():
@@ -254,6 +263,11 @@ def collect_solids(
 
 
 def _to_shape(shape: object, pose: FloatArray) -> Shape:
+    """Convert a shape of Drake, with its pose (4, 4) in the body.
+
+    Raises:
+        TypeError: The shape is not a box, capsule or cylinder.
+    """
     if isinstance(shape, Box):
         return Shape("box", tuple(float(v) for v in shape.size()), pose)
     if isinstance(shape, Capsule):
@@ -281,16 +295,16 @@ def body_poses(arm: str, robot: RobotData, base: FloatArray, q: FloatArray) -> d
         Poses by body. That of the base is (1, 4, 4), or (B, 4, 4) if it differs from row to row.
     """
     count = robot.axes
+    # The last row is the zero pose. From it follows the constant pose of each URDF frame in its link frame.
     links = link_frames(robot, np.concatenate([q, np.zeros((1, count))]))
-    upright = np.swapaxes(links[-1, :count, :3, :3], -1, -2)
-    link_rotation = np.zeros((count + 1, 4, 4))
-    link_rotation[:, 3, 3] = 1.0
-    link_rotation[:count, :3, :3] = upright
-    link_rotation[count] = np.eye(4)
+    urdf_in_link = np.zeros((count + 1, 4, 4))
+    urdf_in_link[:, 3, 3] = 1.0
+    urdf_in_link[:count, :3, :3] = np.swapaxes(links[-1, :count, :3, :3], -1, -2)
+    urdf_in_link[count] = np.eye(4)
     if robot.file is not None:
-        link_rotation[:count] = inverse(links[-1, :count]) @ robot.file.zero[1:-1]
+        urdf_in_link[:count] = inverse(links[-1, :count]) @ robot.file.zero[1:-1]
     bases = base.reshape(-1, 4, 4)
-    frames = bases[:, None] @ links[:-1] @ link_rotation
+    frames = bases[:, None] @ links[:-1] @ urdf_in_link
     out = {f"{arm}/link_{i + 1}": frames[:, i] for i in range(count)}
     out[f"{arm}/tool"] = frames[:, count]
     out[f"{arm}/base_link"] = bases
@@ -298,6 +312,7 @@ def body_poses(arm: str, robot: RobotData, base: FloatArray, q: FloatArray) -> d
 
 
 FilteredPair = tuple[str, str, str]
+"""Two bodies that are not checked against each other, and the reason."""
 
 
 @functools.cache
@@ -326,25 +341,26 @@ RIM_POINTS: Final = 32
 def filter_pairs(
     checker: SceneGraphCollisionChecker, names: Mapping[int, str], holder: str | None = None
 ) -> tuple[FilteredPair, ...]:
-    """Filter pairs of bodies by the structure of arms in the checker, and return them with reasons, sorted.
+    """Exclude pairs of bodies from Drake's collision checks, and return them with reasons, sorted.
 
-    These are neighbours and pairs two joints apart, whose solids, fatter than the real links, would touch,
-    and those of EDGE_FILTERED and HELD_FILTERED.
+    These are links that are neighbours or two joints apart, because their solids, fatter than the real links,
+    would touch, and the pairs of :data:`EDGE_FILTERED` and :data:`HELD_FILTERED`. Pairs of fixed bodies are
+    returned too, but the checker itself never checks them.
 
     Args:
         checker: Drake's collision checker.
         names: Names of bodies by index.
         holder: Arm that holds the stock, if any.
     """
-    shaped = {index for index in names if _has_solids(checker, index)}
+    with_solids = sorted(index for index in names if _has_solids(checker, index))
     chains = link_chains(names.values())
     out: list[FilteredPair] = []
-    for a in sorted(shaped):
-        for b in sorted(shaped):
-            if a < b and (reason := _structural_reason(names[a], names[b], holder, chains)):
-                out.append((names[a], names[b], reason))
-                if "fixed to the world" not in reason:
-                    checker.SetCollisionFilteredBetween(BodyIndex(a), BodyIndex(b), True)
+    for a, b in itertools.combinations(with_solids, 2):
+        reason = _structural_reason(names[a], names[b], holder, chains)
+        if reason:
+            out.append((names[a], names[b], reason))
+            if "fixed to the world" not in reason:
+                checker.SetCollisionFilteredBetween(BodyIndex(a), BodyIndex(b), True)
     return tuple(sorted(out))
 
 
@@ -359,6 +375,7 @@ def link_chains(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
 
 
 def _has_solids(checker: Any, index: int) -> bool:
+    """Whether a body has any collision geometry."""
     return bool(checker.plant().GetCollisionGeometriesForBody(checker.plant().get_body(BodyIndex(index))))
 
 
@@ -372,6 +389,14 @@ def is_fixed(name: str, holder: str | None) -> bool:
 def _structural_reason(
     a: str, b: str, holder: str | None, chains: Mapping[str, tuple[str, ...]]
 ) -> str | None:
+    """Return why two bodies are not checked against each other, or None if they are.
+
+    Args:
+        a: Name of the first body.
+        b: Name of the second body.
+        holder: Arm that holds the stock, if any.
+        chains: Bodies of each arm from its base to its tool.
+    """
     if is_fixed(a, holder) and is_fixed(b, holder):
         return "both fixed to the world"
     (arm_a, _, link_a), (arm_b, _, link_b) = a.partition("/"), b.partition("/")
@@ -389,4 +414,5 @@ def _structural_reason(
 
 
 def _reason_from_tool(reasons: tuple[str, ...], chain: tuple[str, ...], link: str) -> str | None:
+    """Return the reason for a link; reasons apply to the last links of a chain, the tool first."""
     return dict(zip(reversed(chain), reasons, strict=False)).get(link)

@@ -44,11 +44,11 @@ from planner.geometry.arrays import (
 AXIS_SAMPLES: Final = 5
 """Number of points on a capsule's axis whose distances to a box bound that of the whole axis."""
 BALL_MARGIN_M: Final = 1e-9
-"""Amount [m] by which balls around bodies are enlarged, above rounding errors."""
+"""Amount [m] by which balls around bodies are enlarged. It exceeds rounding errors."""
 ROW_GROUP_SIZE: Final = 32
-"""Number of rows that are compared with a box as a group first."""
+"""Number of consecutive configurations that are compared with a box as a group first."""
 FIRST_LIMIT_M: Final = 0.08
-"""Distance [m] up to which lower bounds are computed first, if they are requested farther."""
+"""Distance [m] up to which lower bounds are computed first, if they are requested up to a larger distance."""
 MAX_NEAR_DISTANCE_M: Final = 0.012
 """Distance [m] of solids of one arm that counts as close.
 
@@ -65,13 +65,15 @@ rotates about it. A larger clearance is impossible there.
 
 
 SolidPair = tuple[int, int]
+"""Indices of two solids in ``ClearanceBounds.all_solids``, ascending."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ClearanceBounds:
-    """Solids as capsules, and by their support.
+    """Solids of a cell in the forms from which bounds and distances are computed.
 
-    S moving solids have capsules in their body, K boxes belong to fixed bodies.
+    S moving solids have capsules in their body, K boxes belong to fixed bodies. B configurations (rows) are
+    evaluated together.
 
     Attributes:
         solids: Moving solids, meshes as boxes (S,).
@@ -91,8 +93,8 @@ class ClearanceBounds:
         all_solids: The solids themselves, moving ones, then fixed ones (S + K,).
         poses_in_body: Poses of ``all_solids`` in their bodies (S + K, 4, 4).
         cores: Cores of ``all_solids``.
-        ease: Distance that is added to that of two of ``all_solids`` in all results (S + K, S + K) [m]. It is
-            0 unless :meth:`with_easing` sets it.
+        ease: Distance [m] that is added to the distance of two of ``all_solids`` in all results (S + K, S +
+            K). It is 0 unless :meth:`with_easing` sets it.
     """
 
     solids: tuple[Solid, ...]
@@ -138,9 +140,10 @@ class ClearanceBounds:
     def always_near_pairs(self, poses: Mapping[str, FloatArray]) -> tuple[SolidPair, ...]:
         """Return pairs of solids of one arm that its build keeps close to each other.
 
-        They are within :data:`MAX_KEPT_DISTANCE_M` and never touch, or within
-        :data:`MAX_NEAR_DISTANCE_M`. Of any two bodies the latter are as few as needed for the others not to
-        be close in more than :data:`MIN_NEAR_FRACTION` of the poses.
+        There are two kinds. Pairs of the first kind are within :data:`MAX_KEPT_DISTANCE_M` in more than
+        :data:`MIN_NEAR_FRACTION` of the poses and never touch. Pairs of the second kind are often within
+        :data:`MAX_NEAR_DISTANCE_M`. Of these, only as many are returned as needed so that the remaining pairs
+        of the same two bodies are close in at most :data:`MIN_NEAR_FRACTION` of the poses.
 
         Args:
             poses: Random body poses (B | 1, 4, 4), by body.
@@ -152,22 +155,24 @@ class ClearanceBounds:
         row, solids, gap, *_ = same_arm.measure_all(poses, MAX_KEPT_DISTANCE_M)
         count = same_arm._make_placement(poses).rows
         gaps_by_bodies: dict[frozenset[str], dict[SolidPair, FloatArray]] = {}
-        for at, (a, b), gap_value in zip(row.tolist(), solids.tolist(), gap.tolist(), strict=True):
-            bodies = gaps_by_bodies.setdefault(
+        for pose_index, (a, b), gap_value in zip(row.tolist(), solids.tolist(), gap.tolist(), strict=True):
+            gaps_by_pair = gaps_by_bodies.setdefault(
                 frozenset((self.all_solids[a].body, self.all_solids[b].body)), {}
             )
-            bodies.setdefault((min(a, b), max(a, b)), np.full(count, np.inf))[at] = gap_value
+            gaps_by_pair.setdefault((min(a, b), max(a, b)), np.full(count, np.inf))[pose_index] = gap_value
         out: list[SolidPair] = []
-        for pairs in gaps_by_bodies.values():
-            fractions = {pair: np.isfinite(gap_value).mean() for pair, gap_value in pairs.items()}
-            kept = [
+        for gaps_by_pair in gaps_by_bodies.values():
+            fractions = {pair: np.isfinite(gaps).mean() for pair, gaps in gaps_by_pair.items()}
+            kept_apart = [
                 pair
-                for pair, gap_value in pairs.items()
-                if fractions[pair] > MIN_NEAR_FRACTION and gap_value.min() > 0.0
+                for pair, gaps in gaps_by_pair.items()
+                if fractions[pair] > MIN_NEAR_FRACTION and gaps.min() > 0.0
             ]
-            out += kept
+            out += kept_apart
             remaining = {
-                pair: gap_value < MAX_NEAR_DISTANCE_M for pair, gap_value in pairs.items() if pair not in kept
+                pair: gaps < MAX_NEAR_DISTANCE_M
+                for pair, gaps in gaps_by_pair.items()
+                if pair not in kept_apart
             }
             while remaining and np.logical_or.reduce(list(remaining.values())).mean() > MIN_NEAR_FRACTION:
                 most_frequent = max(sorted(remaining), key=lambda pair: int(remaining[pair].sum()))
@@ -176,11 +181,11 @@ class ClearanceBounds:
         return tuple(sorted(out))
 
     def flange_part_pairs(self, poses: Mapping[str, FloatArray]) -> tuple[SolidPair, ...]:
-        """Return pairs of the link before the wrist and of tool parts close to the flange.
+        """Return pairs of a solid of the link before the last two and a part of the tool close to the flange.
 
-        A tool part counts if it is nowhere farther than :data:`MAX_NEAR_DISTANCE_M` from the flange, such as
-        the plate by which it is mounted. The arm's build keeps these apart as it does the flange itself,
-        mostly by a few millimetres.
+        A part of the tool is close if it is nowhere farther than :data:`MAX_NEAR_DISTANCE_M` from the flange,
+        such as the plate by which the tool is mounted. The arm's build keeps it apart from that link as it
+        does the flange itself, often by only a few millimetres.
 
         Args:
             poses: Body poses (1, 4, 4), by body.
@@ -191,28 +196,26 @@ class ClearanceBounds:
             arm, _, link = solid.body.partition("/")
             if link != "tool" or arm not in chains:
                 continue
-            *_, wrist_link, _, last, _ = chains[arm]
-            flange = [
-                flange_solid for flange_solid in self.all_solids if flange_solid.body == f"{arm}/{last}"
-            ]
-            if not flange:
+            *_, wrist_link, _, last_link, _ = chains[arm]
+            flange_solids = [other for other in self.all_solids if other.body == f"{arm}/{last_link}"]
+            if not flange_solids:
                 continue
             points = transform(poses[solid.body][0] @ solid.shape.pose, hull_points(solid))
-            each = [
-                (flange_solid, inverse(poses[flange_solid.body][0] @ flange_solid.shape.pose))
-                for flange_solid in flange
+            with_inverse_poses = [
+                (other, inverse(poses[other.body][0] @ other.shape.pose)) for other in flange_solids
             ]
             distance = np.min(
-                [signed_distance(flange_solid, transform(back, points)) for flange_solid, back in each],
+                [
+                    signed_distance(other, transform(inverse_pose, points))
+                    for other, inverse_pose in with_inverse_poses
+                ],
                 axis=0,
             )
             if distance.max() <= MAX_NEAR_DISTANCE_M:
-                wrist = [
-                    i
-                    for i, flange_solid in enumerate(self.all_solids)
-                    if flange_solid.body == f"{arm}/{wrist_link}"
+                wrist_indices = [
+                    i for i, other in enumerate(self.all_solids) if other.body == f"{arm}/{wrist_link}"
                 ]
-                out += [(min(i, k), max(i, k)) for i in wrist]
+                out += [(min(i, k), max(i, k)) for i in wrist_indices]
         return tuple(out)
 
     def without_pairs(self, solids: Collection[SolidPair]) -> "ClearanceBounds":
@@ -225,27 +228,32 @@ class ClearanceBounds:
         selected = self._filter_pairs(
             lambda a, b: {self.all_solids[a].body, self.all_solids[b].body} == bodies
         )
-        first = [(a, b) for a, b in selected.pairs.tolist()]
-        return tuple(first + [(a, b + len(self.solids)) for a, b in selected.box_pairs.tolist()])
+        capsule_pairs = [(a, b) for a, b in selected.pairs.tolist()]
+        box_pairs = [(a, b + len(self.solids)) for a, b in selected.box_pairs.tolist()]
+        return tuple(capsule_pairs + box_pairs)
 
     def _same_arm_pairs(self) -> "ClearanceBounds":
-        """Return bounds with only pairs of bodies of one arm."""
-        arm = [solid.body.partition("/") for solid in self.all_solids]
-        return self._filter_pairs(lambda a, b: arm[a][0] == arm[b][0] and bool(arm[a][1]) and bool(arm[b][1]))
+        """Return bounds with only the pairs of solids that belong to the same arm."""
+        names = [solid.body.partition("/") for solid in self.all_solids]
+        return self._filter_pairs(
+            lambda a, b: names[a][0] == names[b][0] and bool(names[a][1]) and bool(names[b][1])
+        )
 
     def _filter_pairs(self, keep: Callable[[int, int], bool]) -> "ClearanceBounds":
         """Return bounds with only those pairs of indices in ``all_solids`` that ``keep`` accepts."""
         count = len(self.solids)
-        first = np.array([keep(a, b) for a, b in self.pairs.tolist()], dtype=bool)
-        second = np.array([keep(a, b + count) for a, b in self.box_pairs.tolist()], dtype=bool)
+        keeps_pair = np.array([keep(a, b) for a, b in self.pairs.tolist()], dtype=bool)
+        keeps_box_pair = np.array([keep(a, b + count) for a, b in self.box_pairs.tolist()], dtype=bool)
         return dataclasses.replace(
-            self, pairs=self.pairs[first.reshape(-1)], box_pairs=self.box_pairs[second.reshape(-1)]
+            self,
+            pairs=self.pairs[keeps_pair.reshape(-1)],
+            box_pairs=self.box_pairs[keeps_box_pair.reshape(-1)],
         )
 
     def min_distance_bounds(
         self, poses: Mapping[str, FloatArray], limit: float, both: bool = True
     ) -> tuple[FloatArray, FloatArray]:
-        """Return lower and upper bounds (B,) [m] of the smallest distance.
+        """Return lower and upper bounds (B,) [m] of the smallest distance of any checked pair.
 
         If bodies overlap, the bounds only have the true sign and are no depths. Distances above ``limit`` are
         not computed: both bounds are then infinite or above it.
@@ -257,21 +265,21 @@ class ClearanceBounds:
         """
         placement = self._make_placement(poses)
         lower, upper = np.full(placement.rows, np.inf), np.full(placement.rows, np.inf)
-        open_ = np.arange(placement.rows)
-        if not both and limit > FIRST_LIMIT_M:  # solids beyond the smallest distance of a row need no check
+        undecided = np.arange(placement.rows)
+        if not both and limit > FIRST_LIMIT_M:  # rows with a small distance need no search up to the limit
             lower = self._min_lower_bounds(placement, FIRST_LIMIT_M)
-            open_ = np.flatnonzero(~(lower < FIRST_LIMIT_M))
-        if len(open_):
-            rest = placement if len(open_) == placement.rows else placement.select(open_)
-            lower[open_] = self._min_lower_bounds(rest, limit, upper if both else None)
+            undecided = np.flatnonzero(~(lower < FIRST_LIMIT_M))
+        if len(undecided):
+            remaining = placement if len(undecided) == placement.rows else placement.select(undecided)
+            lower[undecided] = self._min_lower_bounds(remaining, limit, upper if both else None)
         return lower, upper
 
     def _min_lower_bounds(
         self, placement: "_Placement", limit: float, upper: FloatArray | None = None
     ) -> FloatArray:
-        """Return the lower bounds (B,) of :meth:`min_distance_bounds`.
+        """Return the lower bounds (B,) [m] of :meth:`min_distance_bounds`.
 
-        Upper ones are merged into ``upper`` if it is given.
+        If ``upper`` (B,) is given, its values are lowered in place to the upper bounds.
         """
         # The inner capsule is inside its solid, the outer one around it: d(outer) <= d <= d(inner).
         lower = np.full(placement.rows, np.inf)
@@ -292,9 +300,9 @@ class ClearanceBounds:
     def measure_nearest(
         self, poses: Mapping[str, FloatArray], limit: float
     ) -> tuple[FloatArray, IndexArray, BoolArray]:
-        """Return the smallest distances of finite body poses.
+        """Measure the smallest distance in each configuration of finite body poses.
 
-        Without the added ``ease`` they are at most 1e-7 m below the truth and never above it.
+        Without the added :attr:`ease` it is at most 1e-7 m below the truth and never above it.
 
         Args:
             poses: Body poses (B | 1, 4, 4), by body.
@@ -310,21 +318,22 @@ class ClearanceBounds:
         pair = np.full((placement.rows, 2), -1, dtype=np.intp)
         is_overlap = np.zeros(placement.rows, dtype=np.bool_)
         leading = np.flatnonzero(np.diff(row, prepend=-1))
-        rest = np.ones(len(row), dtype=np.bool_)
-        rest[leading] = False
-        for stage in (leading, None):  # the probably closest pairs first: they rule out most others
-            selected = np.flatnonzero(rest & (low < best[row])) if stage is None else stage
+        is_remaining = np.ones(len(row), dtype=np.bool_)
+        is_remaining[leading] = False
+        # first the pair of each row that is probably closest, which rules out most others; then the others
+        for stage in (leading, None):
+            selected = np.flatnonzero(is_remaining & (low < best[row])) if stage is None else stage
             if not len(selected):
                 continue
-            at, first_solid, other = row[selected], first[selected], second[selected]
-            gap, direction, _ = self._measure(placement, at, first_solid, other)
-            gap = gap + self.ease[first_solid, other]
-            closest = np.lexsort((gap, at))
-            closest = closest[np.diff(at[closest], prepend=-1) != 0]
-            closest = closest[gap[closest] < best[at[closest]]]
-            best[at[closest]] = gap[closest]
-            pair[at[closest]] = np.stack([first_solid, other], axis=1)[closest]
-            is_overlap[at[closest]] = ~direction[closest].any(axis=1)
+            rows, first_solid, second_solid = row[selected], first[selected], second[selected]
+            gap, direction, _ = self._measure(placement, rows, first_solid, second_solid)
+            gap = gap + self.ease[first_solid, second_solid]
+            closest = np.lexsort((gap, rows))
+            closest = closest[np.diff(rows[closest], prepend=-1) != 0]
+            closest = closest[gap[closest] < best[rows[closest]]]
+            best[rows[closest]] = gap[closest]
+            pair[rows[closest]] = np.stack([first_solid, second_solid], axis=1)[closest]
+            is_overlap[rows[closest]] = ~direction[closest].any(axis=1)
         return best, pair, is_overlap
 
     def is_apart(self, poses: Mapping[str, FloatArray], padding: float) -> BoolArray:
@@ -341,14 +350,15 @@ class ClearanceBounds:
     ) -> BoolArray:
         """Return whether (B,) all solids certainly stay farther apart than a padding while joints change.
 
-        What moves both solids of a pair brings them no closer, so each pair has its own required distance.
+        A joint that moves both solids of a pair does not change their distance, so each pair has its own
+        required distance.
 
         Args:
             poses: Finite body poses (B | 1, 4, 4), by body.
             padding: Required distance [m].
             change: Change of the joints in both directions (B, D) [rad].
-            lever: Largest path of any point of each of ``all_solids`` per joint (S + K, D) [m/rad], 0 if the
-                joint does not move it.
+            lever: Largest displacement of any point of each of ``all_solids`` per change of each joint
+                (S + K, D) [m/rad]; 0 if the joint does not move the solid.
         """
         # required distance of a pair: padding + sum_j change_j (lever_1j + lever_2j), without common joints
         placement, count = self._make_placement(poses), len(self.pairs)
@@ -404,19 +414,20 @@ class ClearanceBounds:
         for stage in (np.flatnonzero(leading), None):
             selected = np.flatnonzero(~leading & out[row]) if stage is None else stage
             if len(selected):
-                at, first_solid, other = row[selected], first[selected], second[selected]
-                gap = self._measure(placement, at, first_solid, other, required[selected])[0]
-                out[at[gap <= required[selected]]] = False
+                rows, first_solid, second_solid = row[selected], first[selected], second[selected]
+                gap = self._measure(placement, rows, first_solid, second_solid, required[selected])[0]
+                out[rows[gap <= required[selected]]] = False
         return out
 
     def measure_all(
         self, poses: Mapping[str, FloatArray], limit: float
     ) -> tuple[IndexArray, IndexArray, FloatArray, FloatArray, FloatArray]:
-        """Return all pairs of solids closer than ``limit`` [m].
+        """Measure all pairs of solids that are closer than ``limit`` [m] at body poses (B | 1, 4, 4).
 
         Returns:
-            Row (M,), indices in ``all_solids`` of both solids (M, 2), distance (M,) as in
-            :meth:`measure_nearest`, and the direction and point of its line, as in :func:`measure_distances`.
+            Configuration (M,), indices in ``all_solids`` of both solids (M, 2), distance (M,) as in
+            :meth:`measure_nearest`, and direction (M, 3) and a point (M, 3) of the line of the distance, as
+            in :func:`measure_distances`.
         """
         placement, row, first, second, _ = self._close_pairs(poses, limit)
         gap, direction, point = self._measure(placement, row, first, second)
@@ -433,10 +444,10 @@ class ClearanceBounds:
     def _close_pairs(
         self, poses: Mapping[str, FloatArray], limit: float
     ) -> "tuple[_Placement, IndexArray, IndexArray, IndexArray, FloatArray]":
-        """Return the placed solids, and the pairs that may be closer than ``limit``.
+        """Return the placed solids, and the pairs of solids that may be closer than ``limit`` [m].
 
-        Pairs are given by row, both solids and lower bound (M,), sorted by row, the smallest bound of each
-        row first.
+        The pairs are four arrays (M,): row, both solids and lower bound. They are sorted by row, with the
+        smallest bound of each row first.
         """
         placement = self._make_placement(poses)
         boxes = self._close_boxes(placement, limit)
@@ -450,12 +461,12 @@ class ClearanceBounds:
         """Return the pairs of :meth:`_close_pairs` in the selected ``rows`` (B,)."""
         capsules = self._close_capsules(placement, limit, rows)
         boxes = boxes if rows.all() else boxes.select(np.flatnonzero(rows[boxes.row]))
-        from_boxes = self._sampled_box_bounds(boxes)[0]
-        touch = np.flatnonzero(from_boxes < limit)
-        from_boxes[touch] = np.maximum(
-            from_boxes[touch], self._projected_box_bounds(placement, boxes.select(touch))
+        box_low = self._sampled_box_bounds(boxes)[0]
+        is_low = np.flatnonzero(box_low < limit)
+        box_low[is_low] = np.maximum(
+            box_low[is_low], self._projected_box_bounds(placement, boxes.select(is_low))
         )
-        low = np.concatenate([self._capsule_lower_bounds(placement, limit, capsules), from_boxes])
+        low = np.concatenate([self._capsule_lower_bounds(placement, limit, capsules), box_low])
         row, first = np.concatenate([capsules.row, boxes.row]), np.concatenate([capsules.first, boxes.solid])
         second = np.concatenate([capsules.other, boxes.box + len(self.solids)])
         order = np.flatnonzero(low < limit)
@@ -470,27 +481,31 @@ class ClearanceBounds:
         other: IndexArray,
         settled: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return distances (M,) of solids in rows (M,), and their lines, as :func:`measure_distances`."""
+        """Measure pairs of solids in rows (M,); the result is that of :func:`measure_distances`.
+
+        ``settled`` (M,) [m] is the threshold of that function.
+        """
         first, second = (self._solid_poses(placement, row, which) for which in (first_solid, other))
         return measure_distances(self.cores, first_solid, other, first, second, settled)
 
     def _make_placement(self, poses: Mapping[str, FloatArray]) -> "_Placement":
+        """Place all solids at body poses (B | 1, 4, 4) with one matrix product for all capsules and balls."""
         rows = max(len(pose) for pose in poses.values())
-        both = np.empty((rows, 3, len(self.bodies), 4))
+        body_poses = np.empty((rows, 3, len(self.bodies), 4))
         for k, body in enumerate(self.bodies):
-            both[:, :, k] = poses[body][:, :3]
-        transformed = (both.reshape(3 * rows, -1) @ self._pose_matrix).reshape(rows, 3, -1)
+            body_poses[:, :, k] = poses[body][:, :3]
+        transformed = (body_poses.reshape(3 * rows, -1) @ self._pose_matrix).reshape(rows, 3, -1)
         if not np.isfinite(transformed).all():  # a pose that is not finite only invalidates its own body
-            is_invalid: BoolArray = np.asarray(~np.isfinite(both).all(axis=(1, 3)))
-            known = np.where(is_invalid[:, None, :, None], 0.0, both)
-            transformed = (known.reshape(3 * rows, -1) @ self._pose_matrix).reshape(rows, 3, -1)
+            is_invalid: BoolArray = np.asarray(~np.isfinite(body_poses).all(axis=(1, 3)))
+            finite_poses = np.where(is_invalid[:, None, :, None], 0.0, body_poses)
+            transformed = (finite_poses.reshape(3 * rows, -1) @ self._pose_matrix).reshape(rows, 3, -1)
             column_body = np.concatenate([self.body_index, self.body_index, np.arange(len(self.bodies))])
             np.copyto(transformed, np.nan, where=is_invalid[:, None, column_body])
         ends = [len(self.solids), 2 * len(self.solids)]
         parts = np.split(np.swapaxes(transformed, 1, 2), ends, axis=1)
         centre, axis, ball = map(np.ascontiguousarray, parts)
         fixed = np.array([poses[box.body][0] for box in self.boxes]).reshape(-1, 4, 4)
-        rotations, positions = np.moveaxis(both[..., :3], 1, 2), np.moveaxis(both[..., 3], 1, 2)
+        rotations, positions = np.moveaxis(body_poses[..., :3], 1, 2), np.moveaxis(body_poses[..., 3], 1, 2)
         return _Placement(rotations, positions, centre, axis, ball, fixed)
 
     @functools.cached_property
@@ -562,69 +577,69 @@ class ClearanceBounds:
     def _merge_capsule_bounds(
         self, lower: FloatArray, placement: "_Placement", limit: float, pairs: "_PlacedPairs"
     ) -> None:
-        """Merge the lower bounds of :meth:`_capsule_lower_bounds`, with ease, into ``lower`` (B,).
+        """Lower the bounds ``lower`` (B,) in place to those of pairs of capsules, with :attr:`ease` added.
 
-        Projections only raise bounds. The smallest bound of each row is refined first, then those that are
-        still below it.
+        The bounds are those of :meth:`_capsule_lower_bounds`. Projections, which take longer, only raise
+        them. The smallest bound of each row is raised first, then only those that are still below it.
         """
         row = pairs.row
         vector, gap = self._capsule_distances(placement, pairs, self.outer)
         ease = self.ease[pairs.first, pairs.other]
-        value, open_ = gap + ease, gap < limit
+        value, is_open = gap + ease, gap < limit
         order = np.lexsort((value, row))
         leading = order[np.diff(row[order], prepend=-1) != 0]
         for stage in (leading, None):
-            selected = leading if stage is not None else np.flatnonzero(open_ & (value < lower[row]))
-            selected = selected[open_[selected]]
+            selected = leading if stage is not None else np.flatnonzero(is_open & (value < lower[row]))
+            selected = selected[is_open[selected]]
             if len(selected):
                 bounds = self._projected_bounds(
                     placement, pairs.select(selected), vector[selected], gap[selected]
                 )
                 value[selected] = bounds + ease[selected]
-            open_[selected] = False
+            is_open[selected] = False
             settled = leading if stage is not None else np.arange(len(row))
             np.minimum.at(lower, row[settled], value[settled])
 
     def _close_capsules(self, placement: "_Placement", limit: float, rows: BoolArray) -> "_PlacedPairs":
-        """Return the pairs of capsules whose bounding spheres come within ``limit``.
+        """Return the pairs of capsules whose bounding balls come within ``limit`` [m], in selected rows (B,).
 
-        Only selected rows count. Spheres around bodies are tested first.
+        Balls around whole bodies are tested first.
         """
-        which = np.flatnonzero(rows)
+        selected_rows = np.flatnonzero(rows)
         body_pairs = self._body_pairs
-        ball, centre = placement.ball[which], placement.centre[which]
+        ball, centre = placement.ball[selected_rows], placement.centre[selected_rows]
         offset = ball[:, body_pairs.first] - ball[:, body_pairs.other]
         # balls: d >= |c1 - c2| - R1 - R2, first of whole bodies, then of capsules
-        row, both = np.nonzero(dots(offset, offset) < (body_pairs.reach + limit) ** 2)
-        count = body_pairs.count[both]
+        row, body_pair = np.nonzero(dots(offset, offset) < (body_pairs.reach + limit) ** 2)
+        # each pair of bodies expands to all pairs of their capsules, which are consecutive in body_pairs.pair
+        count = body_pairs.count[body_pair]
         row = np.repeat(row, count)
-        pair = np.arange(len(row)) + np.repeat(body_pairs.start[both] - np.cumsum(count) + count, count)
+        pair = np.arange(len(row)) + np.repeat(body_pairs.start[body_pair] - np.cumsum(count) + count, count)
         pair = body_pairs.pair[pair]
         reach = self.outer[0] + self.outer[1]
         first, second = self.pairs[pair, 0], self.pairs[pair, 1]
         offset = centre[row, first] - centre[row, second]
         selected = np.flatnonzero(dots(offset, offset) < (reach[first] + reach[second] + limit) ** 2)
         selected = selected[np.argsort(row[selected] * len(self.pairs) + pair[selected])]
-        return _PlacedPairs(which[row[selected]], first[selected], second[selected])
+        return _PlacedPairs(selected_rows[row[selected]], first[selected], second[selected])
 
     @functools.cached_property
     def _bounding_balls(self) -> tuple[FloatArray, FloatArray]:
-        """Spheres around those of the capsules of each of ``bodies``: centres (P, 3) in it and radii (P,)."""
+        """Balls around the solids of each of ``bodies``: centres (P, 3) in the body and radii (P,) [m]."""
         middle, radius = np.zeros((len(self.bodies), 3)), np.zeros(len(self.bodies))
         for k in range(len(self.bodies)):
             solids = np.flatnonzero(self.body_index == k)
             reach = (self.outer[0] + self.outer[1])[solids]
             # a capsule lies within its reach, half length + radius, of its centre
-            low, high = (
-                (self.centre[solids] - reach[:, None]).min(axis=0),
-                (self.centre[solids] + reach[:, None]).max(axis=0),
-            )
+            low = (self.centre[solids] - reach[:, None]).min(axis=0)
+            high = (self.centre[solids] + reach[:, None]).max(axis=0)
             middle[k] = 0.5 * (low + high)
             radius[k] = (lengths(self.centre[solids] - middle[k]) + reach).max()
         return middle, radius
 
     @functools.cached_property
     def _body_pairs(self) -> "_BodyPairs":
+        """Pairs of moving bodies, each with the pairs of its capsules."""
         body = self.body_index[self.pairs]
         code = body[:, 0] * len(self.bodies) + body[:, 1]
         order = np.argsort(code, kind="stable")
@@ -634,14 +649,16 @@ class ClearanceBounds:
         return _BodyPairs(first_body, other, radius[first_body] + radius[other], start, count, order)
 
     def _close_boxes(self, placement: "_Placement", limit: float) -> "_CloseBoxes":
-        """Return pairs of capsules and boxes that come within ``limit`` by the capsules' spheres.
+        """Return the pairs of a box and a capsule whose bounding ball comes within ``limit`` [m] of it.
 
-        Groups of consecutive rows, which are mostly close to each other, are tested first, then single rows.
+        Consecutive rows are mostly close to each other. Groups of them are tested first, then single rows.
         """
         count = len(self.boxes)
         if not count or not len(self.box_pairs):
-            none, nowhere = np.zeros(0, dtype=np.intp), np.zeros((0, 3))
-            return _CloseBoxes(none, none, none, nowhere, nowhere, nowhere, np.zeros(0))
+            no_indices, no_vectors = np.zeros(0, dtype=np.intp), np.zeros((0, 3))
+            return _CloseBoxes(
+                no_indices, no_indices, no_indices, no_vectors, no_vectors, no_vectors, np.zeros(0)
+            )
         centre, axis = placement.centre, placement.axis
         pose = placement.fixed @ np.array([box.shape.pose for box in self.boxes])
         position, rotation = pose[:, :3, 3], pose[:, :3, :3]
@@ -675,24 +692,25 @@ class ClearanceBounds:
         They help for a flat disc above a floor, whose capsule is a ball that reaches far into it.
         """
         pose = placement.fixed @ np.array([box.shape.pose for box in self.boxes]).reshape(-1, 4, 4)
-        turn = pose[close_boxes.box][:, :3, :3]
+        box_axes = pose[close_boxes.box][:, :3, :3]
         solid_axes = (
             placement.rotations[close_boxes.row, self.body_index[close_boxes.solid]]
             @ self.frame[close_boxes.solid]
         )
         half = np.concatenate([close_boxes.half, np.zeros((len(close_boxes.half), 2))], axis=1)
         offset = close_boxes.position - np.clip(close_boxes.position, -close_boxes.half, close_boxes.half)
-        w, gap = (np.einsum("mab,mb->ma", turn, v) for v in (close_boxes.position, offset))
-        return separation(w, gap, (solid_axes, self.support[close_boxes.solid]), (turn, half))
+        w, gap = (np.einsum("mab,mb->ma", box_axes, v) for v in (close_boxes.position, offset))
+        return separation(w, gap, (solid_axes, self.support[close_boxes.solid]), (box_axes, half))
 
     def _merge_box_bounds(
         self, lower: FloatArray, placement: "_Placement", close_boxes: "_CloseBoxes", limit: float
     ) -> None:
-        """Merge lower bounds of the distances of solids to the boxes into ``lower`` (B,).
+        """Lower the bounds ``lower`` (B,) in place to those of solids and boxes, with :attr:`ease` added.
 
-        Bounds are computed as far as needed to find the smallest of each row below ``limit``: of the capsule
-        whose ball is closest, then of those that a few points of their axis do not show to be farther, again
-        the probably closest first.
+        Exact bounds are computed only as far as needed to find the smallest one of each row below ``limit``.
+        The first stage computes that of the capsule whose ball is closest to a box. The second stage bounds
+        the others by a few points of their axes and computes the probably closest. The third computes those
+        that may still be closer.
         """
         ease = self._box_ease(close_boxes)
         # d >= d(centre) - half length - radius, then tighter bounds for the rest
@@ -708,18 +726,18 @@ class ClearanceBounds:
                 return
             row_min = np.full(len(lower), np.inf)
             np.minimum.at(row_min, close_boxes.row, low)
-            first = low == row_min[close_boxes.row] if stage < 2 else np.ones(len(low), dtype=np.bool_)
-            selected, selected_ease = close_boxes.select(np.flatnonzero(first)), ease[first]
+            is_computed = low == row_min[close_boxes.row] if stage < 2 else np.ones(len(low), dtype=np.bool_)
+            selected, selected_ease = close_boxes.select(np.flatnonzero(is_computed)), ease[is_computed]
             value = self._capsule_box_distances(selected) + selected_ease
-            touch = np.flatnonzero(
-                value < np.minimum(lower, limit)[selected.row]
-            )  # projections only raise it
-            value[touch] = np.maximum(
-                value[touch],
-                self._projected_box_bounds(placement, selected.select(touch)) + selected_ease[touch],
+            # projections only raise a bound, so they are needed only where it would be the smallest
+            is_low = np.flatnonzero(value < np.minimum(lower, limit)[selected.row])
+            value[is_low] = np.maximum(
+                value[is_low],
+                self._projected_box_bounds(placement, selected.select(is_low)) + selected_ease[is_low],
             )
             np.minimum.at(lower, selected.row, value)
-            close_boxes, low, ease = close_boxes.select(np.flatnonzero(~first)), low[~first], ease[~first]
+            close_boxes = close_boxes.select(np.flatnonzero(~is_computed))
+            low, ease = low[~is_computed], ease[~is_computed]
 
     @staticmethod
     def _still_open(
@@ -755,9 +773,10 @@ class ClearanceBounds:
         return np.asarray(value - self.outer[1][close_boxes.solid])
 
     def _sampled_box_bounds(self, close_boxes: "_CloseBoxes") -> tuple[FloatArray, FloatArray]:
-        """Return lower and upper bounds (M,) of the distances of outer capsules to boxes.
+        """Return lower and upper bounds (M,) [m] of the distances of outer capsules to boxes.
 
-        They follow from a few points of the axes. The distance changes by at most the path along the axis.
+        They follow from the distances of a few points of the axes. Between two points the distance changes by
+        at most the length between them.
         """
         # |d(s) - d(t)| <= |s - t|, so between two samples d >= (d1 + d2 - step) / 2
         value = self._axis_sample_distances(close_boxes, self.outer[0])
@@ -767,7 +786,10 @@ class ClearanceBounds:
         return between.min(axis=1) - radius, value.min(axis=1) - radius
 
     def _axis_sample_distances(self, close_boxes: "_CloseBoxes", length: FloatArray) -> FloatArray:
-        """Return distances (M, AXIS_SAMPLES) to the boxes of points on the axes, out to half lengths (S,)."""
+        """Return the distances (M, AXIS_SAMPLES) [m] of points on the axes of capsules to their boxes.
+
+        ``length`` (S,) [m] are the half lengths of the axes.
+        """
         t = length[close_boxes.solid][:, None] * np.linspace(-1.0, 1.0, AXIS_SAMPLES)
         return _box_distance(
             close_boxes.position[:, None] + t[..., None] * close_boxes.along[:, None],
@@ -777,7 +799,7 @@ class ClearanceBounds:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Placement:
-    """Solids in B rows.
+    """Solids placed in B configurations (rows).
 
     Attributes:
         rotations: Rotations of moving bodies (B, P, 3, 3).
@@ -810,15 +832,15 @@ class _Placement:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _BodyPairs:
-    """Pairs of moving bodies.
+    """N pairs of moving bodies, with all M pairs of their capsules.
 
     Attributes:
         first: First bodies (N,).
         other: Second bodies (N,).
         reach: Sum of the radii of their balls (N,) [m].
-        start: First index in ``pair`` of the pairs of their capsules (N,).
-        count: Number of these pairs (N,).
-        pair: Indices in ``ClearanceBounds.pairs`` (M,).
+        start: Position in ``pair`` of the first pair of capsules of these bodies (N,).
+        count: Number of their pairs of capsules, which are consecutive in ``pair`` (N,).
+        pair: Indices in ``ClearanceBounds.pairs``, sorted by bodies (M,).
     """
 
     first: IndexArray
@@ -850,16 +872,16 @@ class _PlacedPairs:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _CloseBoxes:
-    """Capsules near boxes.
+    """M pairs of a capsule and a box that may be close, each in one row of a placement.
 
     Attributes:
         row: Row (M,).
-        solid: Solid (M,).
-        box: Box (M,).
-        position: Centre in the box's frame (M, 3) [m].
-        along: Axis in the box's frame (M, 3).
+        solid: Index of the capsule's solid (M,).
+        box: Index of the box (M,).
+        position: Centre of the capsule in the box's frame (M, 3) [m].
+        along: Axis of the capsule in the box's frame (M, 3).
         half: Half size of the box (M, 3) [m].
-        distance: Distance of the centre (M,) [m].
+        distance: Distance of the centre of the capsule from the box (M,) [m].
     """
 
     row: IndexArray
@@ -892,12 +914,12 @@ def make_bounds(
     skip = {frozenset(pair[:2]) for pair in filtered}
     is_stationary = [is_fixed(s.body, holder) and s.body not in moving_bases for s in solids]
     is_box = [
-        is_still and s.shape.kind in ("box", "mesh")
-        for is_still, s in zip(is_stationary, solids, strict=True)
+        stationary and s.shape.kind in ("box", "mesh")
+        for stationary, s in zip(is_stationary, solids, strict=True)
     ]
-    boxes = [s for s, fixed in zip(solids, is_box, strict=True) if fixed]
-    rows = [_enclosing_capsules(s) for s, fixed in zip(solids, is_box, strict=True) if not fixed]
-    capsules = tuple(_as_box(s) for s, fixed in zip(solids, is_box, strict=True) if not fixed)
+    boxes = [s for s, boxed in zip(solids, is_box, strict=True) if boxed]
+    capsule_sizes = [_enclosing_capsules(s) for s, boxed in zip(solids, is_box, strict=True) if not boxed]
+    capsules = tuple(_as_box(s) for s, boxed in zip(solids, is_box, strict=True) if not boxed)
     pairs = [
         (a, b)
         for a, capsule in enumerate(capsules)
@@ -911,25 +933,27 @@ def make_bounds(
         if capsule.body != other.body and frozenset((capsule.body, other.body)) not in skip
     ]
     bodies = tuple(dict.fromkeys(s.body for s in capsules))
-    ready = [_as_box(s) for s in boxes]
-    given = [s for s, fixed in zip(solids, is_box, strict=True) if not fixed] + boxes
+    boxes_without_meshes = [_as_box(s) for s in boxes]
+    all_solids = [s for s, boxed in zip(solids, is_box, strict=True) if not boxed] + boxes
     return ClearanceBounds(
-        all_solids=tuple(given),
-        poses_in_body=np.array([solid.shape.pose for solid in given]).reshape(-1, 4, 4),
-        cores=make_cores(given),
-        ease=np.zeros((len(given), len(given))),
+        all_solids=tuple(all_solids),
+        poses_in_body=np.array([solid.shape.pose for solid in all_solids]).reshape(-1, 4, 4),
+        cores=make_cores(all_solids),
+        ease=np.zeros((len(all_solids), len(all_solids))),
         solids=capsules,
         bodies=bodies,
         body_index=np.array([bodies.index(s.body) for s in capsules], dtype=np.intp),
         centre=np.array([s.shape.pose[:3, 3] for s in capsules]),
-        axis=np.array([s.shape.pose[:3, :3] @ row[0] for s, row in zip(capsules, rows, strict=True)]),
-        outer=(np.array([r[1] for r in rows]), np.array([r[2] for r in rows])),
-        inner=(np.array([r[3] for r in rows]), np.array([r[4] for r in rows])),
+        axis=np.array(
+            [s.shape.pose[:3, :3] @ size[0] for s, size in zip(capsules, capsule_sizes, strict=True)]
+        ),
+        outer=(np.array([size[1] for size in capsule_sizes]), np.array([size[2] for size in capsule_sizes])),
+        inner=(np.array([size[3] for size in capsule_sizes]), np.array([size[4] for size in capsule_sizes])),
         frame=np.array([s.shape.pose[:3, :3] for s in capsules]),
         support=np.array([support_sizes(s) for s in capsules]),
-        boxes=tuple(ready),
+        boxes=tuple(boxes_without_meshes),
         is_exact=np.array([s.shape.kind == "box" for s in boxes], dtype=bool),
-        half_sizes=np.array([0.5 * np.asarray(s.shape.size) for s in ready]).reshape(-1, 3),
+        half_sizes=np.array([0.5 * np.asarray(s.shape.size) for s in boxes_without_meshes]).reshape(-1, 3),
         pairs=np.array(pairs, dtype=np.intp).reshape(-1, 2),
         box_pairs=np.array(box_pairs, dtype=np.intp).reshape(-1, 2),
     )
@@ -948,9 +972,11 @@ def _as_box(solid: Solid) -> Solid:
 
 
 def _enclosing_capsules(solid: Solid) -> tuple[FloatArray, float, float, float, float]:
-    """Return axis (3,), and half length and radius of the capsule around a solid and of the one inside.
+    """Return the capsule that contains a solid and the capsule inside it, which have the same axis.
 
-    The axis is in the shape's frame. The inner radius is -inf for a mesh, whose inside is unknown.
+    Returns:
+        Axis (3,) in the shape's frame, half length and radius [m] of the outer capsule, half length and
+        radius [m] of the inner one. The inner radius is -inf for a mesh, whose inside is unknown.
     """
     kind = solid.shape.kind
     if kind in ("sphere", "capsule"):

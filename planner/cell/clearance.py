@@ -23,13 +23,14 @@ from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, dots, lengths, transform
 
 Against = Literal["all", "no_stock"]
+"""Bodies that a flexible edge is compared with: all, or all except the stock."""
 
 GOLDEN_FRACTION: Final = (np.sqrt(5.0) - 1.0) / 2.0
 """Fraction of an interval that a golden-section step keeps."""
 _TOUCHING: Final = "distance_to_shape_touching"
-"""Drake's solver for two touching shapes.
+"""Name of Drake's function for two touching shapes, as in the message of its error.
 
-It fails for boxes with coplanar faces, such as a block on its support.
+The function fails for boxes with coplanar faces, such as a block on its support.
 """
 GOLDEN_STEPS: Final = 36
 """Number of golden-section steps. An interval of 50 mm shrinks to below 2 nm."""
@@ -80,6 +81,7 @@ def edge_clearance(
     best = np.full(len(edge.points), np.inf)
     nearest_solid = np.zeros(len(edge.points), dtype=np.intp)
     measured = []
+    # First the points of the chain, then the pieces between two points that may be closer.
     for k, solid in enumerate(solids):
         chain = _chain_for(chains, solid, flanges)
         frame = poses[solid.body] @ solid.shape.pose
@@ -128,7 +130,8 @@ def is_edge_clear(
     solids = [s for s in model.solids if s.body != "stock" or against == "all"]
     may_be_close = _near_bounding_spheres(solids, poses, chains, flanges, limit)
     best = np.full(len(points), np.inf)
-    rough = []
+    measured = []
+    # First the points of the chain, then the pieces between two points that may be too close.
     for k, solid in enumerate(solids):
         rows = np.flatnonzero(may_be_close[k] & (best - radius >= padding))
         if not len(rows):
@@ -139,8 +142,8 @@ def is_edge_clear(
         local = (subset.points - frame[rows, None, :3, 3]) @ frame[rows, :3, :3]
         value = _point_distances(solid, local, subset, np.full(len(rows), limit))
         best[rows] = np.minimum(best[rows], value.min(axis=1))
-        rough.append((solid, rows, local, subset, value))
-    for solid, rows, local, subset, value in rough:
+        measured.append((solid, rows, local, subset, value))
+    for solid, rows, local, subset, value in measured:
         low = 0.5 * (value[:, :-1] + value[:, 1:] - subset.steps)
         needs_search = (low < np.minimum(best[rows], limit)[:, None]) & (best[rows] - radius >= padding)[
             :, None
@@ -148,10 +151,12 @@ def is_edge_clear(
         row, piece = np.nonzero(needs_search)
         if len(row):
             start, end, step = local[row, piece], local[row, piece + 1], subset.steps[row, piece]
-            along = start[:, None] + PIECE_FRACTIONS[:, None] * (end - start)[:, None]
-            inner = signed_distance(solid, along)
-            # the same bound for the parts between the samples of a piece
-            low = 0.5 * (inner[:, 1:] + inner[:, :-1] - step[:, None] / (len(PIECE_FRACTIONS) - 1))
+            samples = start[:, None] + PIECE_FRACTIONS[:, None] * (end - start)[:, None]
+            sample_distance = signed_distance(solid, samples)
+            # d >= (d1 + d2 - step) / 2 also holds between two samples of a piece
+            low = 0.5 * (
+                sample_distance[:, 1:] + sample_distance[:, :-1] - step[:, None] / (len(PIECE_FRACTIONS) - 1)
+            )
             close = np.flatnonzero(low.min(axis=1) < limit)
             np.minimum.at(best, rows[row[close]], _min_on_pieces(solid, start[close], end[close]))
     return np.asarray(best - radius >= padding)
@@ -164,9 +169,17 @@ def _near_bounding_spheres(
     flanges: Mapping[str, str],
     limit: float,
 ) -> BoolArray:
-    """Return whether (S, B) any point of a chain comes close to the sphere around each solid.
+    """Return whether (S, B) any point of the edge comes close to the sphere around each solid.
 
-    Close is within ``limit`` [m] and the chain's longest step, as :func:`_point_distances` measures.
+    Close means within ``limit`` [m] plus the longest step of the chain, because a piece between two points
+    may come closer than its ends.
+
+    Args:
+        solids: S solids.
+        poses: Body poses (B, 4, 4), by body.
+        chains: Chains of the edge, as by :func:`_edge_chains`.
+        flanges: Last link of each arm.
+        limit: Distance [m].
     """
     rows = len(chains[""].points)
     out = np.zeros((len(solids), rows), dtype=np.bool_)
@@ -181,26 +194,26 @@ def _near_bounding_spheres(
         reach = (
             np.array([0.5 * float(np.linalg.norm(bounding_size(solids[k]))) for k in solid_indices]) + limit
         )
-        room = (reach + chain.steps.max(axis=1, initial=0.0)[:, None] + BOUND_ERROR) ** 2
+        max_square = (reach + chain.steps.max(axis=1, initial=0.0)[:, None] + BOUND_ERROR) ** 2
         for start in range(0, rows, CONFIGURATIONS_AT_ONCE):
-            part = slice(start, start + CONFIGURATIONS_AT_ONCE)
-            batch_points, batch_centre = chain.points[part], centre[part]
-            square = dots(batch_points, batch_points)
-            square[chain.skip[part]] = np.inf
+            batch = slice(start, start + CONFIGURATIONS_AT_ONCE)
+            batch_points, batch_centre = chain.points[batch], centre[batch]
+            point_square = dots(batch_points, batch_points)
+            point_square[chain.skip[batch]] = np.inf
             # |p - c|^2 = |p|^2 - 2 p.c + |c|^2
-            squared = square[..., None] - 2.0 * (batch_points @ batch_centre)
-            row_min = squared.min(axis=1) + np.einsum("bcs,bcs->bs", batch_centre, batch_centre)
-            out[solid_indices, part] = (row_min < room[part]).T
+            partial_square = point_square[..., None] - 2.0 * (batch_points @ batch_centre)
+            min_square = partial_square.min(axis=1) + np.einsum("bcs,bcs->bs", batch_centre, batch_centre)
+            out[solid_indices, batch] = (min_square < max_square[batch]).T
     return out
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Chain:
-    """Points of a chain.
+    """Points of a flexible edge.
 
     Attributes:
         points: Points (B, P, 3) [m].
-        skip: Points that are left out (B, P).
+        skip: Whether a point is not compared with bodies (B, P).
     """
 
     points: FloatArray
@@ -208,11 +221,16 @@ class _Chain:
 
     @functools.cached_property
     def steps(self) -> FloatArray:
+        """Lengths (B, P - 1) [m] of the pieces between the points."""
         return np.asarray(np.linalg.norm(np.diff(self.points, axis=1), axis=-1))
 
 
 def _edge_chains(arms: tuple[str, ...], points: FloatArray, skip_ends: float) -> dict[str, _Chain]:
-    """Return the chain as compared with hands of arms, by arm, and "" for all other bodies."""
+    """Return the chains that are compared with bodies: the whole edge as "", and shortened ones by arm.
+
+    The tool and the last link of an arm that holds the edge are compared with the edge without the arc length
+    ``skip_ends`` [m] at that end.
+    """
     chains = {"": _Chain(points, np.zeros(points.shape[:2], dtype=bool))}
     if arms:
         chains[arms[0]] = _clip_end(points, skip_ends, last=False)
@@ -221,7 +239,7 @@ def _edge_chains(arms: tuple[str, ...], points: FloatArray, skip_ends: float) ->
 
 
 def _flanges(model: CellModel) -> dict[str, str]:
-    """Return the last link of each arm."""
+    """Return the name of the last link of each arm."""
     return {arm: f"link_{robot.axes}" for arm, robot in model.robots.items()}
 
 
@@ -232,7 +250,10 @@ def _chain_for(chains: Mapping[str, _Chain], solid: Solid, flanges: Mapping[str,
 
 
 def _clip_end(points: FloatArray, length: float, last: bool) -> _Chain:
-    """Return the chain without an arc length at one end. The point before the cut moves to the cut."""
+    """Return the chain without an arc length [m] at its first or last end.
+
+    Points within that length are skipped, except the one next to the cut, which moves to the cut.
+    """
     chain = points[:, ::-1] if last else points
     steps = np.linalg.norm(np.diff(chain, axis=1), axis=-1)
     arc = np.concatenate([np.zeros((len(chain), 1)), np.cumsum(steps, axis=1)], axis=1)
@@ -240,46 +261,57 @@ def _clip_end(points: FloatArray, length: float, last: bool) -> _Chain:
     clipped = chain.copy()
     row = np.flatnonzero(skip.any(axis=1) & ~skip.all(axis=1))
     at = skip[row].sum(axis=1) - 1
-    part = (length - arc[row, at]) / steps[row, at]
-    clipped[row, at] += part[:, None] * (chain[row, at + 1] - chain[row, at])
+    fraction = (length - arc[row, at]) / steps[row, at]
+    clipped[row, at] += fraction[:, None] * (chain[row, at + 1] - chain[row, at])
     skip[row, at] = False
     return _Chain(clipped[:, ::-1], skip[:, ::-1]) if last else _Chain(clipped, skip)
 
 
 def _update_best(best: FloatArray, nearest_solid: IndexArray, value: FloatArray, k: int) -> None:
+    """Lower the smallest distances (B,) in place where solid ``k`` is closer, and note it as the nearest."""
     closer = value < best
     best[closer], nearest_solid[closer] = value[closer], k
 
 
 def _point_distances(solid: Solid, local: FloatArray, chain: _Chain, best: FloatArray) -> FloatArray:
-    """Return distances (B, P) at the points, infinite if a bounding sphere shows that they cannot matter."""
+    """Return the distances (B, P) [m] of the points of a chain from a solid.
+
+    They are infinite at skipped points, and where the bounding sphere of the solid shows that neither the
+    point nor the pieces next to it are closer than ``best`` (B,) [m].
+
+    Args:
+        solid: The solid.
+        local: Points of the chain in the solid's frame (B, P, 3) [m].
+        chain: The chain.
+        best: Distance that matters in each configuration (B,) [m].
+    """
     # d(p) >= |p - c| - R of the bounding sphere; beyond best + step no piece at p comes closer than best
-    rough = np.linalg.norm(local, axis=-1) - 0.5 * float(np.linalg.norm(bounding_size(solid)))
-    may_matter = ~chain.skip & (rough < (best + chain.steps.max(axis=1, initial=0.0))[:, None])
+    lower = np.linalg.norm(local, axis=-1) - 0.5 * float(np.linalg.norm(bounding_size(solid)))
+    may_matter = ~chain.skip & (lower < (best + chain.steps.max(axis=1, initial=0.0))[:, None])
     value = np.full(local.shape[:2], np.inf)
     value[may_matter] = signed_distance(solid, local[may_matter])
     return value
 
 
 def _min_on_pieces(solid: Solid, start: FloatArray, end: FloatArray) -> FloatArray:
-    """Return the smallest distance (M,) on straight pieces, by golden section.
+    """Return the smallest distance (M,) [m] of straight pieces from a solid, by golden-section search.
 
-    Pieces lead from ``start`` to ``end`` (M, 3).
+    Pieces lead from ``start`` to ``end``, (M, 3) each, in the solid's frame.
     """
     low, high = np.zeros(len(start)), np.ones(len(start))
 
     def distance_at(t: FloatArray) -> FloatArray:
         return signed_distance(solid, start + t[:, None] * (end - start))
 
-    inner, outer = high - GOLDEN_FRACTION * (high - low), low + GOLDEN_FRACTION * (high - low)
+    inner_low, inner_high = high - GOLDEN_FRACTION * (high - low), low + GOLDEN_FRACTION * (high - low)
     # the distance is convex along a piece, so the minimum is on the side of the smaller inner value
-    left, right = distance_at(inner), distance_at(outer)
+    low_value, high_value = distance_at(inner_low), distance_at(inner_high)
     for _ in range(GOLDEN_STEPS):
-        down = left < right
-        low, high = np.where(down, low, inner), np.where(down, outer, high)
-        inner, outer = high - GOLDEN_FRACTION * (high - low), low + GOLDEN_FRACTION * (high - low)
-        left, right = distance_at(inner), distance_at(outer)
-    return np.minimum(left, right)
+        keep_low = low_value < high_value
+        low, high = np.where(keep_low, low, inner_low), np.where(keep_low, inner_high, high)
+        inner_low, inner_high = high - GOLDEN_FRACTION * (high - low), low + GOLDEN_FRACTION * (high - low)
+        low_value, high_value = distance_at(inner_low), distance_at(inner_high)
+    return np.minimum(low_value, high_value)
 
 
 __all__ = [
@@ -297,11 +329,12 @@ __all__ = [
 ]
 
 Pairs = frozenset[frozenset[str]]
+"""Pairs of bodies, each as a set of two names."""
 
 NUDGE_ANGLE: Final = 1e-6
-"""Maximum motion of a joint [rad] if Drake's solver fails for a configuration."""
+"""Maximum change of a joint [rad] with which a query is repeated if Drake's solver fails."""
 NUDGE_TRIALS: Final = 8
-"""Number of such trials, each with a larger motion than the previous one."""
+"""Number of trials of a query, each with a larger change of the joints than the previous one."""
 
 CONFIGURATIONS_AT_ONCE: Final = 1024
 """Number of configurations whose bounds are computed in one batch, to limit memory."""
@@ -346,7 +379,7 @@ def stays_free(
         q: Joints by arm (B, J) [rad].
         change: Change of the joints in both directions, by arm (B, 6) [rad]. Other arms do not move.
         padding: Required distance [m].
-        levers: Result of :func:`solid_levers` for the model: largest path of a point per angle of a joint.
+        levers: Result of :func:`solid_levers` for the model.
         ignore: Pairs of bodies that are not checked.
     """
     rows = model.stack_rows(q)
@@ -363,16 +396,17 @@ def stays_free(
 
 
 def unmoved_pairs(model: CellModel, arms: Sequence[str]) -> Pairs:
-    """Return the pairs of bodies that none of the arms moves."""
+    """Return the pairs of bodies of which none of the given arms moves either body."""
     unmoved = {s.body for s in model.solids if not any(model.joints_of(arm, s.body) for arm in arms)}
     return frozenset(map(frozenset, itertools.combinations(sorted(unmoved), 2)))
 
 
 def solid_levers(model: CellModel) -> FloatArray:
-    """Return the largest path (S, nq) [m/rad] of any point of each solid per joint, in all postures.
+    """Return bounds (S, nq) [m/rad] of the displacement of any point of each solid per change of each joint.
 
-    It is the distance from the joint's axis along the links, then to the solid's farthest corner. For the
-    last joint that moves the solid it is the distance of that corner from the joint's axis.
+    They hold in all postures. A bound is the distance from the joint along the links to the last joint that
+    moves the solid, plus the distance from there to the solid's farthest corner. For that last joint it is
+    the distance of the farthest corner from the joint's axis.
     """
     out = np.zeros((len(model.bounds.all_solids), model.home.size))
     model = model.at_rows(0)
@@ -389,13 +423,14 @@ def solid_levers(model: CellModel) -> FloatArray:
                 points = transform(placed[solid.body][0] @ solid.shape.pose, bounding_corners(solid))
                 points -= origin[count - 1]
                 # lever of joint j < n, the last: sum of |o_(k+1) - o_k|, k = j to n - 1, plus max |p - o_n|
-                along = np.cumsum(links[: count - 1][::-1])[::-1]
-                out[k, first : first + count - 1] = along + lengths(points).max()
+                along_links = np.cumsum(links[: count - 1][::-1])[::-1]
+                out[k, first : first + count - 1] = along_links + lengths(points).max()
                 out[k, first + count - 1] = lengths(np.cross(axes[count - 1], points)).max()
     return out
 
 
 def _by_arm(model: CellModel, rows: FloatArray) -> dict[str, FloatArray]:
+    """Return the joints (B, J) of each arm from configurations (B, nq)."""
     return model.split_by_arm(rows)
 
 
@@ -419,7 +454,7 @@ def distance_lower_bound(
 
 
 def _batches(count: int) -> Iterator[IndexArray]:
-    """Yield rows of ``count`` in batches."""
+    """Yield the indices from 0 to ``count`` - 1 in batches of :data:`CONFIGURATIONS_AT_ONCE`."""
     for start in range(0, count, CONFIGURATIONS_AT_ONCE):
         yield np.arange(start, min(start + CONFIGURATIONS_AT_ONCE, count))
 
@@ -427,20 +462,22 @@ def _batches(count: int) -> Iterator[IndexArray]:
 def _measure_nearest(
     model: CellModel, rows: FloatArray, reach: float, ignore: Pairs
 ) -> tuple[FloatArray, list[tuple[str, str]], BoolArray]:
-    """Return the smallest distances (B,) [m] of finite configurations (B, nq), at most ``reach``.
+    """Measure the smallest distances of finite configurations (B, nq) [rad].
 
-    Also returns the pairs of bodies, and where solids overlap so that only the sign is known (B,).
+    Returns:
+        Distances (B,) [m], at most ``reach``; the pairs of bodies, or empty names; and whether (B,) the
+        solids overlap, so that only the sign of the distance is valid.
     """
     bounds = model.bounds.without_bodies(ignore)
-    distance, deep = np.empty(len(rows)), np.empty(len(rows), dtype=np.bool_)
+    distance, is_overlap = np.empty(len(rows)), np.empty(len(rows), dtype=np.bool_)
     pairs: list[tuple[str, str]] = []
-    for part in _batches(len(rows)):
-        poses = model.at_rows(part).poses(_by_arm(model, rows[part]))
-        distance[part], solids, deep[part] = bounds.measure_nearest(poses, reach)
-        for first_solid, other in solids.tolist():
-            first, second = sorted((bounds.all_solids[first_solid].body, bounds.all_solids[other].body))
-            pairs.append((first, second) if first_solid >= 0 else ("", ""))
-    return distance, pairs, deep
+    for batch in _batches(len(rows)):
+        poses = model.at_rows(batch).poses(_by_arm(model, rows[batch]))
+        distance[batch], solids, is_overlap[batch] = bounds.measure_nearest(poses, reach)
+        for a, b in solids.tolist():
+            first_body, second_body = sorted((bounds.all_solids[a].body, bounds.all_solids[b].body))
+            pairs.append((first_body, second_body) if a >= 0 else ("", ""))
+    return distance, pairs, is_overlap
 
 
 def min_clearance(
@@ -461,17 +498,19 @@ def min_clearance(
     distance = np.where(finite, reach, np.nan)
     pairs = [("", "")] * len(rows)
     finite_rows = np.flatnonzero(finite)
-    distance[finite_rows], found_pairs, is_overlap = _measure_nearest(
+    distance[finite_rows], finite_pairs, is_overlap = _measure_nearest(
         model.at_rows(finite_rows), rows[finite_rows], reach, ignore
     )
-    for i, pair in zip(finite_rows, found_pairs, strict=True):
+    for i, pair in zip(finite_rows, finite_pairs, strict=True):
         pairs[i] = pair
     # Drake computes how deep solids overlap
-    inside = finite_rows[is_overlap]
-    if not len(inside):  # filtering pairs in Drake's checker and restoring them is the most expensive step
+    overlapping = finite_rows[is_overlap]
+    if not len(overlapping):  # filtering pairs in Drake's checker and restoring them takes longest
         return MinClearance(distance, tuple(pairs))
-    drake = drake_min_clearance(model.at_rows(inside), _by_arm(model, rows[inside]), model.easing.by, ignore)
-    for i, depth, pair in zip(inside, drake.distance, drake.pair, strict=True):
+    drake = drake_min_clearance(
+        model.at_rows(overlapping), _by_arm(model, rows[overlapping]), model.easing.by, ignore
+    )
+    for i, depth, pair in zip(overlapping, drake.distance, drake.pair, strict=True):
         if depth < distance[i] and any(pair):
             distance[i], pairs[i] = depth, pair
     return MinClearance(distance, tuple(pairs))
@@ -480,7 +519,7 @@ def min_clearance(
 def drake_min_clearance(
     model: CellModel, q: Mapping[str, FloatArray], reach: float = 0.1, ignore: Pairs = frozenset()
 ) -> MinClearance:
-    """Return the result of :func:`min_clearance` by Drake, as a second opinion.
+    """Compute the result of :func:`min_clearance` by Drake, independently of :class:`ClearanceBounds`.
 
     Drake uses libccd, whose distances of round solids may be too large by millimetres, and are never too
     small.
@@ -499,8 +538,8 @@ def drake_min_clearance(
         for i in finite_rows.tolist():
             row_model = model.at_rows(i)
             result = _query_robustly(functools.partial(_clearance, row_model, reach), rows[i])
-            each = zip(result.distances(), result.robot_indices(), result.other_indices(), strict=True)
-            candidates = [(float(d), _names(model, int(a), int(b))) for d, a, b in each]
+            results = zip(result.distances(), result.robot_indices(), result.other_indices(), strict=True)
+            candidates = [(float(d), _names(model, int(a), int(b))) for d, a, b in results]
             candidates = [
                 candidate
                 for candidate in candidates
@@ -519,14 +558,17 @@ def drake_min_clearance(
 def _partial_pair_distances(
     model: CellModel, ignore: Pairs, row: FloatArray
 ) -> list[tuple[float, tuple[str, str]]]:
-    """Return distances [m] by Drake of bodies of which only some solids are checked, with the bodies."""
+    """Return Drake's distances [m] of pairs of bodies of which only some solids are checked, with the names.
+
+    ``row`` (nq,) is the configuration.
+    """
     query = model.plant.get_geometry_query_input_port().Eval(model.checker.UpdatePositions(row))
     out = []
     for bodies, solids in model.partially_checked.items():
         first, second = sorted(bodies)
         for pair in solids if bodies not in ignore else ():
-            first_geometry, other = (model.geometry(solid) for solid in pair)
-            gap = query.ComputeSignedDistancePairClosestPoints(first_geometry, other).distance
+            first_geometry, second_geometry = (model.geometry(solid) for solid in pair)
+            gap = query.ComputeSignedDistancePairClosestPoints(first_geometry, second_geometry).distance
             out.append((float(gap), (first, second)))
     return out
 
@@ -568,7 +610,7 @@ class DistanceGradients:
 def distance_gradients_at(
     model: CellModel, rows: FloatArray, reach: float, ignore: Pairs = frozenset()
 ) -> list[DistanceGradients]:
-    """Return distances within a reach, with gradients, for configurations and each pair of solids.
+    """Return for each configuration the distances within a reach of all pairs of solids, with gradients.
 
     The gradient of a distance along the line n is n.(v - w), with the velocities v, w that a joint gives to
     both bodies at any point of the line. If solids overlap, depth and gradient are Drake's.
@@ -587,6 +629,7 @@ def distance_gradients_at(
 def _gradients(
     model: CellModel, rows: FloatArray, reach: float, bounds: ClearanceBounds
 ) -> Iterator[DistanceGradients]:
+    """Yield the result of :func:`distance_gradients_at` for each configuration (B, nq) of one batch."""
     q = _by_arm(model, rows)
     row, solids, gap, direction, point = bounds.measure_all(model.poses(q), reach)
     index = {name: int(model.body(name).index()) for name in dict.fromkeys(s.body for s in bounds.all_solids)}
@@ -651,16 +694,26 @@ def _write_drake_results(
     gap: FloatArray,
     slope: FloatArray,
 ) -> None:
-    """Write Drake's results for overlapping pairs of bodies (K, 2) into entries (K,)."""
-    result = _query_robustly(
-        functools.partial(_clearance, model, 0.0), row
-    )  # includes pairs that are not requested
-    each = zip(
+    """Replace distances and gradients of overlapping pairs of bodies by those of Drake, in place.
+
+    Args:
+        model: The cell in one configuration.
+        row: The configuration (nq,) [rad].
+        bodies: Pairs of Drake's body indices (K, 2).
+        entries: Indices (K,) in ``gap`` and ``slope`` of these pairs.
+        gap: Distances (M,) [m].
+        slope: Gradients (M, nq) [m/rad].
+    """
+    # Drake's result includes pairs that are not requested. Of several for a pair the deepest is kept.
+    result = _query_robustly(functools.partial(_clearance, model, 0.0), row)
+    results = zip(
         result.robot_indices(), result.other_indices(), result.distances(), result.jacobians(), strict=True
     )
-    deepest = sorted(((float(d), (int(a), int(b)), j) for a, b, d, j in each), key=lambda item: -item[0])
-    whole = (item for item in deepest if frozenset(_names(model, *item[1])) not in model.partially_checked)
-    drake_results = {frozenset(pair): (d, j) for d, pair, j in whole}
+    by_depth = sorted(((float(d), (int(a), int(b)), j) for a, b, d, j in results), key=lambda item: -item[0])
+    fully_checked = (
+        item for item in by_depth if frozenset(_names(model, *item[1])) not in model.partially_checked
+    )
+    drake_results = {frozenset(pair): (d, j) for d, pair, j in fully_checked}
     for entry, pair in zip(entries, bodies.tolist(), strict=True):
         ease = model.easing.added_distance(*_names(model, *pair))
         depth, gradient = drake_results.get(frozenset(pair), (gap[entry] - ease, slope[entry]))
@@ -683,15 +736,18 @@ def find_overlaps(model: CellModel, tolerance: float = 1e-3) -> tuple[tuple[str,
     for a, b in _standing_pairs(model):
         depth = 0.0
         for first_geometry in model.plant.GetCollisionGeometriesForBody(model.body(a)):
-            for other in model.plant.GetCollisionGeometriesForBody(model.body(b)):
-                depth = max(depth, _overlap_depth(query, first_geometry, other))
+            for second_geometry in model.plant.GetCollisionGeometriesForBody(model.body(b)):
+                depth = max(depth, _overlap_depth(query, first_geometry, second_geometry))
         if depth > tolerance:
             out.append((a, b, depth))
     return tuple(out)
 
 
 def _overlap_depth(query: Any, first: Any, other: Any) -> float:
-    """Return the depth [m] of two shapes in each other, negative if they are apart."""
+    """Return the depth [m] by which two geometries of Drake overlap, negative if they are apart.
+
+    It is 0 if Drake fails because they only touch.
+    """
     try:
         return -float(query.ComputeSignedDistancePairClosestPoints(first, other).distance)
     except (RuntimeError, SystemExit) as error:
@@ -701,6 +757,7 @@ def _overlap_depth(query: Any, first: Any, other: Any) -> float:
 
 
 def _standing_pairs(model: CellModel) -> list[tuple[str, str]]:
+    """Return the pairs of fixed bodies that :func:`find_overlaps` checks."""
     bases = [f"{arm}/base_link" for arm in model.arms]
     obstacles = [obstacle.name for obstacle in model.cell.obstacles]
     pairs = [("stock", other) for other in [*bases, *obstacles]] if model.stock.held_by is None else []
@@ -712,13 +769,14 @@ def _standing_pairs(model: CellModel) -> list[tuple[str, str]]:
 
 
 def _clearance(model: CellModel, reach: float, row: FloatArray) -> Any:
+    """Return Drake's distances within a reach [m] at one configuration (nq,)."""
     return model.checker.CalcRobotClearance(row, reach)
 
 
 def _query_robustly(query: Callable[[FloatArray], Any], row: FloatArray) -> Any:
-    """Return Drake's result for a configuration (nq,), or for one within `NUDGE_ANGLE` of it.
+    """Return the result of a query for a configuration (nq,), or for one within :data:`NUDGE_ANGLE` of it.
 
-    Its solver for two boxes fails with a ``RuntimeError`` if faces or edges lie exactly in one plane.
+    Drake's solver for two boxes fails with a ``RuntimeError`` if faces or edges lie exactly in one plane.
     """
     for trial in range(NUDGE_TRIALS):
         try:

@@ -18,7 +18,7 @@ from planner.geometry.arrays import FloatArray
 
 @dataclasses.dataclass(frozen=True)
 class PointLoad:
-    """A force on the hand, in the frame of the arm's base.
+    """A force on the flange, the tool or what they carry, in the frame of the arm's base.
 
     Attributes:
         point: Point of application (..., 3) [m].
@@ -56,7 +56,7 @@ def tcp_compliance(
 def joint_deflection(
     robot: RobotData, stiffness: JointStiffness, q: FloatArray, loads: tuple[PointLoad, ...]
 ) -> FloatArray:
-    """Return the deflection (..., 6) [rad] of the joints under loads, beyond their drives.
+    """Return the deflection (..., 6) [rad] of the joints under loads, beyond the positions of their drives.
 
     Args:
         robot: Robot data.
@@ -75,5 +75,5 @@ def joint_deflection(
 
 
 def drive_to_serial(robot: RobotData) -> FloatArray:
-    """Return the matrix (J, J) from the controller's angles to serial angles."""
+    """Return the matrix (J, J) that maps the angles of the controller's axes to serial angles."""
     return np.asarray(robot.from_controller(np.eye(robot.axes)).T)

@@ -26,18 +26,22 @@ MAX_GJK_STEPS: Final = 200
 OVERLAP_TOLERANCE_M: Final = 1e-9
 """Cores closer than this [m] overlap."""
 _EDGES: Final = np.array(list(itertools.combinations(range(4), 2)))
+"""Corners (6, 2) of the edges of a tetrahedron."""
 _TRIANGLES: Final = np.array(list(itertools.combinations(range(4), 3)))
+"""Corners (4, 3) of the faces of a tetrahedron."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Cores:
     """Cores of S solids in their shapes' frames.
 
+    A core is a mesh, or the sum of a box and a disc. The solid is the core enlarged by a ball.
+
     Attributes:
-        half: Half sizes (S, 3) [m].
-        disc: Radius of a disc across z (S,) [m].
-        rounding: Rounding (S,) [m].
-        mesh: Corners of meshes (S, V, 3) [m].
+        half: Half sizes of the box (S, 3) [m], 0 for a mesh.
+        disc: Radius of the disc across z (S,) [m], 0 unless the solid is a cylinder.
+        rounding: Radius of the ball (S,) [m], 0 unless the solid is a sphere or capsule.
+        mesh: Corners of meshes (S, V, 3) [m]. A mesh with fewer corners repeats its first one.
         is_mesh: Whether the core is a mesh (S,).
         is_segment: Whether the core is a point or segment (S,). Segments and boxes have closed forms.
         is_box: Whether the core is a box (S,).
@@ -98,10 +102,11 @@ def measure_distances(
     other_pose: FloatArray,
     threshold: float | FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the distances of pairs of solids and the lines that they lie on.
+    """Measure the distances of pairs of solids and the lines along which they are measured.
 
-    Distances are at most :data:`DISTANCE_TOLERANCE_M` below the truth and never above it. If roundings
-    overlap, the distance is minus the depth. If cores overlap, it is a bound of that without a direction.
+    Distances are at most :data:`DISTANCE_TOLERANCE_M` below the truth and never above it. If solids overlap
+    but their cores do not, the distance is minus the depth. If the cores overlap, the distance only bounds
+    that value from above, and the direction is 0.
 
     Args:
         cores: Cores of all solids.
@@ -109,14 +114,14 @@ def measure_distances(
         second: Indices of the second solids (M,).
         pose: Poses of the first solids (M, 4, 4).
         other_pose: Poses of the second solids (M, 4, 4).
-        threshold: Threshold [m], one or (M,). If given, a lower bound above it, or any value below it, is
-            sufficient.
+        threshold: Threshold [m], one or (M,). If given, the caller only needs to know whether a distance is
+            above it, so any value on the right side is sufficient.
 
     Returns:
         Distances (M,) [m], unit vectors from the second to the first (M, 3), and points on these lines (M, 3)
         [m].
     """
-    enough = None if threshold is None else np.broadcast_to(np.asarray(threshold), first.shape)
+    thresholds = None if threshold is None else np.broadcast_to(np.asarray(threshold), first.shape)
     gap, direction, point = np.empty(len(first)), np.zeros((len(first), 3)), np.zeros((len(first), 3))
     segments = cores.is_segment[first] & cores.is_segment[second]
     boxed = cores.is_box[first] & cores.is_segment[second] | cores.is_segment[first] & cores.is_box[second]
@@ -127,14 +132,15 @@ def measure_distances(
     ):
         rows = np.flatnonzero(selected)
         if len(rows):
-            thresholds = None if enough is None else enough[rows]
+            kernel_thresholds = None if thresholds is None else thresholds[rows]
             gap[rows], direction[rows], point[rows] = kernel(
-                cores, first[rows], second[rows], pose[rows], other_pose[rows], thresholds
+                cores, first[rows], second[rows], pose[rows], other_pose[rows], kernel_thresholds
             )
     return gap - cores.rounding[first] - cores.rounding[second], direction, point
 
 
 _DistanceLines = tuple[FloatArray, FloatArray, FloatArray]
+"""Distances (M,) of cores, directions (M, 3) from the second to the first, and points (M, 3) of the lines."""
 
 
 def _segment_distances(
@@ -145,6 +151,7 @@ def _segment_distances(
     other_pose: FloatArray,
     threshold: FloatArray | None,
 ) -> _DistanceLines:
+    """Measure the distances of cores that are points or segments along the z of their frames."""
     del threshold  # closed forms need no search
     along = pose[:, :3, 2]
     half = cores.half[first, 2], cores.half[second, 2]
@@ -173,8 +180,8 @@ def segment_vectors(
     # s = c t - u.w, for a given s at t = c s + v.w. Candidates with s or t at its end cover all cases.
     cosine, ca, cb = dots(along, across), dots(along, w), dots(across, w)
     sine2 = 1.0 - cosine * cosine
-    level = sine2 < 1e-12
-    inner = np.clip(np.where(level, -ca, (cosine * cb - ca) / np.where(level, 1.0, sine2)), -a, a)
+    is_parallel = sine2 < 1e-12
+    inner = np.clip(np.where(is_parallel, -ca, (cosine * cb - ca) / np.where(is_parallel, 1.0, sine2)), -a, a)
     # for nearly parallel segments the formula cancels out; then the ends are as close as any point
     s = np.stack([inner, a, -a, np.clip(cosine * b - ca, -a, a), np.clip(-cosine * b - ca, -a, a)])
     t = np.clip(cosine * s + cb, -b, b)
@@ -193,26 +200,29 @@ def _segment_box_distances(
     other_pose: FloatArray,
     threshold: FloatArray | None,
 ) -> _DistanceLines:
+    """Measure the distances of a segment and a box, in either order, in the frame of the box."""
     del threshold  # closed forms need no search
-    swap = cores.is_box[first]
-    segment, box = np.where(swap, second, first), np.where(swap, first, second)
-    line, frame = (np.where(swap[:, None, None], x, y) for x, y in ((other_pose, pose), (pose, other_pose)))
-    turn = frame[:, :3, :3]
-    start = np.einsum("mc,mcd->md", line[:, :3, 3] - frame[:, :3, 3], turn)
-    along = np.einsum("mc,mcd->md", line[:, :3, 2], turn)
+    is_box_first = cores.is_box[first]
+    segment, box = np.where(is_box_first, second, first), np.where(is_box_first, first, second)
+    segment_pose, box_pose = (
+        np.where(is_box_first[:, None, None], x, y) for x, y in ((other_pose, pose), (pose, other_pose))
+    )
+    box_axes = box_pose[:, :3, :3]
+    middle = np.einsum("mc,mcd->md", segment_pose[:, :3, 3] - box_pose[:, :3, 3], box_axes)
+    along = np.einsum("mc,mcd->md", segment_pose[:, :3, 2], box_axes)
     half = cores.half[box]
-    best = nearest_position_to_box(start, along, cores.half[segment, 2], half)
-    point = start + best[:, None] * along
+    position = nearest_position_to_box(middle, along, cores.half[segment, 2], half)
+    point = middle + position[:, None] * along
     ray = np.sign(point) * np.maximum(np.abs(point) - half, 0.0)
-    gap, direction = _normalise(np.einsum("md,mcd->mc", ray, turn))
-    world = line[:, :3, 3] + best[:, None] * line[:, :3, 2]
-    return gap, np.where(swap[:, None], -direction, direction), world
+    gap, direction = _normalise(np.einsum("md,mcd->mc", ray, box_axes))
+    world_point = segment_pose[:, :3, 3] + position[:, None] * segment_pose[:, :3, 2]
+    return gap, np.where(is_box_first[:, None], -direction, direction), world_point
 
 
 def nearest_position_to_box(
     start: FloatArray, along: FloatArray, reach: FloatArray, half: FloatArray
 ) -> FloatArray:
-    """Return the positions (M,) on segments that are nearest to boxes about the origin.
+    """Return the positions (M,) [m] on segments, from their middles, nearest to boxes about the origin.
 
     Args:
         start: Middles of the segments (M, 3) [m].
@@ -239,6 +249,7 @@ def nearest_position_to_box(
 
 
 def _normalise(ray: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the lengths (M,) of vectors (M, 3) and their unit vectors, 0 if the cores overlap."""
     length = lengths(ray)
     return length, ray / np.where(length > OVERLAP_TOLERANCE_M, length, np.inf)[:, None]
 
@@ -251,14 +262,17 @@ def _gjk_distances(
     other_pose: FloatArray,
     threshold: FloatArray | None,
 ) -> _DistanceLines:
-    """Return lower bounds of the distance of cores, directions and points; 0 if they overlap."""
+    """Measure the distances of cores by GJK: lower bounds with directions and points, 0 if they overlap."""
     count = len(first)
     gap, direction, point = np.zeros(count), np.zeros((count, 3)), pose[:, :3, 3].copy()
     active = np.arange(count)
-    enough = (0.0 if threshold is None else threshold) + cores.rounding[first] + cores.rounding[second]
+    core_threshold = (
+        (0.0 if threshold is None else threshold) + cores.rounding[first] + cores.rounding[second]
+    )
     nearest = pose[:, :3, 3] - other_pose[:, :3, 3]
     nearest[lengths(nearest) < OVERLAP_TOLERANCE_M] = [1.0, 0.0, 0.0]
-    corner, own_corner = np.zeros((count, 4, 3)), np.zeros((count, 4, 3))
+    # corners of the simplex in the difference of the cores, and their points on the first core
+    corner, first_corner = np.zeros((count, 4, 3)), np.zeros((count, 4, 3))
     used = np.zeros((count, 4), dtype=np.bool_)
     for _ in range(MAX_GJK_STEPS):
         # lower bound v.w / |v|, with w the support of the difference of the cores against v
@@ -272,17 +286,19 @@ def _gjk_distances(
         started = used[active].any(axis=1)
         continues = ~(started & (norm - gap[active] < DISTANCE_TOLERANCE_M))
         if threshold is not None:
-            continues &= ~(started & (norm <= enough[active])) & (gap[active] <= enough[active])
+            continues &= ~(started & (norm <= core_threshold[active])) & (
+                gap[active] <= core_threshold[active]
+            )
         active, support, first_support = active[continues], support[continues], first_support[continues]
         if not len(active):
             break
         # add w to the simplex, and reduce it to the corners around its point nearest to the origin
         free = used[active].argmin(axis=1)
-        corner[active, free], own_corner[active, free] = support, first_support
+        corner[active, free], first_corner[active, free] = support, first_support
         used[active, free] = True
         nearest_point, weights, inside = _nearest_on_simplex(corner[active], used[active])
         nearest[active], used[active] = nearest_point, weights > 0.0
-        point[active] = np.einsum("mk,mkc->mc", weights, own_corner[active])
+        point[active] = np.einsum("mk,mkc->mc", weights, first_corner[active])
         gap[active[inside]] = 0.0
         direction[active[inside]] = 0.0
         active = active[~inside & (lengths(nearest_point) > OVERLAP_TOLERANCE_M)]
@@ -290,14 +306,17 @@ def _gjk_distances(
 
 
 def _support(cores: Cores, which: IndexArray, pose: FloatArray, direction: FloatArray) -> FloatArray:
+    """Return the farthest points (M, 3) along directions (M, 3) of placed cores ``which`` (M,)."""
     local = np.einsum("mc,mcd->md", direction, pose[:, :3, :3])
     return np.asarray(np.einsum("mcd,md->mc", pose[:, :3, :3], cores.support(which, local)) + pose[:, :3, 3])
 
 
 def _nearest_on_simplex(corner: FloatArray, used: BoolArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return the points (M, 3) of simplices (M, 4, 3) nearest to the origin.
+    """Find the points of simplices nearest to the origin.
 
-    Only corners that are ``used`` (M, 4) count.
+    Args:
+        corner: Corners of the simplices (M, 4, 3).
+        used: Whether a corner belongs to its simplex (M, 4).
 
     Returns:
         Points (M, 3), barycentric weights of the corners (M, 4), and whether the origin is inside (M,).
@@ -314,11 +333,12 @@ def _nearest_on_simplex(corner: FloatArray, used: BoolArray) -> tuple[FloatArray
     edge = b - a
     square = np.einsum("mkc,mkc->mk", edge, edge)
     t = -np.einsum("mkc,mkc->mk", a, edge) / np.where(square > 0.0, square, 1.0)
-    edge_good = used[:, _EDGES].all(axis=2) & (t > 0.0) & (t < 1.0) & (square > 0.0)
+    edge_valid = used[:, _EDGES].all(axis=2) & (t > 0.0) & (t < 1.0) & (square > 0.0)
     on_edge = a + t[..., None] * edge
     if max_corners < 3:  # second step: edges
-        points, good = np.concatenate([corner, on_edge], axis=1), np.concatenate([used, edge_good], axis=1)
-        best = np.where(good, np.einsum("mkc,mkc->mk", points, points), np.inf).argmin(axis=1)
+        points = np.concatenate([corner, on_edge], axis=1)
+        valid = np.concatenate([used, edge_valid], axis=1)
+        best = np.where(valid, np.einsum("mkc,mkc->mk", points, points), np.inf).argmin(axis=1)
         _write_edge_weights(weights, best, t)
         return points[np.arange(count), best], weights, np.zeros(count, dtype=np.bool_)
 
@@ -328,18 +348,19 @@ def _nearest_on_simplex(corner: FloatArray, used: BoolArray) -> tuple[FloatArray
     opposite = _cross(np.stack([y, z, x]), np.stack([z, x, y]))
     normal = opposite.sum(axis=0)
     area = np.einsum("mkc,mkc->mk", normal, normal)
-    safe = np.where(area > 0.0, area, 1.0)
-    across = np.einsum("nmkc,mkc->nmk", opposite, normal) / safe
-    on_face = normal * (np.einsum("mkc,mkc->mk", x, normal) / safe)[..., None]
-    face_good = used[:, _TRIANGLES].all(axis=2) & (across > 0.0).all(axis=0) & (area > 1e-30)
+    divisor = np.where(area > 0.0, area, 1.0)
+    face_weights = np.einsum("nmkc,mkc->nmk", opposite, normal) / divisor
+    on_face = normal * (np.einsum("mkc,mkc->mk", x, normal) / divisor)[..., None]
+    face_valid = used[:, _TRIANGLES].all(axis=2) & (face_weights > 0.0).all(axis=0) & (area > 1e-30)
 
     points = np.concatenate([corner, on_edge, on_face], axis=1)
-    good = np.concatenate([used, edge_good, face_good], axis=1)
-    best = np.where(good, np.einsum("mkc,mkc->mk", points, points), np.inf).argmin(axis=1)
+    valid = np.concatenate([used, edge_valid, face_valid], axis=1)
+    # of all valid points the nearest: index 0 to 3 is a corner, 4 to 9 on an edge, 10 to 13 on a face
+    best = np.where(valid, np.einsum("mkc,mkc->mk", points, points), np.inf).argmin(axis=1)
     _write_edge_weights(weights, best, t)
     rows = np.flatnonzero(best >= 10)
     which = best[rows] - 10
-    weights[rows[:, None], _TRIANGLES[which]] = across[:, rows, which].T
+    weights[rows[:, None], _TRIANGLES[which]] = face_weights[:, rows, which].T
     # the origin is inside if its volumes with all four faces have one sign
     volumes = np.einsum("mkc,mkc->mk", opposite[2], z) * np.array([1.0, -1.0, 1.0, -1.0])
     inside = used.all(axis=1) & ((volumes > 0.0).all(axis=1) | (volumes < 0.0).all(axis=1))
@@ -347,7 +368,13 @@ def _nearest_on_simplex(corner: FloatArray, used: BoolArray) -> tuple[FloatArray
 
 
 def _write_edge_weights(weights: FloatArray, best: IndexArray, t: FloatArray) -> None:
-    """Write the weights of corners if corners or edges, at ``t`` (M, 6) of them, are ``best`` (M,)."""
+    """Write the weights (M, 4) of corners where the nearest point is a corner or on an edge.
+
+    Args:
+        weights: Barycentric weights (M, 4), changed in place.
+        best: Index of the nearest point (M,): 0 to 3 for corners, 4 to 9 for edges.
+        t: Position of the nearest point on each edge (M, 6), 0 to 1.
+    """
     rows = np.flatnonzero(best < 4)
     weights[rows, best[rows]] = 1.0
     rows = np.flatnonzero((best >= 4) & (best < 10))

@@ -37,18 +37,15 @@ from planner.problem import (
 )
 
 UPRIGHT_TOLERANCE: Final = 1e-12
-"""Axes are upright if the height of their unit vector differs from 1 by less than this."""
+"""Rotary axes are upright if the z component of their unit vector differs from 1 by less than this."""
 MIN_STEP_M: Final = 1e-3
 """Minimum distance between samples [m]."""
 MAX_STANDING_GAP_M: Final = 5e-3
-"""Maximum distance [m] between a base and the body that it stands on at the start of its motion.
-
-The same bound holds for shapes in a bearing.
-"""
+"""Maximum distance [m] between a base and the body that it stands on, and between two shapes in a bearing."""
 MAX_SUPPORT_ABOVE_FOOT_M: Final = 2e-3
-"""Height [m] by which the body that a base stands on may be above its foot.
+"""Height [m] by which the body that a base stands on may be above the lowest point of the base.
 
-Bodies of some bases end 1 mm below it.
+Some bases have shapes that end 1 mm below their foot.
 """
 MIN_PLANE_NORMAL: Final = 1e-3
 """Minimum length of the component of a shape's axis across the motion that defines a separating plane."""
@@ -70,7 +67,7 @@ TURNTABLE_BODIES: Final = ("stock", "support")
 FLOOR: Final = "the floor"
 """Name of the floor, which tilted or lowered bodies may approach and which is not a body of the cell."""
 LEVEL_TOLERANCE: Final = 1e-9
-"""Linear axes are level if the height of their unit vector is below this."""
+"""Linear axes are level if the z component of their unit vector is below this."""
 
 
 class AxisSample(NamedTuple):
@@ -90,11 +87,11 @@ class AxisMotionCheck:
     """Result of checking a motion of an external axis.
 
     Attributes:
-        min_distance: Smallest distance, a bound between samples [m].
-        at: Value of the axis there [m, rad].
-        pair: Bodies between which it is.
+        min_distance: Smallest distance [m] of any two bodies, as a lower bound between samples.
+        at: Value of the axis [m, rad] at which the distance is smallest.
+        pair: The two bodies that are closest there.
         clear: Whether the motion was checked completely and no bodies come closer than required.
-        samples: Samples in order.
+        samples: Checked samples, from the start of the motion.
     """
 
     min_distance: float
@@ -140,7 +137,7 @@ def check_linear_motion(
     min_clearance: float,
     ignore: clearance.Pairs = frozenset(),
 ) -> AxisMotionCheck:
-    """Check the motion of a linear axis. It stops at a distance below ``min_clearance``.
+    """Check the motion of a linear axis. The check ends at a distance below ``min_clearance``.
 
     The base of the arm moves, and all that this axis and those on it carry. The base is not checked against
     shapes on which it stands and slides (:func:`_supporting_shapes`), and carried bodies are not checked
@@ -158,7 +155,7 @@ def check_linear_motion(
     arm, axis = model.cell.linear_axis(name)
     base, foot = model.bases[arm.name], f"{arm.name}/base_link"
     bodies_by_axis = carried_bodies(model.cell, name)
-    bodies = [body for moving in bodies_by_axis.values() for body in moving]
+    bodies = [body for axis_bodies in bodies_by_axis.values() for body in axis_bodies]
     moving = [solid for solid in model.solids if solid.body in (foot, *bodies)]
     fixed_bodies = [f"{other}/base_link" for other in model.arms if other != arm.name]
     fixed_bodies += [body.name for body in model.cell.obstacles if body.name not in bodies]
@@ -176,6 +173,7 @@ def check_linear_motion(
     floor = SupportGround.of(model.cell).floor
 
     def cell_at(value: float) -> CellModel:
+        """Return the cell with the axis at a value [m]."""
         displacement = value - ends[0]
         motion = axis.translate(np.eye(4), displacement)
         moved = model.with_axis_motions(
@@ -188,11 +186,13 @@ def check_linear_motion(
         return moved.with_bases({arm.name: axis.translate(base, displacement)})
 
     def fixed_distances(placed: CellModel) -> dict[tuple[str, str], float]:
+        """Return the distances [m] of what moves to fixed bodies and, if it can move down, to the floor."""
         out = _body_distances(placed, moving, fixed, excluded)
         if abs(axis.axis[2]) < LEVEL_TOLERANCE:
             return out
-        feet = _floor_distances(placed, moving, [foot], floor)  # a base may stand on the floor, but not in it
-        below_floor = {pair: low for pair, low in feet.items() if low < -MAX_SUPPORT_ABOVE_FOOT_M}
+        # a base may stand on the floor, but not in it
+        foot_heights = _floor_distances(placed, moving, [foot], floor)
+        below_floor = {pair: low for pair, low in foot_heights.items() if low < -MAX_SUPPORT_ABOVE_FOOT_M}
         return out | below_floor | _floor_distances(placed, moving, bodies, floor)
 
     motion = _SampledMotion(cell_at, fixed_distances, 1.0, ends, (foot, *bodies))
@@ -209,8 +209,8 @@ def _bearing_bodies(cell: Cell, arm: Arm) -> set[str]:
         name
         for other in cell.arms
         if other.name != arm.name
-        for on in other.linear_axes
-        for name in on.carries
+        for axis in other.linear_axes
+        for name in axis.carries
     }
     return {body.name for body in cell.obstacles} - carried
 
@@ -218,7 +218,14 @@ def _bearing_bodies(cell: Cell, arm: Arm) -> set[str]:
 def _floor_distances(
     placed: CellModel, carried: Sequence[Solid], bodies: Sequence[str], floor: float
 ) -> dict[tuple[str, str], float]:
-    """Return the height [m] above the floor of carried bodies among ``bodies``."""
+    """Return the heights [m] of bodies above the floor, by the pair of body and :data:`FLOOR`.
+
+    Args:
+        placed: The cell at one sample.
+        carried: Solids that move.
+        bodies: Bodies whose height is returned.
+        floor: Height of the floor [m].
+    """
     out: dict[tuple[str, str], float] = {}
     poses = placed.poses({})
     for solid in (candidate for candidate in carried if candidate.body in bodies):
@@ -240,7 +247,7 @@ def check_rotary_motion(
 ) -> AxisMotionCheck:
     """Check the motion of a turntable or of one axis of a positioner.
 
-    It stops at a distance below ``min_clearance``.
+    The check ends at a distance below ``min_clearance``.
 
     The plate is rotationally symmetric about the turn axis, so its rotation brings nothing closer, and the
     distance to what it carries is constant. The tilt axis moves plate and bracket. Shapes of these are not
@@ -263,8 +270,8 @@ def check_rotary_motion(
     if table is None:
         raise ValueError("the cell has no turntable")
     pivot = table.axis_at_tilt(name, tilt)
-    tilts = name == TILT_AXIS
-    moving_bodies = (*TURNTABLE_BODIES, *table.tilted_bodies) if tilts else TURNTABLE_BODIES
+    is_tilt = name == TILT_AXIS
+    moving_bodies = (*TURNTABLE_BODIES, *table.tilted_bodies) if is_tilt else TURNTABLE_BODIES
     moving = [solid for solid in model.solids if solid.body in moving_bodies]
     fixed_bodies = [f"{arm}/base_link" for arm in model.arms]
     fixed_bodies += [
@@ -275,23 +282,26 @@ def check_rotary_motion(
     is_upright = abs(pivot.axis[2]) > 1.0 - UPRIGHT_TOLERANCE
 
     def cell_at(value: float) -> CellModel:
+        """Return the cell with the axis at a value [rad]."""
         motion = pivot.rotate(np.eye(4), value - ends[0])
         moved = model.with_stock(motion @ model.stock_pose)
-        return moved.with_axis_motions({TILT_AXIS: motion @ model.axis_motion(TILT_AXIS)}) if tilts else moved
+        if not is_tilt:
+            return moved
+        return moved.with_axis_motions({TILT_AXIS: motion @ model.axis_motion(TILT_AXIS)})
 
-    bearing = _bearing_shapes(cell_at(0.0), moving, fixed, pivot) if tilts and moving and fixed else None
+    bearing = _bearing_shapes(cell_at(0.0), moving, fixed, pivot) if is_tilt and moving and fixed else None
 
     def fixed_distances(placed: CellModel) -> dict[tuple[str, str], float]:
+        """Return the distances [m] of what moves to fixed bodies and to the floor."""
         out = _body_distances(placed, moving, fixed, bearing)
         # heights above the floor are constant if the axis is upright
         return out if is_upright else out | _floor_distances(placed, moving, moving_bodies, floor)
 
     poses = model.poses({})
     lever = max((max_axis_distance([s.shape], poses[s.body][0], pivot) for s in moving), default=0.0)
-    others = sorted({solid.body for solid in model.solids} - set(moving_bodies))
-    ignored = frozenset(
-        map(frozenset, itertools.combinations(others, 2))
-    )  # the motion does not change their distances
+    # the motion does not change the distances of bodies that it does not move
+    unmoved = sorted({solid.body for solid in model.solids} - set(moving_bodies))
+    ignored = frozenset(map(frozenset, itertools.combinations(unmoved, 2)))
     with_solids = {solid.body for solid in moving}
     carried = tuple(name for name in moving_bodies if name in with_solids)
     return _check_by_samples(
@@ -305,11 +315,15 @@ def model_at_values(model: CellModel, values: Mapping[str, float], current: Mapp
     Args:
         model: Cell with the axes at ``current``.
         values: New values by axis [m, rad].
-        current: Present values by axis [m, rad]. An axis that is in neither stays.
+        current: Values by axis [m, rad] that the axes have in ``model``. An axis that neither mapping names
+            stays.
     """
     cell, table = model.cell, model.cell.turntable
     moved = model.with_axis_motions(
-        {k: goes @ model.axis_motion(k) for k, goes in cell.carried_motions(values, current).items()}
+        {
+            name: motion @ model.axis_motion(name)
+            for name, motion in cell.carried_motions(values, current).items()
+        }
     )
     for arm in cell.arms:
         base = model.bases[arm.name]
@@ -373,12 +387,15 @@ def travel_speeds(problem: Problem, poses: Sequence[FloatArray]) -> dict[str, fl
     table = problem.cell.turntable
     if table is not None:
         mover = problem.cell.arm(table.arm)
-        rows = list(zip(problem.setups, poses, strict=False))
-        if (end := problem.closing_setup) is not None and end.stock.place is not None:
-            rows.append((end, end.stock.place))
+        setups_with_poses = list(zip(problem.setups, poses, strict=False))
+        closing_setup = problem.closing_setup
+        if closing_setup is not None and closing_setup.stock.place is not None:
+            setups_with_poses.append((closing_setup, closing_setup.stock.place))
         table_speeds: dict[str, float] = {}
         for name, axis in table.axes.items():
-            radius = max(carried_radius(setup, np.asarray(pose), table, name) for setup, pose in rows)
+            radius = max(
+                carried_radius(setup, np.asarray(pose), table, name) for setup, pose in setups_with_poses
+            )
             table_speeds[name] = min(axis.speed, MAX_BLIND_SPEED_M_S / radius)
         if mover.data.family == "ABB":  # speeddata has one value for all of them
             table_speeds = dict.fromkeys(table_speeds, min(*table_speeds.values(), MAX_ABB_ROTATION_RAD_S))
@@ -390,6 +407,7 @@ def travel_speeds(problem: Problem, poses: Sequence[FloatArray]) -> dict[str, fl
 
 
 def _whole_percent_speed(speed: float, axis_speed: float, mover: Arm) -> float:
+    """Round a speed down to whole percents of the axis' speed, at least 1 %, if ``mover`` is a KUKA arm."""
     if mover.data.family != "KUKA":
         return speed
     return max(1.0, float(np.floor(100.0 * speed / axis_speed + 1e-9))) / 100.0 * axis_speed
@@ -398,8 +416,9 @@ def _whole_percent_speed(speed: float, axis_speed: float, mover: Arm) -> float:
 def axis_travels(problem: Problem, poses: Sequence[FloatArray]) -> tuple[dict[str, AxisTravel], ...]:
     """Return the motions of external axes before each operation, and home after the last one.
 
-    They are in the order in which they occur, by axis. Axes that do not move have none. Ramps use the axis'
-    own acceleration, if it is stated.
+    Each entry has the motions by axis, in the order in which they occur. Axes that do not move are left out.
+    A motion takes the distance divided by the speed, plus the speed divided by the axis' acceleration. Short
+    motions reach only the speed at which they still can brake.
 
     Args:
         problem: The problem.
@@ -407,7 +426,8 @@ def axis_travels(problem: Problem, poses: Sequence[FloatArray]) -> tuple[dict[st
     """
     if not problem.axis_homes or not problem.operations:
         return ()
-    speeds, current, out = travel_speeds(problem, poses), problem.axis_homes, list[dict[str, AxisTravel]]()
+    speeds, current = travel_speeds(problem, poses), problem.axis_homes
+    out: list[dict[str, AxisTravel]] = []
     arms, table = problem.cell.arms, problem.cell.turntable
     ramps = {name: axis.acceleration for arm in arms for name, axis in arm.axes_by_name.items()}
     ramps |= {} if table is None else {name: axis.acceleration for name, axis in table.axes.items()}
@@ -423,8 +443,8 @@ def axis_travels(problem: Problem, poses: Sequence[FloatArray]) -> tuple[dict[st
             distance = abs(value - current[name])
             if distance > 0.0:
                 ramp = ramps[name]
-                top = min(speeds[name], float(np.sqrt(distance * ramp)))
-                motions[name] = AxisTravel(current[name], value, distance / top + top / ramp)
+                top_speed = min(speeds[name], float(np.sqrt(distance * ramp)))
+                motions[name] = AxisTravel(current[name], value, distance / top_speed + top_speed / ramp)
         out.append(motions)
         current = {
             name: target.get(f"{name}{END_SUFFIX}", target.get(name, current[name])) for name in current
@@ -440,7 +460,7 @@ class _SampledMotion:
         cell_at: Returns the cell at a value of the axis.
         fixed_distances: Returns distances [m] of carried bodies to fixed ones, by pairs of bodies without
             joints.
-        lever: Path of the farthest point for a change of the value by 1 [m, m/rad].
+        lever: Displacement of the farthest point per change of the value [-, m/rad].
         ends: First and last value of the axis [m, rad].
         carried_bodies: Bodies that move.
     """
@@ -458,7 +478,7 @@ def _check_by_samples(
     min_clearance: float,
     ignore: clearance.Pairs = frozenset(),
 ) -> AxisMotionCheck:
-    """Check a motion by samples.
+    """Check a motion by samples whose spacing is the excess of the current distance over the required one.
 
     Args:
         motion: The motion.
@@ -468,35 +488,36 @@ def _check_by_samples(
     """
     (start, end), lever = motion.ends, motion.lever
     rows = {name: np.asarray(joints)[None] for name, joints in q.items()}
-    sense, length = float(np.sign(end - start)), lever * abs(end - start)
-    worst = AxisMotionCheck(MAX_MEASURED_DISTANCE_M, start, ("", ""))
-    travelled, last_gap, step, samples = 0.0, np.inf, 0.0, list[AxisSample]()
+    sign, length = float(np.sign(end - start)), lever * abs(end - start)
+    closest = AxisMotionCheck(MAX_MEASURED_DISTANCE_M, start, ("", ""))
+    travelled, previous_gap, step = 0.0, np.inf, 0.0
+    samples: list[AxisSample] = []
     while True:
-        value = start + sense * (travelled / lever if lever > 0.0 else 0.0)
+        value = start + sign * (travelled / lever if lever > 0.0 else 0.0)
         placed = motion.cell_at(value)
         result = clearance.min_clearance(placed, rows, MAX_MEASURED_DISTANCE_M, ignore)
         gap, pair = float(result.distance[0]), result.pair[0]
-        for bodies, other in motion.fixed_distances(placed).items():
-            if other < gap:
-                gap, pair = other, bodies
+        for bodies, fixed_gap in motion.fixed_distances(placed).items():
+            if fixed_gap < gap:
+                gap, pair = fixed_gap, bodies
         poses = placed.poses({})
         samples.append(AxisSample(value, {name: poses[name][0] for name in motion.carried_bodies}))
         # between two samples the distance is at least (d1 + d2 - step) / 2
-        bound = min(gap, 0.5 * (last_gap + gap - step)) if np.isfinite(last_gap) else gap
-        if bound < worst.min_distance:
-            worst = AxisMotionCheck(bound, value, pair)
+        bound = min(gap, 0.5 * (previous_gap + gap - step)) if np.isfinite(previous_gap) else gap
+        if bound < closest.min_distance:
+            closest = AxisMotionCheck(bound, value, pair)
         if travelled >= length or gap < min_clearance:
-            return dataclasses.replace(worst, clear=gap >= min_clearance, samples=tuple(samples))
+            return dataclasses.replace(closest, clear=gap >= min_clearance, samples=tuple(samples))
         step = min(max(gap - min_clearance, MIN_STEP_M), length - travelled)
-        travelled, last_gap = travelled + step, gap
+        travelled, previous_gap = travelled + step, gap
 
 
 def _body_distances(
     model: CellModel, moving: list[Solid], fixed: list[Solid], excluded: BoolArray | None
 ) -> dict[tuple[str, str], float]:
-    """Return the distances [m] between carried and fixed solids by bodies, at most 0 for overlap.
+    """Return the smallest distances [m] between carried and fixed bodies, by pair of bodies.
 
-    Pairs (R, F) of ``excluded`` do not count.
+    They are at most 0 for bodies that overlap. Pairs of solids in ``excluded`` (R, F) do not count.
     """
     out: dict[tuple[str, str], float] = {}
     if not moving or not fixed:
@@ -517,49 +538,57 @@ def _solid_poses(model: CellModel, solids: Sequence[Solid]) -> FloatArray:
 def _gaps(
     model: CellModel, moving: list[Solid], fixed: list[Solid], shift: FloatArray | None = None
 ) -> FloatArray:
-    """Return the distances (R, F) [m] between solids, at most 0 for overlap.
+    """Return the distances (R, F) [m] between carried and fixed solids, at most 0 if they overlap.
 
-    Carried solids are shifted by (3,) [m] from where ``model`` has them.
+    Carried solids are shifted by ``shift`` (3,) [m] from where ``model`` has them.
     """
-    both = [*moving, *fixed]
-    placed = _solid_poses(model, both)
+    solids = [*moving, *fixed]
+    placed = _solid_poses(model, solids)
     if shift is not None:
         placed[: len(moving), :3, 3] += shift
     first, second = (v.ravel() for v in np.indices((len(moving), len(fixed))))
     second = second + len(moving)
     gaps, _, _ = distance.measure_distances(
-        distance.make_cores(both), first, second, placed[first], placed[second]
+        distance.make_cores(solids), first, second, placed[first], placed[second]
     )
     return gaps.reshape(len(moving), len(fixed))
 
 
-def _extents(kinds: distance.Cores, placed: FloatArray, direction: FloatArray) -> FloatArray:
+def _extents(cores: distance.Cores, placed: FloatArray, direction: FloatArray) -> FloatArray:
     """Return the lower and upper extent (2, S) [m] of solids at poses (S, 4, 4) along a unit vector (3,)."""
     indices, ends = np.arange(len(placed)), []
-    for sense in (-1.0, 1.0):
-        ray = np.broadcast_to(sense * direction, (len(placed), 3))
-        local_tips = kinds.support(indices, np.einsum("sc,scd->sd", ray, placed[:, :3, :3]))
+    for sign in (-1.0, 1.0):
+        ray = np.broadcast_to(sign * direction, (len(placed), 3))
+        local_tips = cores.support(indices, np.einsum("sc,scd->sd", ray, placed[:, :3, :3]))
         tips = np.einsum("scd,sd->sc", placed[:, :3, :3], local_tips) + placed[:, :3, 3]
-        ends.append(tips @ direction + sense * kinds.rounding)
+        ends.append(tips @ direction + sign * cores.rounding)
     return np.stack(ends)
 
 
 def _supporting_shapes(
     model: CellModel, base_solids: list[Solid], fixed: list[Solid], upright: FloatArray, direction: FloatArray
 ) -> BoolArray:
-    """Return on which fixed shapes (F,) a base stands and slides, where ``model`` has it.
+    """Return whether (F,) a base stands and slides on each fixed shape.
 
-    These are shapes of obstacles that end below the foot of the base: below a plane along the motion, so that
-    the base comes no closer to them. At least one shape of the obstacle is closer to the base than
-    :data:`MAX_STANDING_GAP_M`. Shapes that are higher by more than :data:`MAX_SUPPORT_ABOVE_FOOT_M` are
-    checked: a box on a rail, and a mesh, whose hull contains both.
+    These are shapes of obstacles that end below the foot of the base, so that the base comes no closer to
+    them while it moves. At least one shape of the obstacle is closer to the base than
+    :data:`MAX_STANDING_GAP_M`. Shapes that are higher than the foot by more than
+    :data:`MAX_SUPPORT_ABOVE_FOOT_M` do not count, such as a box on a rail, or a mesh, whose hull contains
+    both.
+
+    Args:
+        model: Cell with the base at the start of the motion.
+        base_solids: Solids of the base.
+        fixed: Fixed solids.
+        upright: Unit vector (3,) of the base's z axis in the world.
+        direction: Unit vector (3,) of the motion.
     """
     up = upright - (upright @ direction) * direction
     length = float(np.linalg.norm(up))
     if not base_solids or not fixed or length < MIN_UPRIGHT_COMPONENT:
         return np.zeros(len(fixed), bool)
-    both = [*base_solids, *fixed]
-    low, high = _extents(distance.make_cores(both), _solid_poses(model, both), up / length)
+    solids = [*base_solids, *fixed]
+    low, high = _extents(distance.make_cores(solids), _solid_poses(model, solids), up / length)
     is_below = high[len(base_solids) :] < low[: len(base_solids)].min() + MAX_SUPPORT_ABOVE_FOOT_M
     is_close = _gaps(model, base_solids, fixed).min(axis=0) < MAX_STANDING_GAP_M
     bodies = {fixed[j].body for j in np.flatnonzero(is_below & is_close)}
@@ -570,19 +599,27 @@ def _supporting_shapes(
 def _sliding_shapes(
     model: CellModel, moving: list[Solid], fixed: list[Solid], axis: LinearAxis, value: float
 ) -> BoolArray:
-    """Return along which fixed shapes carried ones slide (R, F), at a value [m] of the axis.
+    """Return whether (R, F) each carried shape slides along each fixed shape.
 
-    ``model`` has the carried solids at this value. Such shapes are less than :data:`MAX_STANDING_GAP_M` apart
-    over the whole range of the axis, and a plane along the motion separates them. Both shapes are convex, so
-    what is that close at both ends of the range is so in between. Planes are tried normal to the axes of both
-    shapes, and between the motion and these. Boxes that overlap are checked, as is what obstructs the motion,
-    such as an end stop, and what the axis leaves behind, such as a post next to the path.
+    Such shapes are less than :data:`MAX_STANDING_GAP_M` apart over the whole range of the axis, and a plane
+    along the motion separates them. Both shapes are convex, so shapes that are that close at both ends of the
+    range are so in between. Planes are tried whose normals are the axes of both shapes, without their
+    component along the motion, and the cross products of the motion with these axes. Boxes that overlap do
+    not count, and neither do shapes that obstruct the motion, such as an end stop, or that the motion leaves
+    behind, such as a post next to the path.
+
+    Args:
+        model: Cell with the carried solids at ``value``.
+        moving: Carried solids.
+        fixed: Fixed solids.
+        axis: The axis.
+        value: Value [m] of the axis.
     """
     out = np.zeros((len(moving), len(fixed)), bool)
     if not moving or not fixed:
         return out
-    both, direction = [*moving, *fixed], axis.axis
-    kinds, placed = distance.make_cores(both), _solid_poses(model, both)
+    solids, direction = [*moving, *fixed], axis.axis
+    cores, placed = distance.make_cores(solids), _solid_poses(model, solids)
     is_close = np.ones_like(out)
     for end in (axis.low, axis.high):
         is_close &= _gaps(model, moving, fixed, (end - value) * direction) < MAX_STANDING_GAP_M
@@ -592,14 +629,14 @@ def _sliding_shapes(
         for normal in (*(axes - (axes @ direction)[:, None] * direction), *np.cross(direction, axes)):
             length = float(np.linalg.norm(normal))
             if length > MIN_PLANE_NORMAL:
-                low, high = _extents(kinds, placed, normal / length)
+                low, high = _extents(cores, placed, normal / length)
                 separation = max(low[pair[1]] - high[pair[0]], low[pair[0]] - high[pair[1]])
                 out[i, j] |= separation > -CONTACT_TOLERANCE_M
     return out
 
 
 def _bearing_shapes(model: CellModel, moving: list[Solid], fixed: list[Solid], axis: RotaryAxis) -> BoolArray:
-    """Return which shapes of plate and bracket are borne by fixed ones (R, F).
+    """Return whether (R, F) each shape of plate and bracket is borne by each fixed shape.
 
     ``model`` has the tilt at 0. Such shapes are less than :data:`MAX_STANDING_GAP_M` apart, and the tilt
     cannot bring them closer. Either one of them is rotationally symmetric about the tilt axis, such as a
@@ -608,30 +645,34 @@ def _bearing_shapes(model: CellModel, moving: list[Solid], fixed: list[Solid], a
     its posts: the faces slide past each other. All other pairs are checked: a column next to the bracket, a
     box that a fixed one overlaps, and a bar above the end of a post that the tilt lowers next to it.
     """
-    both = [*moving, *fixed]
-    kinds, placed = distance.make_cores(both), _solid_poses(model, both)
-    every = np.arange(len(both))
-    low, high = _extents(kinds, placed, axis.axis) - axis.centre @ axis.axis
+    solids = [*moving, *fixed]
+    cores, placed = distance.make_cores(solids), _solid_poses(model, solids)
+    indices = np.arange(len(solids))
+    low, high = _extents(cores, placed, axis.axis) - axis.centre @ axis.axis
     moving_rows, fixed_rows = slice(len(moving)), slice(len(moving), None)
     separation = np.maximum(
         low[fixed_rows] - high[moving_rows, None], low[moving_rows, None] - high[fixed_rows]
     )
 
-    line = np.eye(4)  # the part of the axis along which shapes lie
-    line[:3, 3] = axis.centre + 0.5 * (low.min() + high.max()) * axis.axis
-    line[:3, :3] = np.linalg.svd(axis.axis[None])[2].T[:, [1, 2, 0]]
+    # a thin rod along the part of the axis along which shapes lie, to measure their distance from the axis
+    rod_pose = np.eye(4)
+    rod_pose[:3, 3] = axis.centre + 0.5 * (low.min() + high.max()) * axis.axis
+    rod_pose[:3, :3] = np.linalg.svd(axis.axis[None])[2].T[:, [1, 2, 0]]
     rod = Solid("", Shape("capsule", (CONTACT_TOLERANCE_M, float(high.max() - low.min())), np.eye(4)))
-    rods = np.broadcast_to(line, placed.shape)
-    last = np.full(len(both), len(both))
-    axis_distance = distance.measure_distances(distance.make_cores([*both, rod]), every, last, placed, rods)[
-        0
-    ]
+    rod_index = np.full(len(solids), len(solids))
+    axis_distance, _, _ = distance.measure_distances(
+        distance.make_cores([*solids, rod]),
+        indices,
+        rod_index,
+        placed,
+        np.broadcast_to(rod_pose, placed.shape),
+    )
     is_close = axis_distance < MAX_BEARING_DISTANCE_M
 
     aside = np.cross(placed[:, :3, 3] - axis.centre, axis.axis)
     skew = np.linalg.norm(np.cross(placed[:, :3, 2], axis.axis), axis=1)
-    is_sphere = np.array([solid.shape.kind == "sphere" for solid in both])
-    is_rod = np.array([solid.shape.kind in ("cylinder", "capsule") for solid in both])
+    is_sphere = np.array([solid.shape.kind == "sphere" for solid in solids])
+    is_rod = np.array([solid.shape.kind in ("cylinder", "capsule") for solid in solids])
     is_symmetric = (is_sphere | is_rod & (skew < CONTACT_TOLERANCE_M)) & (
         np.linalg.norm(aside, axis=1) < CONTACT_TOLERANCE_M
     )
@@ -643,6 +684,6 @@ def _bearing_shapes(model: CellModel, moving: list[Solid], fixed: list[Solid], a
         & is_close[moving_rows, None]
         & is_close[fixed_rows]
     )
-    turns = is_symmetric[moving_rows, None] | is_symmetric[fixed_rows]
-    tilted = np.array([solid.body not in TURNTABLE_BODIES for solid in moving])[:, None]
-    return np.asarray(tilted & (gaps < MAX_STANDING_GAP_M) & (slides | turns))
+    is_shaft = is_symmetric[moving_rows, None] | is_symmetric[fixed_rows]
+    is_tilted = np.array([solid.body not in TURNTABLE_BODIES for solid in moving])[:, None]
+    return np.asarray(is_tilted & (gaps < MAX_STANDING_GAP_M) & (slides | is_shaft))

@@ -25,20 +25,21 @@ def flange_poses(form: ArmForm, q: FloatArray) -> FloatArray:
     return _frames(form, q)[..., -1, :, :]
 
 
-def _frames(p: ArmForm, q: FloatArray) -> FloatArray:
-    theta = p.signs * np.asarray(q, dtype=np.float64) - p.offsets
-    count = p.count
+def _frames(form: ArmForm, q: FloatArray) -> FloatArray:
+    """Return the poses of :func:`link_frames` for an arm's form, as a product of one transform per joint."""
+    theta = form.signs * np.asarray(q, dtype=np.float64) - form.offsets
+    count = form.count
     frames = np.empty((*theta.shape[:-1], count + 1, 4, 4))
-    rotations, steps = _axis_rotations(theta, p.axes), p.steps
-    rotations[..., :3, 3] = steps[:count]
-    pose = rotations[..., 0, :, :] if p.left is None else p.left @ rotations[..., 0, :, :]
+    transforms, steps = _axis_rotations(theta, form.axes), form.steps
+    transforms[..., :3, 3] = steps[:count]
+    pose = transforms[..., 0, :, :] if form.left is None else form.left @ transforms[..., 0, :, :]
     frames[..., 0, :, :] = pose
     for i in range(1, count):
-        pose = pose @ rotations[..., i, :, :]
+        pose = pose @ transforms[..., i, :, :]
         frames[..., i, :, :] = pose
     flange = np.eye(4)
-    flange[:3, :3], flange[:3, 3] = p.flange_rotation, steps[count]
-    frames[..., count, :, :] = pose @ (flange if p.right is None else flange @ p.right)
+    flange[:3, :3], flange[:3, 3] = form.flange_rotation, steps[count]
+    frames[..., count, :, :] = pose @ (flange if form.right is None else flange @ form.right)
     return frames
 
 
@@ -56,7 +57,7 @@ def jacobian(robot: RobotData, q: FloatArray) -> FloatArray:
 
 
 def form_jacobian(form: ArmForm, q: FloatArray) -> FloatArray:
-    """Return geometric Jacobians (..., 6, J) of the flange of an arm's form, as :func:`jacobian`."""
+    """Return the Jacobians of :func:`jacobian` for an arm's form."""
     frames = _frames(form, q)
     axes = _joint_axes(form, frames)
     levers = frames[..., -1:, :3, 3] - frames[..., :-1, :3, 3]
@@ -64,11 +65,11 @@ def form_jacobian(form: ArmForm, q: FloatArray) -> FloatArray:
 
 
 def joint_axes(robot: RobotData, frames: FloatArray) -> FloatArray:
-    """Return the unit axes (..., J, 3) of the joints.
+    """Return the unit axes (..., J, 3) of the joints, in the frame in which the link frames are given.
 
     Args:
         robot: Robot data.
-        frames: Frames of the links (..., J or more, 4, 4).
+        frames: Frames of the links (..., J or more, 4, 4), as by :func:`link_frames`.
     """
     return _joint_axes(robot.form, frames)
 
@@ -79,14 +80,15 @@ def _joint_axes(form: ArmForm, frames: FloatArray) -> FloatArray:
 
 
 def _axis_rotations(theta: FloatArray, axes: str) -> FloatArray:
-    """Return rotations (..., J, 4, 4) about the ``axes`` by angles (..., J)."""
+    """Return rotations (..., J, 4, 4) by angles (..., J), about an axis "y" or "z" for each joint."""
     c, s = np.cos(theta), np.sin(theta)
     out = np.zeros((*theta.shape, 4, 4))
     out[..., 3, 3] = 1.0
     out[..., 0, 0] = c
-    for about, other, rest, sign in (("z", 1, 2, -1.0), ("y", 2, 1, 1.0)):
-        joints = np.array([i for i, axis in enumerate(axes) if axis == about])
-        out[..., joints, other, other] = c[..., joints]
-        out[..., joints, rest, rest] = 1.0
-        out[..., joints, 0, other], out[..., joints, other, 0] = sign * s[..., joints], -sign * s[..., joints]
+    # rotations about z are in the plane of x and y (k = 1), those about y in the plane of x and z (k = 2)
+    for name, k, fixed, sign in (("z", 1, 2, -1.0), ("y", 2, 1, 1.0)):
+        joints = np.array([i for i, axis in enumerate(axes) if axis == name])
+        out[..., joints, k, k] = c[..., joints]
+        out[..., joints, fixed, fixed] = 1.0
+        out[..., joints, 0, k], out[..., joints, k, 0] = sign * s[..., joints], -sign * s[..., joints]
     return out

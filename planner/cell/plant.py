@@ -60,10 +60,13 @@ MAX_MODELS: Final = 8
 
 
 class ModelCache(Generic[Model]):
-    """Cache of at most ``count`` models by the content that they were built from.
+    """Cache of models by the content that they were built from.
 
     Args:
         count: Maximum number of models.
+
+    Attributes:
+        reused: Number of models that were reused so far.
     """
 
     def __init__(self, count: int = MAX_MODELS) -> None:
@@ -74,7 +77,10 @@ class ModelCache(Generic[Model]):
 
     @contextlib.contextmanager
     def job(self) -> Iterator[None]:
-        """Serve the models of one job inside the block: all are available again at its beginning."""
+        """Return a context in which :func:`cached_model` uses this cache, for one job.
+
+        At the beginning of a job all models are available again. Within it each is returned only once.
+        """
         self._requested.clear()
         token = _JOB_MODELS.set(self)
         try:
@@ -83,7 +89,7 @@ class ModelCache(Generic[Model]):
             _JOB_MODELS.reset(token)
 
     def get(self, content: object, make: Callable[[], Model]) -> Model:
-        """Return a model that this job does not have yet: a kept one, or a new one.
+        """Return a model of the given content that this job does not have yet: a kept one, or a new one.
 
         Args:
             content: Content that the model is built from.
@@ -127,6 +133,11 @@ def content_digest(value: object) -> str:
 
 
 def _feed(state: Any, value: object) -> None:
+    """Add a value to a hash, with the types and sizes that tell apart values of the same text.
+
+    Raises:
+        TypeError: For a value that is not plain.
+    """
     if value is None or isinstance(value, str | int | float | bool):
         state.update(f"{type(value).__name__} {value!r}\n".encode())
     elif isinstance(value, np.ndarray | np.generic):
@@ -171,7 +182,17 @@ EDGE_COLOUR = np.array([0.85, 0.30, 0.10, 1.0])
 
 @dataclasses.dataclass
 class _SharedModel:
-    """State that all placements of one cell share. ``placed`` is the placement that the contexts hold now."""
+    """State that all placements of one cell share.
+
+    Attributes:
+        mounts: Frames in the world, by arm, "stock" or axis, whose poses depend on the placement.
+        names: Names of bodies by Drake's index.
+        filtered: Pairs of bodies of which no or not all solids are checked, with reasons.
+        checked_parts: Pairs of bodies of which only some solids are checked, with these pairs of solids.
+        current_placement: The model to whose placement the contexts of the checker are set.
+        models_by_height: Models of the same cell with pedestals of other heights.
+        eased_bounds: Bounds by easing.
+    """
 
     plant: MultibodyPlant
     diagram: Any
@@ -198,8 +219,8 @@ class CellModel:
     are named "<arm>/base_link", "<arm>/link_1" ... "<arm>/link_J", "<arm>/tool", "<arm>/edge" (a tool's own
     edge, if it has one), "stock", "support", "<obstacle>".
 
-    A base whose track follows the work may differ from row to row. It is (B, 4, 4) in ``bases`` then, and
-    :meth:`at_rows` gives the model of some rows. Drake is called row by row.
+    A base on a coordinated track may differ from configuration to configuration (row). It is (B, 4, 4) in
+    ``bases`` then, and :meth:`at_rows` gives the model of some rows. Drake is called row by row.
 
     Attributes:
         cell: The cell.
@@ -275,7 +296,7 @@ class CellModel:
     def partially_checked(self) -> Mapping[frozenset[str], tuple[SolidPair, ...]]:
         """Pairs of bodies of which some solids are always close, with the pairs of solids that are checked.
 
-        Solids are indices in ``bounds.given``.
+        Solids are indices in ``bounds.all_solids``.
         """
         return self._shared.checked_parts
 
@@ -289,10 +310,10 @@ class CellModel:
         """Capsules and boxes that bound the smallest distance."""
         if not self.easing.by:
             return self._shared.bounds
-        known = self._shared.eased_bounds
-        if self.easing not in known:
-            known[self.easing] = self._shared.bounds.with_easing(self.easing)
-        return known[self.easing]
+        eased_bounds = self._shared.eased_bounds
+        if self.easing not in eased_bounds:
+            eased_bounds[self.easing] = self._shared.bounds.with_easing(self.easing)
+        return eased_bounds[self.easing]
 
     @property
     def home(self) -> FloatArray:
@@ -309,17 +330,17 @@ class CellModel:
         Raises:
             KeyError: If there is none.
         """
-        for index, known in self._shared.names.items():
-            if known == name:
+        for index, body_name in self._shared.names.items():
+            if body_name == name:
                 return self.plant.get_body(BodyIndex(index))
         raise KeyError(name)
 
     def geometry(self, solid: int) -> Any:
-        """Return Drake's id of a solid, given its index in ``bounds.given``."""
-        given = self.bounds.all_solids[solid]
-        body_solids = [candidate for candidate in self.solids if candidate.body == given.body]
-        index = next(k for k, candidate in enumerate(body_solids) if candidate is given)
-        return self.plant.GetCollisionGeometriesForBody(self.body(given.body))[index]
+        """Return Drake's geometry id of a solid, given its index in ``bounds.all_solids``."""
+        selected = self.bounds.all_solids[solid]
+        body_solids = [candidate for candidate in self.solids if candidate.body == selected.body]
+        index = next(k for k, candidate in enumerate(body_solids) if candidate is selected)
+        return self.plant.GetCollisionGeometriesForBody(self.body(selected.body))[index]
 
     def carrier(self, body: str) -> str | None:
         """Return the arm that a body belongs to or is held by, None for bodies of no arm."""
@@ -352,10 +373,7 @@ class CellModel:
         return np.concatenate(columns, axis=1)
 
     def tcp(self, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        """Return TCP poses in the world by arm (B, 4, 4), for joints by arm (B, J).
-
-        Bases are as in each row.
-        """
+        """Return TCP poses in the world by arm (B, 4, 4), for joints by arm (B, J) [rad]."""
         return {
             arm: self.bases[arm] @ forward_kinematics(self.robots[arm], rows) @ self.cell.arm(arm).tool.tcp
             for arm, rows in q.items()
@@ -390,8 +408,8 @@ class CellModel:
         (B, 4, 4) for moving bodies of named arms, (1, 4, 4) for all others.
         """
         out = {obstacle.name: np.eye(4)[None] for obstacle in self.cell.obstacles}
-        riders = self.cell.carried_bodies.items()
-        out.update((body, self.axis_motion(name)[None]) for name, bodies in riders for body in bodies)
+        bodies_by_axis = self.cell.carried_bodies.items()
+        out.update((body, self.axis_motion(name)[None]) for name, bodies in bodies_by_axis for body in bodies)
         out["stock"] = out["support"] = self.stock_pose[None]
         for arm in self.cell.arms:
             rows = np.atleast_2d(q.get(arm.name, arm.home))
@@ -399,8 +417,8 @@ class CellModel:
             if working_solid(arm.tool) is not None:
                 out[f"{arm.name}/edge"] = out[f"{arm.name}/tool"]
         if self.stock.held_by is not None:
-            held = self.cell.arm(self.stock.held_by).tool.tcp @ self.stock.grip
-            out["stock"] = out[f"{self.stock.held_by}/tool"] @ held
+            stock_in_flange = self.cell.arm(self.stock.held_by).tool.tcp @ self.stock.grip
+            out["stock"] = out[f"{self.stock.held_by}/tool"] @ stock_in_flange
         return out
 
     def with_stock(self, pose: FloatArray) -> "CellModel":
@@ -411,14 +429,14 @@ class CellModel:
         pose = np.array(pose, dtype=np.float64)
         if self.stock.pedestal is None or self.stock.held_by is not None:
             return dataclasses.replace(self, stock_pose=pose)
-        known = self._shared.models_by_height  # one model for each height of the pedestal
-        known.setdefault(_pose_height(self.stock_pose), self)
-        if _pose_height(pose) not in known:
-            built = build_cell_model(self.cell, self.stock, pose, self.bases)
-            built._shared.models_by_height = known
-            known[_pose_height(pose)] = built
-        known_model = known[_pose_height(pose)]
-        return dataclasses.replace(known_model, stock_pose=pose, bases=self.bases, easing=self.easing)
+        models = self._shared.models_by_height  # one model for each height of the pedestal
+        models.setdefault(_pose_height(self.stock_pose), self)
+        if _pose_height(pose) not in models:
+            new_model = build_cell_model(self.cell, self.stock, pose, self.bases)
+            new_model._shared.models_by_height = models
+            models[_pose_height(pose)] = new_model
+        model = models[_pose_height(pose)]
+        return dataclasses.replace(model, stock_pose=pose, bases=self.bases, easing=self.easing)
 
     def with_bases(self, bases: Mapping[str, FloatArray]) -> "CellModel":
         """Return the same cell with bases by arm at other poses (4, 4) in the world. Nothing is rebuilt."""
@@ -481,10 +499,9 @@ def build_cell_model(
     bases: Mapping[str, FloatArray] | None = None,
     meshcat: Any = None,
 ) -> CellModel:
-    """Return the model of a cell.
+    """Build the model of a cell, or reuse one that an earlier job built (:class:`ModelCache`).
 
-    A held stock is fixed to its holder's tool. Worker processes get a model that an earlier job left
-    (:meth:`ModelCache.job`).
+    A held stock is fixed to its holder's tool.
 
     Args:
         cell: The cell.
@@ -501,7 +518,7 @@ def build_cell_model(
     if meshcat is not None:
         return _build_new(cell, stock, stock_pose, bases, meshcat)
     content = (cell, stock, np.asarray(stock_pose, dtype=np.float64), bases)
-    return cached_model(content, lambda: _build_new(cell, stock, stock_pose, bases, None))
+    return cached_model(content, lambda: _build_new(cell, stock, stock_pose, bases, meshcat=None))
 
 
 def _rebuild(
@@ -510,19 +527,22 @@ def _rebuild(
     stock_pose: FloatArray,
     bases: Mapping[str, FloatArray],
     easing: ClearanceEasing,
-    moved: Mapping[str, FloatArray],
+    axis_motions: Mapping[str, FloatArray],
 ) -> CellModel:
-    return build_cell_model(cell, stock, stock_pose, bases).with_easing(easing).with_axis_motions(moved)
+    """Build a model from what :meth:`CellModel.__reduce__` transfers to another process."""
+    model = build_cell_model(cell, stock, stock_pose, bases)
+    return model.with_easing(easing).with_axis_motions(axis_motions)
 
 
 def _build_new(
     cell: Cell, stock: Stock, stock_pose: FloatArray, bases: Mapping[str, FloatArray] | None, meshcat: Any
 ) -> CellModel:
+    """Build the Drake diagram and the model of a cell, with the arguments of :func:`build_cell_model`."""
     _check_names(cell)
     stock = support.with_support(cell, stock, np.asarray(stock_pose))
     if stock.held_by is not None and stock.support:
         raise ValueError("a held stock has no support")
-    placed = {arm.name: np.asarray((bases or {}).get(arm.name, arm.base)) for arm in cell.arms}
+    base_poses = {arm.name: np.asarray((bases or {}).get(arm.name, arm.base)) for arm in cell.arms}
     robots = {arm.name: arm.data for arm in cell.arms}
     builder = RobotDiagramBuilder(time_step=0.0)
     plant = builder.plant()
@@ -530,6 +550,7 @@ def _build_new(
     shapes = shapes_by_body(cell, stock)
     instances = []
     flanges: dict[str, tuple[Any, Any]] = {}
+    # Bodies are fixed to mounts, frames in the world whose poses can change without building the model again.
     for arm in cell.arms:
         file = robots[arm.name].file
         if file is None:
@@ -537,15 +558,17 @@ def _build_new(
         else:
             instance = _add_user_robot(plant, arm.name, robots[arm.name], file)
         instances.append(instance)
-        mounts[arm.name] = _add_mount(plant, f"{arm.name}/mount", placed[arm.name])
+        mounts[arm.name] = _add_mount(plant, f"{arm.name}/mount", base_poses[arm.name])
         plant.WeldFrames(mounts[arm.name], plant.GetFrameByName("base_link", instance))
         flanges[arm.name] = instance, plant.GetFrameByName("tool0", instance)
         for body, colour in ((f"{arm.name}/tool", TOOL_COLOUR), (f"{arm.name}/edge", EDGE_COLOUR)):
             if body in shapes:
                 _add_flange_body(plant, body, flanges[arm.name], np.eye(4), shapes[body], colour)
     if stock.held_by is not None:
-        held = cell.arm(stock.held_by).tool.tcp @ stock.grip
-        _add_flange_body(plant, "stock", flanges[stock.held_by], held, shapes["stock"], STOCK_COLOUR)
+        stock_in_flange = cell.arm(stock.held_by).tool.tcp @ stock.grip
+        _add_flange_body(
+            plant, "stock", flanges[stock.held_by], stock_in_flange, shapes["stock"], STOCK_COLOUR
+        )
     else:
         mounts["stock"] = _add_mount(plant, "stock/mount", np.asarray(stock_pose))
         _add_fixed_body(plant, "stock", mounts["stock"], shapes["stock"], STOCK_COLOUR)
@@ -575,7 +598,7 @@ def _build_new(
     moving_bases = {f"{arm.name}/base_link" for arm in cell.arms if arm.has_coordinated_track}
     bounds = make_bounds(solids, filtered, stock.held_by, moving_bases)
     shared = _SharedModel(plant, checker.model(), checker, mounts, names, filtered, solids, bounds)
-    model = CellModel(cell, stock, np.asarray(stock_pose, dtype=np.float64), placed, robots, shared)
+    model = CellModel(cell, stock, np.asarray(stock_pose, dtype=np.float64), base_poses, robots, shared)
     _filter_always_near(model)
     return model
 
@@ -600,10 +623,14 @@ class _ArmsOfModel:
 
 
 def _always_near_pairs(model: CellModel) -> tuple[Sequence[SolidPair], Sequence[SolidPair]]:
-    """Return pairs of flange parts with the link before the wrist, and always close pairs of one arm.
+    """Return the pairs of solids of one arm that the arm's build keeps close to each other.
 
-    The latter are close in nearly all of RANDOM_POSTURES. The result does not depend on where the arms stand.
-    It is computed with their bases at the origin, so that rounding is the same too.
+    They depend only on the arms and their tools, so they are computed once for all models with the same arms.
+    Bases are at the origin meanwhile, so that rounding is the same too.
+
+    Returns:
+        Pairs of :meth:`ClearanceBounds.flange_part_pairs`, and other pairs of
+        :meth:`ClearanceBounds.always_near_pairs` in :data:`RANDOM_POSTURES` random postures.
     """
     arms = [
         (a.name, a.robot, a.custom_data, a.tool, a.home, a.has_coordinated_track) for a in model.cell.arms
@@ -612,88 +639,97 @@ def _always_near_pairs(model: CellModel) -> tuple[Sequence[SolidPair], Sequence[
         _ArmsOfModel(content_digest((arms, model.stock.held_by)), weakref.ref(model))
     )
     index = {name: k for k, name in enumerate(_solid_names(model.bounds.all_solids))}
-    flat, near_pairs = (
+    flange_pairs, near_pairs = (
         tuple(sorted((min(index[a], index[b]), max(index[a], index[b])) for a, b in pairs))
         for pairs in named_pairs
     )
-    return flat, near_pairs
+    return flange_pairs, near_pairs
 
 
 @functools.lru_cache(maxsize=MAX_ALWAYS_NEAR_RESULTS)
 def _named_always_near_pairs(
     arms: _ArmsOfModel,
 ) -> tuple[Sequence[_NamedSolidPair], Sequence[_NamedSolidPair]]:
-    """Return both kinds of pairs. They hold for all cells and placements with the same arms and tools."""
+    """Return both kinds of pairs of :func:`_always_near_pairs`, with solids named by their bodies.
+
+    The names hold for all cells and placements with the same arms and tools.
+
+    Raises:
+        ReferenceError: The model of the key no longer exists.
+    """
     model = arms.model()
     if model is None:
         raise ReferenceError("the model of a new key exists while its pairs are computed")
     names = _solid_names(model.bounds.all_solids)
-    flat, near_pairs = _find_always_near(
+    flange_pairs, near_pairs = _find_always_near(
         dataclasses.replace(model, bases={arm: np.eye(4) for arm in model.arms})
     )
-    return [(names[a], names[b]) for a, b in flat], [(names[a], names[b]) for a, b in near_pairs]
+    return [(names[a], names[b]) for a, b in flange_pairs], [(names[a], names[b]) for a, b in near_pairs]
 
 
-def _solid_names(given: Sequence[Solid]) -> list[tuple[str, int]]:
-    """Return the body of each solid and its index among those of that body."""
+def _solid_names(solids: Sequence[Solid]) -> list[tuple[str, int]]:
+    """Return the body of each solid and its index among the solids of that body."""
     count: dict[str, int] = {}
     out = []
-    for solid in given:
+    for solid in solids:
         out.append((solid.body, count.get(solid.body, 0)))
         count[solid.body] = out[-1][1] + 1
     return out
 
 
 def _find_always_near(model: CellModel) -> tuple[Sequence[SolidPair], Sequence[SolidPair]]:
-    whole = model._shared.bounds
-    flat = whole.flange_part_pairs(model.poses({}))
+    """Compute both kinds of pairs of :func:`_always_near_pairs` for one model."""
+    bounds = model._shared.bounds
+    flange_pairs = bounds.flange_part_pairs(model.poses({}))
     lower = np.concatenate([model.robots[arm].lower for arm in model.arms])
     upper = np.concatenate([model.robots[arm].upper for arm in model.arms])
     q = np.random.default_rng(20).uniform(lower, upper, size=(RANDOM_POSTURES, len(lower)))
-    return flat, whole.without_pairs(flat).always_near_pairs(model.poses(model.split_by_arm(q)))
+    postures = model.poses(model.split_by_arm(q))
+    return flange_pairs, bounds.without_pairs(flange_pairs).always_near_pairs(postures)
 
 
 def _filter_always_near(model: CellModel) -> None:
-    """Remove pairs of solids that are always close from the checks.
+    """Remove the pairs of solids of :func:`_always_near_pairs` from the checks, and note the reasons.
 
-    These are parts flat on a flange with the link before the wrist, and solids of one arm that are close in
-    nearly all of RANDOM_POSTURES. If these are all pairs of two bodies, they are removed from the checker
-    too.
+    If these are all pairs of two bodies, the pair of bodies is removed from Drake's checker too. Otherwise
+    the remaining pairs are noted as those that are checked.
     """
-    shared, whole = model._shared, model._shared.bounds
-    flat, near_pairs = _always_near_pairs(model)
-    shared.bounds = whole.without_pairs({*flat, *near_pairs})
+    shared, all_bounds = model._shared, model._shared.bounds
+    flange_pairs, near_pairs = _always_near_pairs(model)
+    shared.bounds = all_bounds.without_pairs({*flange_pairs, *near_pairs})
     reasons: dict[tuple[str, str], list[str]] = {}
-    for why, solids in (
-        ("parts flat on the flange are kept apart by its build", flat),
+    for reason, solid_pairs in (
+        ("parts flat on the flange are kept apart by its build", flange_pairs),
         (ALWAYS_NEAR_REASON, near_pairs),
     ):
-        for a, b in solids:
-            first_body, other = sorted((whole.all_solids[a].body, whole.all_solids[b].body))
-            reasons.setdefault((first_body, other), [])
-            if why not in reasons[first_body, other]:
-                reasons[first_body, other].append(why)
+        for a, b in solid_pairs:
+            first, second = sorted((all_bounds.all_solids[a].body, all_bounds.all_solids[b].body))
+            reasons.setdefault((first, second), [])
+            if reason not in reasons[first, second]:
+                reasons[first, second].append(reason)
     filtered = list(shared.filtered)
-    for (first_body, other), reasons_of_pair in sorted(reasons.items()):
-        remaining, count = (
-            shared.bounds.pairs_of_bodies(first_body, other),
-            len(whole.pairs_of_bodies(first_body, other)),
-        )
+    for (first, second), reasons_of_pair in sorted(reasons.items()):
+        remaining = shared.bounds.pairs_of_bodies(first, second)
+        count = len(all_bounds.pairs_of_bodies(first, second))
         if not remaining:
-            a, b = (model.body(name).index() for name in (first_body, other))
-            shared.checker.SetCollisionFilteredBetween(a, b, True)
-            filtered.append((first_body, other, ", ".join(reasons_of_pair)))
+            first_index, second_index = (model.body(name).index() for name in (first, second))
+            shared.checker.SetCollisionFilteredBetween(first_index, second_index, True)
+            filtered.append((first, second, ", ".join(reasons_of_pair)))
             continue
-        shared.checked_parts[frozenset((first_body, other))] = remaining
+        shared.checked_parts[frozenset((first, second))] = remaining
         count_text = f"{count - len(remaining)} of {count} pairs of their solids"
         filtered.append(
-            (first_body, other, f"{count_text}: {', '.join(reasons_of_pair)}; the others are checked")
+            (first, second, f"{count_text}: {', '.join(reasons_of_pair)}; the others are checked")
         )
     shared.filtered = tuple(sorted(filtered))
 
 
 def _add_catalogue_robot(plant: MultibodyPlant, scene_graph: Any, arm: Arm) -> Any:
-    """Add a robot of the catalogue by Drake's URDF parser."""
+    """Add a robot of the catalogue with Drake's URDF parser, and return its model instance.
+
+    Raises:
+        TandemError: The URDF file is damaged.
+    """
     path = catalogue.urdf_path(arm.robot)
     try:
         parser = Parser(plant=plant, scene_graph=scene_graph, model_name_prefix=arm.name)
@@ -704,9 +740,9 @@ def _add_catalogue_robot(plant: MultibodyPlant, scene_graph: Any, arm: Arm) -> A
 
 
 def _add_user_robot(plant: MultibodyPlant, name: str, robot: RobotData, file: RobotFile) -> Any:
-    """Add a robot of the user with its collision shapes.
+    """Add a robot from a user's file with its collision shapes, and return its model instance.
 
-    Frames are those of its URDF, links are named as in the catalogue.
+    Link frames are those of the user's URDF file. Links are named as in the catalogue.
     """
     instance = plant.AddModelInstance(name)
     bodies = [
@@ -740,11 +776,16 @@ def drake_log_suppressed() -> Iterator[None]:
 
 
 def rigid_transform(pose: FloatArray) -> RigidTransform:
-    """Return Drake's transform of a pose (4, 4), made orthonormal to rounding."""
+    """Return Drake's transform of a pose (4, 4), with the nearest rotation matrix."""
     return RigidTransform(RotationMatrix.ProjectToRotationMatrix(pose[:3, :3]), pose[:3, 3])
 
 
 def _check_names(cell: Cell) -> None:
+    """Require that names of arms and obstacles are unique, not reserved, and without a slash.
+
+    Raises:
+        TandemError: ``cell.body_name``.
+    """
     taken = ["stock", "support", "world"]
     issues = []
     bodies = [("arm", f"cell.arms.{i}.name", arm.name) for i, arm in enumerate(cell.arms)]
@@ -759,6 +800,7 @@ def _check_names(cell: Cell) -> None:
 
 
 def _add_mount(plant: MultibodyPlant, name: str, pose: FloatArray) -> FixedOffsetFrame:
+    """Add a frame at a pose (4, 4) in the world, which can change later."""
     return plant.AddFrame(FixedOffsetFrame(name, plant.world_frame(), rigid_transform(pose)))
 
 
@@ -801,16 +843,21 @@ def _add_shapes(
 
 
 def _body_names(plant: MultibodyPlant, cell: Cell, instances: list[Any]) -> dict[int, str]:
+    """Return the names of all bodies, as in :class:`CellModel`, by Drake's index.
+
+    ``instances`` are the model instances of the arms.
+    """
     names = {0: "world"}
     for arm, instance in zip(cell.arms, instances, strict=True):
         for index in plant.GetBodyIndices(instance):
             name = plant.get_body(index).name()
             names[int(index)] = name if name.startswith(f"{arm.name}/") else f"{arm.name}/{name}"
-    for fixed in ["stock", "support", *(obstacle.name for obstacle in cell.obstacles)]:
-        if plant.HasBodyNamed(fixed):
-            names[int(plant.GetBodyByName(fixed).index())] = fixed
+    for body in ["stock", "support", *(obstacle.name for obstacle in cell.obstacles)]:
+        if plant.HasBodyNamed(body):
+            names[int(plant.GetBodyByName(body).index())] = body
     return names
 
 
 def _pose_height(pose: FloatArray) -> float:
+    """Return the height of a stock pose, rounded to 0.1 um, as the key of a model with its pedestal."""
     return round(float(pose[2, 3]), 7)

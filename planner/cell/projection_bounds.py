@@ -7,7 +7,12 @@ from planner.geometry.arrays import FloatArray, dots, lengths
 
 
 def support_sizes(solid: Solid) -> tuple[float, float, float, float, float]:
-    """Return half sizes along the shape's axes, the radius of flat ends about its z, and a rounding."""
+    """Describe a solid as the sum of a box, a disc and a ball, for its extent on a line.
+
+    Returns:
+        Half sizes of the box along the x, y and z of the shape's frame, radius of the disc about z, and
+        radius of the ball, in m. A mesh is described by a box that contains it.
+    """
     size = solid.shape.size
     if solid.shape.kind == "sphere":
         return 0.0, 0.0, 0.0, 0.0, size[0]
@@ -27,28 +32,28 @@ def separation(
 ) -> FloatArray:
     """Return lower bounds (M,) [m] of the distances of pairs of solids by projection.
 
-    The bound is the gap between the projections on the best of eight lines: the axes of both solids, w and
-    gap.
+    The bound is the gap between the projections of both solids on a line, for the best of eight lines: the
+    three axes of each solid, w and gap.
 
     Args:
-        w: Vectors from centre to centre (M, 3) [m].
-        gap: Vectors from axis to axis (M, 3) [m].
-        first_solid: Frames (M, 3, 3) and supports (M, 5) of the first solids.
-        second_solid: Frames (M, 3, 3) and supports (M, 5) of the second solids.
+        w: Vectors (M, 3) [m] from the centre of the second solid to that of the first.
+        gap: Shortest vectors (M, 3) [m] between the axes of both solids.
+        first_solid: Frames (M, 3, 3) and results of :func:`support_sizes` (M, 5) of the first solids.
+        second_solid: Frames (M, 3, 3) and results of :func:`support_sizes` (M, 5) of the second solids.
     """
     # for every unit vector n: d >= |n.w| - h1(n) - h2(n), with h the half length of a projection on n
-    (frame, first), (other, second) = first_solid, second_solid
-    relative_rotation = np.swapaxes(frame, 1, 2) @ other
-    own_components, other_components = ((w[:, None] @ axes)[:, 0] for axes in (frame, other))
+    (first_frame, first), (second_frame, second) = first_solid, second_solid
+    relative_rotation = np.swapaxes(first_frame, 1, 2) @ second_frame
+    first_components, second_components = ((w[:, None] @ axes)[:, 0] for axes in (first_frame, second_frame))
     best = _row_max(
-        np.abs(own_components)
+        np.abs(first_components)
         - _extent_on_own_axes(first)
         - _extent_on_lines(np.swapaxes(relative_rotation, 1, 2), second)
     )
     best = np.maximum(
         best,
         _row_max(
-            np.abs(other_components)
+            np.abs(second_components)
             - _extent_on_own_axes(second)
             - _extent_on_lines(relative_rotation, first)
         ),
@@ -74,7 +79,7 @@ def _extent_on_lines(cosines: FloatArray, support: FloatArray) -> FloatArray:
 
     The lines have the ``cosines`` (M, 3, L) with the axes of the solids.
     """
-    # h(n) = |n_x| a_x + |n_y| a_y + |n_z| a_z + rounding + disc radius * sqrt(1 - n_z^2)
+    # h(n) = |n_x| a_x + |n_y| a_y + |n_z| a_z + ball radius + disc radius * sqrt(1 - n_z^2)
     x, y, z = (cosines[:, axis] for axis in range(3))
     size = support[:, :, None]
     out = np.abs(x) * size[:, 0] + np.abs(y) * size[:, 1] + np.abs(z) * size[:, 2] + size[:, 4]

@@ -8,7 +8,7 @@ from planner.problem import Arm, Force, Problem, Setup, Stock
 
 
 def sag_claims(problem: Problem, setup: Setup) -> tuple[ArmSags, ...]:
-    """Return a claim for each arm of a setup whose sag is compensated, even if it does not work.
+    """Return a claim for each arm of a setup whose sag is compensated, even if no operation uses the arm.
 
     Args:
         problem: The problem.

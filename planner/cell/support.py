@@ -56,31 +56,34 @@ class SupportGround:
         return SupportGround(min([0.0, *upright]), np.concatenate(boxes), tuple(names))
 
     def height_above(self, low: FloatArray, high: FloatArray) -> tuple[FloatArray, IndexArray]:
-        """Return the height (K,) [m] of boxes above what bears them, and the index of that obstacle's shape.
+        """Return the height (K,) [m] of boxes above what bears them, and the index (K,) of its shape.
 
         The height is 0 or less if a box is inside what bears it. The index is -1 for the floor. A shape below
-        a box bears it if, with all shapes of equal height, it extends on both sides of the box's centre.
+        a box bears it if this shape, together with all shapes of the same height, extends on both sides of
+        the box's centre.
 
         Args:
             low: Lower corners (K, 3) [m].
             high: Upper corners (K, 3) [m].
         """
         gap = low[:, 2] - self.floor
-        what = np.full(len(low), -1, dtype=np.intp)
+        bearer = np.full(len(low), -1, dtype=np.intp)
         middle = 0.5 * (low + high)[:, :2]
-        for k, (first, last) in enumerate(self.boxes):
-            around = np.stack([np.full_like(middle, np.inf), np.full_like(middle, -np.inf)])
-            for box_low, other in self.boxes[np.abs(self.boxes[:, 1, 2] - last[2]) <= MAX_FOOT_HEIGHT_M]:
-                a, b = np.maximum(low[:, :2], box_low[:2]), np.minimum(high[:, :2], other[:2])
-                over = (a <= b).all(axis=1)[:, None]
-                around[0] = np.where(over, np.minimum(around[0], a), around[0])
-                around[1] = np.where(over, np.maximum(around[1], b), around[1])
-            overlaps_box = (low[:, :2] <= last[:2]).all(axis=1) & (high[:, :2] >= first[:2]).all(axis=1)
-            bears = overlaps_box & ((around[0] <= middle) & (middle <= around[1])).all(axis=1)
-            height = low[:, 2] - last[2]
-            is_closer = bears & (low[:, 2] >= first[2] - MAX_FOOT_HEIGHT_M) & (height < gap)
-            gap, what = np.where(is_closer, height, gap), np.where(is_closer, k, what)
-        return gap, what
+        for k, (lower, upper) in enumerate(self.boxes):
+            # rectangle around the overlaps, in plan view, with all shapes of the same height
+            overlap_bounds = np.stack([np.full_like(middle, np.inf), np.full_like(middle, -np.inf)])
+            same_height = np.abs(self.boxes[:, 1, 2] - upper[2]) <= MAX_FOOT_HEIGHT_M
+            for other_lower, other_upper in self.boxes[same_height]:
+                a, b = np.maximum(low[:, :2], other_lower[:2]), np.minimum(high[:, :2], other_upper[:2])
+                overlaps = (a <= b).all(axis=1)[:, None]
+                overlap_bounds[0] = np.where(overlaps, np.minimum(overlap_bounds[0], a), overlap_bounds[0])
+                overlap_bounds[1] = np.where(overlaps, np.maximum(overlap_bounds[1], b), overlap_bounds[1])
+            overlaps_box = (low[:, :2] <= upper[:2]).all(axis=1) & (high[:, :2] >= lower[:2]).all(axis=1)
+            bears = overlaps_box & ((overlap_bounds[0] <= middle) & (middle <= overlap_bounds[1])).all(axis=1)
+            height = low[:, 2] - upper[2]
+            is_closer = bears & (low[:, 2] >= lower[2] - MAX_FOOT_HEIGHT_M) & (height < gap)
+            gap, bearer = np.where(is_closer, height, gap), np.where(is_closer, k, bearer)
+        return gap, bearer
 
     @property
     def has_bearing_bodies(self) -> bool:
@@ -94,7 +97,7 @@ def block_corners(stock: Stock) -> FloatArray:
 
 
 def underside(stock: Stock, poses: FloatArray) -> FloatArray:
-    """Return the height (K,) [m] of the lowest corner of a block at poses (K, 4, 4)."""
+    """Return the height (K,) [m] in the world of the lowest corner of a block at poses (K, 4, 4)."""
     return np.asarray(_transform_points(block_corners(stock), poses)[..., 2].min(axis=1))
 
 
@@ -118,9 +121,10 @@ def support_gap(ground: SupportGround, stock: Stock, poses: FloatArray) -> Float
 
 
 def bearing_body(cell: Cell, stock: Stock, pose: FloatArray) -> tuple[float, str]:
-    """Return the height [m] of a block's support, or of the block, above what is below it, and its name.
+    """Return how high [m] a block's support is above what bears it, and the name of that obstacle.
 
-    The name is that of an obstacle, or empty for the floor.
+    Without a support it is the height of the block itself. The name is empty for the floor. ``pose`` (4, 4)
+    is that of the block.
     """
     shapes = [transform(shape.pose, hull_points(shape)) for shape in stock.support] or [block_corners(stock)]
     foot = min(
@@ -128,15 +132,15 @@ def bearing_body(cell: Cell, stock: Stock, pose: FloatArray) -> tuple[float, str
         key=lambda points_of_shape: float(points_of_shape[:, 2].min()),
     )
     ground = SupportGround.of(cell)
-    gap, what = ground.height_above(foot.min(axis=0)[None], foot.max(axis=0)[None])
-    return float(gap[0]), ground.names[int(what[0])] if what[0] >= 0 else ""
+    gap, bearer = ground.height_above(foot.min(axis=0)[None], foot.max(axis=0)[None])
+    return float(gap[0]), ground.names[int(bearer[0])] if bearer[0] >= 0 else ""
 
 
 def with_support(cell: Cell, stock: Stock, stock_pose: FloatArray) -> Stock:
     """Return the stock with the table or pedestal that is made for it as its support.
 
-    It is a box of an available size, centred under the block. There is none if the block stands on the floor
-    or is tilted.
+    The support is a box of an available size, centred under the block. The stock has none if the block stands
+    on the floor or is tilted. A stock with a stated support, or that an arm holds, is returned unchanged.
 
     Args:
         cell: The cell.
@@ -172,7 +176,10 @@ def with_support(cell: Cell, stock: Stock, stock_pose: FloatArray) -> Stock:
 
 
 def stock_heights(cell: Cell, stock: Stock) -> FloatArray:
-    """Return the heights [m] of the stock frame in the world for blocks on available supports."""
+    """Return the heights (H,) [m] of the stock frame in the world for blocks on available supports.
+
+    Empty if the problem does not ask for a support to be made.
+    """
     if stock.pedestal is None:
         return np.zeros(0)
     rotation = np.eye(4)
@@ -182,15 +189,15 @@ def stock_heights(cell: Cell, stock: Stock) -> FloatArray:
 
 
 def support_note(cell: Cell, stock: Stock, pose: FloatArray) -> str:
-    """Return in words what a block at ``pose`` (4, 4) stands on."""
+    """Describe for users what a block at ``pose`` (4, 4) stands on."""
     ground, supported = SupportGround.of(cell), with_support(cell, stock, pose)
     world = _transform_points(block_corners(stock), pose[None])[0]
     if stock.pedestal is not None and supported.support:
         sides = [
             v for k, v in enumerate(supported.support[0].size) if k != int(np.argmax(np.abs(pose[2, :3])))
         ]
-        high = float(world[:, 2].min()) - ground.floor
-        size = f"{sides[0] / MM:.0f} x {sides[1] / MM:.0f} mm, {high / MM:.0f} mm high from the floor"
+        height = float(world[:, 2].min()) - ground.floor
+        size = f"{sides[0] / MM:.0f} x {sides[1] / MM:.0f} mm, {height / MM:.0f} mm high from the floor"
         return f"a {stock.pedestal.kind} of {size}, centred under the block"
     if stock.support:
         gap = float(support_gap(ground, stock, pose[None])[0])
@@ -200,14 +207,14 @@ def support_note(cell: Cell, stock: Stock, pose: FloatArray) -> str:
             else f"which ends {gap / MM:.0f} mm above what is below it"
         )
         return f"the support that the problem states, {foot}"
-    gap, what = (v[0] for v in ground.height_above(world.min(axis=0)[None], world.max(axis=0)[None]))
+    gap, bearer = (v[0] for v in ground.height_above(world.min(axis=0)[None], world.max(axis=0)[None]))
     if gap > MAX_FOOT_HEIGHT_M:
         return f"nothing that is stated; it is {gap / MM:.0f} mm above what is below it"
-    return "the floor" if what < 0 else f"the body {ground.names[what]} of the cell"
+    return "the floor" if bearer < 0 else f"the body {ground.names[bearer]} of the cell"
 
 
 def support_issues(problem: Problem) -> list[Issue]:
-    """Return issues on how the blocks of a problem stand, as far as they are known before their poses are."""
+    """Return issues on the supports of the blocks in all setups, as :func:`setup_support_issues`."""
     out: list[Issue] = []
     for setup in problem.setups:
         out += setup_support_issues(setup)
@@ -215,7 +222,11 @@ def support_issues(problem: Problem) -> list[Issue]:
 
 
 def setup_support_issues(setup: Setup) -> list[Issue]:
-    """Return issues on how the block of one setup stands, as far as they are known before its pose is."""
+    """Return issues on the support of the block in one setup.
+
+    If the pose of the block is not stated, only what does not depend on it is checked. At most one issue is
+    returned.
+    """
     setup = setup.with_zero_tilt
     stock, cell = setup.stock, setup.cell
     if stock.held_by is not None or stock.sheet is not None:
@@ -224,28 +235,26 @@ def setup_support_issues(setup: Setup) -> list[Issue]:
     attitude = stock.attitude if stock.place is None else stock.place[:3, :3]
     if stock.pedestal is not None:
         if np.abs(attitude[2]).max() < LEVEL_COSINE:
-            what = f"{field}: a tilted block stands on no {stock.pedestal.kind}; state the shapes of its "
-            return [Issue("problem.field", what + "support", field=field)]
-        return (
-            []
-            if stock.place is None
-            else _pedestal_height_issues(cell, stock, stock.pedestal, stock.place, field)
-        )
+            message = f"{field}: a tilted block stands on no {stock.pedestal.kind}; state the shapes of its "
+            return [Issue("problem.field", message + "support", field=field)]
+        if stock.place is None:
+            return []
+        return _pedestal_height_issues(cell, stock, stock.pedestal, stock.place, field)
     if not stock.support:
         if stock.place is None:
-            why = "its place is searched, and no support is stated"
-            return [] if SupportGround.of(cell).has_bearing_bodies else [_unsupported_issue(why, field, None)]
-        if (depth_below_floor := _depth_below_floor(cell, stock, stock.place)) > MAX_FOOT_HEIGHT_M:
-            lost = _unsupported_issue("", field, depth_below_floor)
-            what = (
+            if SupportGround.of(cell).has_bearing_bodies:
+                return []
+            reason = "its place is searched, and no support is stated"
+            return [_unsupported_issue(reason, field, gap=None)]
+        depth_below_floor = _depth_below_floor(cell, stock, stock.place)
+        if depth_below_floor > MAX_FOOT_HEIGHT_M:
+            issue = _unsupported_issue("", field, depth_below_floor)
+            message = (
                 f"the block is {depth_below_floor / MM:.0f} mm below the floor; allowed are "
                 f"{MAX_FOOT_HEIGHT_M / MM:g} mm"
             )
-            return [
-                dataclasses.replace(
-                    lost, message=what, hint=f"move it by {depth_below_floor / MM:.0f} mm in z, {FLOOR_HINT}"
-                )
-            ]
+            hint = f"move it by {depth_below_floor / MM:.0f} mm in z, {FLOOR_HINT}"
+            return [dataclasses.replace(issue, message=message, hint=hint)]
         gap = float(support_gap(SupportGround.of(cell), stock, stock.place[None])[0])
         return (
             []
@@ -254,99 +263,92 @@ def setup_support_issues(setup: Setup) -> list[Issue]:
         )
     rotation_pose = np.eye(4)
     rotation_pose[:3, :3] = attitude
-    out = _support_deviations(stock, rotation_pose)
+    deviations = _support_deviations(stock, rotation_pose)
     if stock.place is not None:
         gap = float(support_gap(SupportGround.of(cell), stock, stock.place[None])[0])
-        out.append(
-            (
-                gap,
-                MAX_FOOT_HEIGHT_M,
-                f"the support under the block ends {gap / MM:.0f} mm above what is below it",
-            )
-        )
+        message = f"the support under the block ends {gap / MM:.0f} mm above what is below it"
+        deviations.append((gap, MAX_FOOT_HEIGHT_M, message))
         depth_below_floor = _depth_below_floor(cell, stock, stock.place)
-        out.insert(
-            0,
-            (
-                depth_below_floor,
-                MAX_FOOT_HEIGHT_M,
-                f"the block is {depth_below_floor / MM:.0f} mm below the floor",
-            ),
-        )
+        message = f"the block is {depth_below_floor / MM:.0f} mm below the floor"
+        deviations.insert(0, (depth_below_floor, MAX_FOOT_HEIGHT_M, message))
     hint = "make it longer, put it under the middle of the block, add what it stands on to the cell's "
     hint += "obstacles, or let Tandem make one: support: pedestal"
     return [
-        _support_issue(what, field, value, limit, hint) for value, limit, what in out if value > limit + 1e-9
+        _support_issue(message, field, value, limit, hint)
+        for value, limit, message in deviations
+        if value > limit + 1e-9
     ][:1]
 
 
 def _depth_below_floor(cell: Cell, stock: Stock, pose: FloatArray) -> float:
-    """Return how far [m] a block at ``pose`` (4, 4) is below the floor."""
+    """Return how far [m] the lowest corner of a block at ``pose`` (4, 4) is below the floor."""
     return SupportGround.of(cell).floor - float(underside(stock, pose[None])[0])
 
 
 def _support_deviations(stock: Stock, pose: FloatArray) -> list[tuple[float, float, str]]:
-    """Return how far [m] a block at ``pose`` (4, 4) is above its support and beside it.
+    """Measure how far a block at ``pose`` (4, 4) is above its stated support, and beside it.
 
-    Each value comes with its limit [m] and a text. The block may be rotated and moved.
+    Returns:
+        For each deviation its value [m], its limit [m] and a message.
     """
     block = _transform_points(block_corners(stock), pose[None])[0]
-    low, seen = float(block[:, 2].min()), shapely.MultiPoint(block[:, :2]).convex_hull
+    # outlines in plan view: of the block, and of the part of each shape of the support that is under it
+    low, block_outline = float(block[:, 2].min()), shapely.MultiPoint(block[:, :2]).convex_hull
     shapes = [transform(pose @ shape.pose, hull_points(shape)) for shape in stock.support]
-    views = [shapely.MultiPoint(shape[:, :2]).convex_hull.intersection(seen) for shape in shapes]
+    outlines = [shapely.MultiPoint(shape[:, :2]).convex_hull.intersection(block_outline) for shape in shapes]
     tops = np.array([float(shape[:, 2].max()) for shape in shapes])
     feet = np.array([float(shape[:, 2].min()) for shape in shapes])
-    below = (feet < low) & np.array([view.area > 0.0 for view in views])
-    if not below.any():
-        around = shapely.MultiPoint(np.concatenate(shapes)[:, :2]).convex_hull
-        aside = float(around.distance(seen.centroid)) or float(np.abs(tops - low).min())
-        return [(aside, 0.0, "nothing of the support is under the block")]
-    top = float(tops[below].max())
-    bearing = [
-        view for view, use in zip(views, below & (tops >= top - MAX_FOOT_HEIGHT_M), strict=True) if use
-    ]
-    aside = float(shapely.unary_union(bearing).convex_hull.distance(seen.centroid))
-    hang, words = (
-        low - top,
-        f"the middle of the block is {aside / MM:.0f} mm beside its support, so the block tips",
-    )
+    is_below = (feet < low) & np.array([outline.area > 0.0 for outline in outlines])
+    if not is_below.any():
+        support_outline = shapely.MultiPoint(np.concatenate(shapes)[:, :2]).convex_hull
+        offset = float(support_outline.distance(block_outline.centroid)) or float(np.abs(tops - low).min())
+        return [(offset, 0.0, "nothing of the support is under the block")]
+    top = float(tops[is_below].max())
+    bears = is_below & (tops >= top - MAX_FOOT_HEIGHT_M)
+    bearing = [outline for outline, is_bearing in zip(outlines, bears, strict=True) if is_bearing]
+    offset = float(shapely.unary_union(bearing).convex_hull.distance(block_outline.centroid))
+    gap = low - top
+    tip_message = f"the middle of the block is {offset / MM:.0f} mm beside its support, so the block tips"
     return [
-        (hang, MAX_FOOT_HEIGHT_M, f"the block hangs {hang / MM:.0f} mm above its support"),
-        (aside, 0.0, words),
+        (gap, MAX_FOOT_HEIGHT_M, f"the block hangs {gap / MM:.0f} mm above its support"),
+        (offset, 0.0, tip_message),
     ]
 
 
 def _pedestal_height_issues(
     cell: Cell, stock: Stock, pedestal: Pedestal, pose: FloatArray, field: str
 ) -> list[Issue]:
-    """Return issues on the height of what is made under a block with a stated pose."""
-    high = float(underside(stock, pose[None])[0]) - SupportGround.of(cell).floor
+    """Return an issue if the table or pedestal under a block at ``pose`` (4, 4) cannot be made.
+
+    It would be too high, below the floor, or inside an obstacle. ``field`` is the field of the problem.
+    """
+    height = float(underside(stock, pose[None])[0]) - SupportGround.of(cell).floor
     max_height, kind = pedestal.heights[-1], pedestal.kind
-    if high < -MAX_FOOT_HEIGHT_M:
-        what = f"the block is {-high / MM:.0f} mm below the floor, where no {kind} is possible"
+    if height < -MAX_FOOT_HEIGHT_M:
+        message = f"the block is {-height / MM:.0f} mm below the floor, where no {kind} is possible"
         hint = f"correct its place, {FLOOR_HINT}; or remove support"
-        return [_support_issue(what, field, -high, MAX_FOOT_HEIGHT_M, hint)]
-    if high > max_height + 1e-9:
-        what = f"the {kind} under the block would be {high / MM:.0f} mm high; available are at most "
-        what += f"{max_height / MM:.0f} mm"
+        return [_support_issue(message, field, -height, MAX_FOOT_HEIGHT_M, hint)]
+    if height > max_height + 1e-9:
+        message = f"the {kind} under the block would be {height / MM:.0f} mm high; available are at most "
+        message += f"{max_height / MM:.0f} mm"
         hint = (
             f"put the block lower, at most {max_height / MM:.0f} mm above the floor, or state the shapes of "
             "its "
         )
         hint += "support"
-        return [_support_issue(what, field, high, max_height, hint)]
-    name, deep = pedestal_overlap(cell, stock, pose)
-    if deep > MAX_FOOT_HEIGHT_M:
-        what = f"the {kind} under the block would be {deep / MM:.0f} mm inside {name}"
+        return [_support_issue(message, field, height, max_height, hint)]
+    name, depth = pedestal_overlap(cell, stock, pose)
+    if depth > MAX_FOOT_HEIGHT_M:
+        message = f"the {kind} under the block would be {depth / MM:.0f} mm inside {name}"
         hint = f"state the shapes of a support that stands on it, or put the block or {name} elsewhere"
-        return [_support_issue(what, field, deep, MAX_FOOT_HEIGHT_M, hint)]
+        return [_support_issue(message, field, depth, MAX_FOOT_HEIGHT_M, hint)]
     return []
 
 
 def pedestal_overlap(cell: Cell, stock: Stock, pose: FloatArray) -> tuple[str, float]:
-    """Return the obstacle that the support made for a block enters deepest, and the depth [m].
+    """Return the obstacle that the support made for a block overlaps deepest, and the depth [m].
 
-    ``pose`` (4, 4) is that of the block.
+    ``pose`` (4, 4) is that of the block. The name is empty if the support overlaps none.
     """
     shapes = () if stock.pedestal is None else with_support(cell, stock, pose).support
     overlaps = [_deepest_obstacle(transform(pose @ shape.pose, hull_points(shape)), cell) for shape in shapes]
@@ -354,23 +356,26 @@ def pedestal_overlap(cell: Cell, stock: Stock, pose: FloatArray) -> tuple[str, f
 
 
 def _deepest_obstacle(box_corners: FloatArray, cell: Cell) -> tuple[str, float]:
-    """Return the obstacle that an upright box with corners (8, 3) enters deepest, and the depth [m]."""
-    view = shapely.MultiPoint(box_corners[:, :2]).convex_hull
+    """Return the obstacle that an upright box with corners (8, 3) overlaps deepest, and the depth [m]."""
+    box_outline = shapely.MultiPoint(box_corners[:, :2]).convex_hull
     depths = [("", 0.0)]
     for obstacle in cell.obstacles:
-        for body in (transform(item.pose, hull_points(item)) for item in obstacle.shapes):
-            deep = min(body[:, 2].max() - box_corners[:, 2].min(), box_corners[:, 2].max() - body[:, 2].min())
-            if view.intersection(shapely.MultiPoint(body[:, :2]).convex_hull).area > 1e-6:
-                depths.append((obstacle.name, float(deep)))
+        for points in (transform(shape.pose, hull_points(shape)) for shape in obstacle.shapes):
+            depth = min(
+                points[:, 2].max() - box_corners[:, 2].min(), box_corners[:, 2].max() - points[:, 2].min()
+            )
+            if box_outline.intersection(shapely.MultiPoint(points[:, :2]).convex_hull).area > 1e-6:
+                depths.append((obstacle.name, float(depth)))
     return max(depths, key=lambda item: item[1])
 
 
-def _support_issue(what: str, field: str, value: float, limit: float, hint: str) -> Issue:
+def _support_issue(message: str, field: str, value: float, limit: float, hint: str) -> Issue:
+    """Return the warning ``stock.support`` of a value [m] that exceeds its limit [m]."""
     if limit == MAX_FOOT_HEIGHT_M:
-        what += f"; allowed are {MAX_FOOT_HEIGHT_M / MM:g} mm for feet"
+        message += f"; allowed are {MAX_FOOT_HEIGHT_M / MM:g} mm for feet"
     return Issue(
         "stock.support",
-        what,
+        message,
         Severity.WARNING,
         field=field,
         **measurement(value / MM, limit / MM, "mm"),
@@ -379,10 +384,11 @@ def _support_issue(what: str, field: str, value: float, limit: float, hint: str)
     )
 
 
-def _unsupported_issue(why: str, field: str, gap: float | None) -> Issue:
+def _unsupported_issue(reason: str, field: str, gap: float | None) -> Issue:
+    """Return the warning ``stock.hangs`` of a block without support, ``gap`` [m] above what is below it."""
     return Issue(
         "stock.hangs",
-        format_message("stock.hangs", reason=why),
+        format_message("stock.hangs", reason=reason),
         Severity.WARNING,
         field=field,
         value=None if gap is None else gap / MM,

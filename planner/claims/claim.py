@@ -2,8 +2,8 @@
 
 A process states claims, and the proof has a rule for each kind. Claims follow from the problem alone, never
 from a plan, so that a proof can start from the problem and the program text. All geometry is in the stock
-frame, in metres. This file has the base class and the kinds that several processes use. The kinds of one
-process are in ``processes/<name>/claims.py``.
+frame, in metres. This file contains the base class and the kinds that several processes use. The kinds that
+only one process uses are in ``processes/<name>/claims.py``.
 """
 
 import dataclasses
@@ -16,12 +16,12 @@ from planner.geometry.arrays import FloatArray
 
 @dataclasses.dataclass(frozen=True)
 class ToolDistance:
-    """Limit of the change of tool distance while one arm is one step ahead of the other.
+    """Limit of the change of the TCP distance while one arm is one move ahead of the other.
 
     Attributes:
-        segment: Segment in which it holds.
+        segment: Segment in which the limit holds.
         arms: Names of the arms.
-        change: Maximum change [m] of the distance of their TCPs.
+        change: Maximum change of the distance of their TCPs [m].
     """
 
     segment: Segment
@@ -31,11 +31,13 @@ class ToolDistance:
 
 @dataclasses.dataclass(frozen=True)
 class Allowance:
-    """Deviation of curves from the replay, for which a claim has to leave margin.
+    """Maximum deviation of a controller's curves from the straight moves of the replay.
+
+    Claims are checked with so much less tolerance.
 
     Attributes:
-        position: Deviation of the TCP on each segment (N,) [m].
-        rotation: Deviation of its orientation on each segment (N,) [rad].
+        position: Deviation of the TCP on each of N moves, (N,) [m].
+        rotation: Deviation of its orientation on each move, (N,) [rad].
         joints: Largest deviation of a joint [rad].
         body: Largest deviation of any body of the arm [m].
         speed_factor: Factor by which the tool may be faster than on the straight moves.
@@ -59,12 +61,12 @@ class Allowance:
 
 @dataclasses.dataclass(frozen=True)
 class Power:
-    """An output that programs switch because of a claim.
+    """An output that programs switch because of a claim, and that powers something.
 
     Attributes:
         signal: Name of the output.
         burns: Whether it lights a torch, which must not be lit again where it burned at a stop.
-        pulsed: Whether it is on for a pulse only, so that a stop does not have to switch it off.
+        pulsed: Whether the output is on for a pulse only, so that a stop does not have to switch it off.
     """
 
     signal: str
@@ -87,25 +89,25 @@ class Claim:
     on_curves: ClassVar[bool] = False
 
     def __init_subclass__(cls) -> None:
-        """Register the kind. A second kind of the same name would replace the first one in plan files."""
-        other = _KINDS.get(cls.__name__, cls).__module__
-        if other != cls.__module__:
-            raise TypeError(f"{cls.__module__}: {other} already has a claim {cls.__name__}")
+        """Register the kind by its name. Two kinds of one name could not be told apart in plan files."""
+        registered_module = _KINDS.get(cls.__name__, cls).__module__
+        if registered_module != cls.__module__:
+            raise TypeError(f"{cls.__module__}: {registered_module} already has a claim {cls.__name__}")
         _KINDS[cls.__name__] = cls
 
     @property
     def tool_distance(self) -> ToolDistance | None:
-        """Limit of the tool distance while the arms are one step apart, or None."""
+        """Limit of the change of the TCP distance while one arm is one move ahead, or None."""
         return None
 
     @property
     def longest_stop(self) -> tuple[Segment, float] | None:
-        """A segment in which the tool may stand with its power on, and how long [s], or None."""
+        """A segment in which the tool may stand still with its power on, and for how long [s], or None."""
         return None
 
     @property
     def spindle_rule(self) -> tuple[str, str] | None:
-        """Arm and kind of its segments in which a rule about this claim checks the spindle, or None."""
+        """Name of an arm and kind of segments in which the rule of this claim checks its spindle, or None."""
         return None
 
     @property
@@ -123,14 +125,14 @@ class Claim:
         return None
 
     def tightened(self, allowance: Allowance) -> "Claim":
-        """Return the claim with its margin reduced by an allowance for curves.
+        """Return the claim with tolerances and feeds reduced by the deviation of curves.
 
-        If the result holds on straight moves, the claim holds on curves.
+        If the result holds on the straight moves, the claim holds on the curves.
         """
         return self
 
     def used_up(self, allowance: Allowance) -> tuple[float, float] | None:
-        """Return deviation and tolerance [m] if curves leave nothing of the tolerance, else None."""
+        """Return the deviation and the tolerance [m] if curves use up the whole tolerance, else None."""
         return None
 
     def uneven_feed(self) -> Segment | None:
@@ -139,12 +141,12 @@ class Claim:
 
 
 def powers(claims: Sequence[Claim]) -> tuple[Power, ...]:
-    """Return the outputs that programs switch because of claims, in their order."""
+    """Return the outputs that programs switch because of claims, in the order of the claims."""
     return tuple(power for claim in claims if (power := claim.power()) is not None)
 
 
 _KINDS: Final[dict[str, type[Claim]]] = {}
-"""Kinds of claims by name."""
+"""Classes of claims by name."""
 
 
 def kinds() -> tuple[type[Claim], ...]:
@@ -161,9 +163,9 @@ class HoldsStock(Claim):
 
     Attributes:
         arm: Name of the arm.
-        grip: Stock frame (4, 4) in the arm's TCP frame.
-        mass: Mass [kg] of the stock.
-        cog: Centre of gravity (3,) [m] in the TCP frame.
+        grip: Stock frame in the arm's TCP frame, (4, 4) [m].
+        mass: Mass of the stock [kg].
+        cog: Centre of mass of the stock in the TCP frame, (3,) [m].
     """
 
     arm: str
@@ -174,12 +176,12 @@ class HoldsStock(Claim):
 
 @dataclasses.dataclass(frozen=True)
 class ContactOnlyIn(Claim):
-    """The edge (wire) touches the stock only in segments of some kinds, while its signal is on.
+    """The cutting edge (wire) touches the stock only in segments of some kinds, and only while it has power.
 
     Attributes:
         kinds: Kinds of these segments.
-        signal: Output that switches the edge's power.
-        heat_up: Time [s] that heating up takes.
+        signal: Output that switches the power of the edge.
+        heat_up: Time that the edge takes to heat up [s].
     """
 
     on_curves: ClassVar[bool] = True
@@ -189,7 +191,7 @@ class ContactOnlyIn(Claim):
     heat_up: float
 
     def power(self) -> Power | None:
-        """Return the power of the edge."""
+        """Return the output that switches the power of the edge."""
         return Power(self.signal)
 
 
@@ -207,10 +209,10 @@ class OneOf(Claim):
 
 @dataclasses.dataclass(frozen=True)
 class FeedWindow(Claim):
-    """While the edge is inside the stock, its fastest point there moves within a speed range.
+    """While the cutting edge is inside the stock, its fastest point there moves within a speed range.
 
     Attributes:
-        segment: Segment in which it holds.
+        segment: Segment in which this holds.
         lower: Minimum speed [m/s].
         upper: Maximum speed [m/s].
     """
@@ -222,43 +224,44 @@ class FeedWindow(Claim):
     upper: float
 
     def tightened(self, allowance: Allowance) -> "FeedWindow":
-        """Return the window of the straight moves, on which the tool is slower than on curves."""
+        """Return the window with a lower maximum speed, because the tool may be faster on curves."""
         return dataclasses.replace(self, upper=self.upper / allowance.speed_factor)
 
 
 ForceFrame = Literal["stock", "tool", "feed"]
 """Frame of a force: that of the stock, of the TCP, or of the feed."""
 FEED_PATH_M: Final = 5e-3
-"""Path [m] before and after a point over which the direction of its feed is averaged. Forces turn with
-it.
+"""Length of path [m] before and after a point over which the direction of its feed is averaged.
+
+Forces in the frame of the feed rotate with this direction.
 """
 
 
 @dataclasses.dataclass(frozen=True)
 class ArmSags(Claim):
-    """The claimed positions of an arm hold for the arm as its loads deflect it.
+    """All claims on positions of an arm hold for the arm as its loads deflect it.
 
-    The mass acts all the time. The force acts at the TCP while segments work. On the path to the first
-    target of their actual work it rises from zero, linearly along the path, and on the path after the last
-    one it falls. It is interpolated linearly by the height of the TCP in the stock's frame. While it rises
-    or falls, it is that of the target at which it acts in full.
+    The mass acts all the time. The force acts at the TCP while segments work. It is interpolated linearly by
+    the height of the TCP in the stock frame. On the path to the first target of the actual work it rises from
+    zero to its value at that target, linearly along the path. On the path after the last target it falls from
+    its value there to zero.
 
-    In the frame of the feed, z is the TCP's z axis, x the component of the feed across it, and y = z x x.
-    The feed is the mean direction of the path from :data:`FEED_PATH_M` before to as far after, along the
-    straight moves on which the force acts, so it is shorter than 1 where these turn. x and y count by the
-    component of the feed across the axis, and a tool that moves along its axis has z alone. On the path
-    after the last target the force is what it was at the start of that path, falling.
+    In the frame of the feed, z is the TCP's z axis, x the component of the feed across it, and y = z x x. The
+    feed is the mean direction of the path from :data:`FEED_PATH_M` before a point to as far after it, along
+    the straight moves on which the force acts. It is shorter than 1 where these moves change direction. The x
+    and y components of the force are multiplied by the length of the feed's component across the axis, so
+    that a tool that moves along its axis has z alone.
 
     Attributes:
         arm: Name of the arm.
-        joints: Joint stiffness (6,) [N m/rad] about the axes as the controller counts them.
-        mass: Mass [kg] on the flange.
-        cog: Centre of gravity (3,) [m] in the flange frame.
-        force: Forces (K, 3) [N].
-        height: Heights (K,) [m] of the TCP in the stock's frame, ascending. One height: the same force
-            everywhere.
+        joints: Joint stiffness about the axes as the controller counts them, (6,) [N m/rad].
+        mass: Mass on the flange [kg].
+        cog: Centre of mass in the flange frame, (3,) [m].
+        force: Forces at the heights, (K, 3) [N].
+        height: Heights of the TCP in the stock frame, ascending, (K,) [m]. With one height the force is the
+            same everywhere.
         frame: Frame of the forces.
-        max_deflection: Maximum deflection [m] of the TCP.
+        max_deflection: Maximum deflection of the TCP [m].
     """
 
     arm: str

@@ -9,13 +9,13 @@ HandshakeKind = Literal["four_phase", "toggle"]
 
 @dataclasses.dataclass(frozen=True)
 class PartnerSignals:
-    """Names of the signals of one controller for the other one.
+    """Names of the signals by which one controller communicates with the other one.
 
     Attributes:
         output: Output to the other controller.
         input: Input from the other controller.
         running: Output that the controller holds at 1 while its program runs with the motors on.
-        partner_running: Input that the other one's ``running`` drives. No program switches it.
+        partner_running: Input that the ``running`` output of the other controller drives.
         move_enable: For a KUKA controller, the output that is looped to its input for $MOVE_ENABLE.
     """
 
@@ -27,7 +27,7 @@ class PartnerSignals:
 
     @property
     def lost_input(self) -> str:
-        """For an ABB controller, the inverse of ``partner_running``. Its rise stops the program."""
+        """For an ABB controller, the inverse of ``partner_running``, a signal whose rise stops the arm."""
         return f"{self.partner_running}_lost"
 
 
@@ -53,13 +53,14 @@ class Handshake:
     """The handshake of two controllers.
 
     Attributes:
-        kind: Two signal changes of each side at every meeting (``four_phase``), or one (``toggle``).
-        every: Number of moves between meetings.
-        signals: Names by arm, defaults for an arm that is not named.
-        wires: Wires by which the controllers meet.
-        running: Wires that state that a controller runs.
-        timeout: Maximum time [s] for which an arm waits for the other one at a step of joint work.
-        patience: Maximum time [s] for which it waits while the other one moves alone or asks the operator.
+        kind: Whether the line of each side changes twice at every meeting (``four_phase``) or once
+            (``toggle``).
+        every: Number of moves between two meetings.
+        signals: Names of signals by arm; an arm that is not in it has the default names.
+        wires: Wires by which the controllers meet, () for the default ones.
+        running: Wires that state that a controller runs its program, () for the default ones.
+        timeout: Maximum time for which an arm waits for the other one during joint work [s].
+        patience: Maximum time for which it waits while the other one moves alone or asks the operator [s].
     """
 
     kind: HandshakeKind = "four_phase"
@@ -71,13 +72,13 @@ class Handshake:
     patience: float = 3600.0
 
     def of(self, arm: str) -> PartnerSignals:
-        """Return the signals of an arm's controller."""
+        """Return the names of the signals of an arm's controller."""
         return self.signals.get(arm, PartnerSignals())
 
     def meeting_wires(self, arms: Sequence[str]) -> tuple[SignalWire, ...]:
         """Return the wires by which two arms' controllers meet.
 
-        By default, each controller's outputs drive the inputs of the other.
+        If none are stated, the output of each controller drives the input of the other.
         """
         if self.wires or len(arms) != 2:
             return self.wires
@@ -86,9 +87,9 @@ class Handshake:
         )
 
     def running_wires(self, arms: Sequence[str]) -> tuple[SignalWire, ...]:
-        """Return the wires by which two arms' controllers know that the other one runs.
+        """Return the wires by which each of two arms' controllers knows that the other one runs.
 
-        By default, each controller's outputs drive the inputs of the other.
+        If none are stated, the ``running`` output of each drives the ``partner_running`` input of the other.
         """
         if self.running or len(arms) != 2:
             return self.running

@@ -9,18 +9,18 @@ from typing import Final, Literal
 
 Phase = Literal["", "in", "out"]
 PHASES: Final[tuple[Phase, ...]] = ("in", "", "out")
-"""Phases in their order: lead-in, work, lead-out."""
+"""Phases in the order in which they occur: lead-in, work, lead-out."""
 WORKING_KINDS: Final = frozenset({"cut", "form", "mill", "trim"})
 """Kinds of segments in which a tool's working end may touch the stock."""
 ON_ENDING: Final = "on"
-"""Ending of the label of a segment without a phase whose name ends like a phase."""
+"""Ending that marks a label without a phase, if the name of the segment ends like a phase."""
 _ENDING: Final = re.compile(rf"(.+)_(in|out|{ON_ENDING})", re.DOTALL)
 """Label of a segment with a phase, or with the mark that it has none."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Segment:
-    """Moves of one kind, name and phase.
+    """A part of a path, identified by kind, name and phase.
 
     The label ``str(segment)`` is ``kind``, ``kind/name`` or ``kind/name_phase``. A name that ends like a
     phase is marked by ``_on``: ``cut/wall_in`` is the lead-in to ``wall``, ``cut/wall_in_on`` the cut of
@@ -32,7 +32,7 @@ class Segment:
         phase: Phase.
 
     Raises:
-        ValueError: A phase without a name, or a kind with a ``/``.
+        ValueError: The kind contains a ``/``, the phase is unknown, or there is a phase but no name.
     """
 
     kind: str
@@ -46,13 +46,13 @@ class Segment:
 
     @staticmethod
     def of(label: str) -> "Segment":
-        """Return the segment that a user means: ``kind`` or ``kind/name``, whatever the name ends with."""
+        """Return the segment that a user means by ``kind`` or ``kind/name``; ``_in`` is part of the name."""
         kind, _, name = label.partition("/")
         return Segment(kind, name)
 
     @staticmethod
     def read(label: str) -> "Segment":
-        """Return the segment with this label: the inverse of ``str``."""
+        """Return the segment with a label that ``str`` made; an ending such as ``_in`` is its phase."""
         return _read(label)
 
     def at(self, phase: Phase) -> "Segment":
@@ -66,15 +66,12 @@ class Segment:
 
     @property
     def works(self) -> bool:
-        """Whether a working end may touch the stock here."""
+        """Whether the working end of a tool may touch the stock in this segment."""
         return self.kind in WORKING_KINDS
 
     @property
     def folded(self) -> "Segment":
-        """The segment as programs can express it.
-
-        It is in lower-case ASCII. All other characters become single underscores.
-        """
+        """The segment as programs can express it, with names in lower-case ASCII, see :func:`fold`."""
         return _folded(self)
 
     @property
@@ -95,37 +92,39 @@ class Segment:
 
 
 def fold(text: str) -> str:
-    """Return text in lower case without accents.
+    """Return text in lower-case ASCII without accents.
 
-    Each run of other characters than letters and digits becomes one underscore, and there is none at the
-    ends.
+    Each run of characters other than letters and digits becomes one underscore. Underscores at the ends are
+    dropped.
     """
-    flat = unicodedata.normalize("NFKD", text)
-    kept = "".join(c for c in flat if not unicodedata.combining(c))
+    decomposed = unicodedata.normalize("NFKD", text)
+    kept = "".join(c for c in decomposed if not unicodedata.combining(c))
     return re.sub(r"[^A-Za-z0-9]+", "_", kept).strip("_").lower()
 
 
 def first_clash(segments: Iterable[Segment]) -> tuple[Segment, Segment] | None:
-    """Return the first two segments that programs cannot distinguish, or that are equal, else None."""
-    known: dict[str, Segment] = {}
+    """Return the first two segments that are equal or that programs cannot distinguish, else None."""
+    segments_by_key: dict[str, Segment] = {}
     for segment in segments:
-        if segment.key in known:
-            return known[segment.key], segment
-        known[segment.key] = segment
+        if segment.key in segments_by_key:
+            return segments_by_key[segment.key], segment
+        segments_by_key[segment.key] = segment
     return None
 
 
 @functools.lru_cache(maxsize=65536)
 def _label(segment: Segment) -> str:
+    """Return the label of a segment; cached, because labels are read very often."""
     if not segment.name:
         return segment.kind
     name, phase = segment.name, segment.phase
-    alike = _ENDING.fullmatch(name) or _ENDING.fullmatch(fold(name))
-    return f"{segment.kind}/{name}" + (f"_{phase or ON_ENDING}" if phase or alike else "")
+    ends_like_phase = _ENDING.fullmatch(name) or _ENDING.fullmatch(fold(name))
+    return f"{segment.kind}/{name}" + (f"_{phase or ON_ENDING}" if phase or ends_like_phase else "")
 
 
 @functools.lru_cache(maxsize=65536)
 def _read(label: str) -> Segment:
+    """Return the segment with a label; cached like :func:`_label`."""
     kind, _, text = label.partition("/")
     match = _ENDING.fullmatch(text)
     if match is None:
@@ -135,5 +134,6 @@ def _read(label: str) -> Segment:
 
 @functools.lru_cache(maxsize=65536)
 def _folded(segment: Segment) -> Segment:
+    """Return a segment as programs can express it. Without a name that is left, it has no phase."""
     name = fold(segment.name)
     return Segment(fold(segment.kind), name, segment.phase if name else "")

@@ -1,9 +1,9 @@
 """Sentences that programs of any process and language show to operators.
 
-Writers use these sentences word for word, and the proof refuses any other. A sentence is plain ASCII and
-has fields for its figures. `OperatorDialogue` claims which sentences an operation shows, with which
-figures. For starts, setups and error handlers they follow from the problem (``proof/dialogue.py``).
-Sentences of one process or language are in its ``sentences.py``.
+Writers use these sentences word for word, and the proof refuses any other. A sentence is plain ASCII and has
+fields for values. `OperatorDialogue` claims which sentences an operation shows, with which values. For
+starts, setups and error handlers they follow from the problem (``proof/dialogue.py``). Sentences of only one
+process or language are in its ``sentences.py``.
 
 Lines of a message box have at most 55 characters, lines of the panel at most 40.
 """
@@ -20,22 +20,22 @@ ASCII_REPLACEMENTS: Final = str.maketrans(
 
 @dataclasses.dataclass(frozen=True)
 class Sentence:
-    """Words with named fields for ``str.format``.
+    """A sentence with named fields for ``str.format``.
 
-    The format of a field defines how its figure is rounded.
+    The format of a field defines how its value is rounded.
     """
 
     words: str
 
     def format(self, **figures: float | str) -> str:
-        """Return the sentence with its figures."""
+        """Return the text of the sentence with values for its fields."""
         return self.words.format(**figures)
 
 
 HEADER: Final = "Tandem"
 """Header of each box with a question."""
 PLAIN: Final = Sentence("{text}")
-"""A sentence of the user in setups."""
+"""Any sentence that the user states for a setup."""
 
 # ---- before anything moves ----
 
@@ -43,12 +43,12 @@ NO_WIRE: Final = Sentence(
     "Is there NO wire between the arms? Each arm now goes home alone, then to its first position, alone or "
     "at once with the other one. Take off what joins them, see that their ways are clear, then press OK."
 )
-"""Used if a wire will join the arms."""
+"""Asked before the start if a wire will join the arms."""
 READY: Final = Sentence("Is the stock in place and the way of each arm clear? Press OK to start.")
 CLEAR: Final = Sentence(
     "Is the way of each arm to its home clear, and nobody in the cell? Press OK to start."
 )
-"""Used if the first setup is described and confirmed afterwards."""
+"""Asked before the start if the operator confirms the first setup afterwards."""
 KRL_READY: Final = Sentence("Is the stock in place and the way of the arm clear?")
 KRL_CLEAR: Final = Sentence("Is the way of the arm to its home clear, and nobody in the cell?")
 
@@ -94,7 +94,7 @@ READY_TO_MEET: Final = Sentence("Ready to meet arm {other}.")
 START_PARTNER: Final = Sentence(
     "Start the program of arm {other} now. When its panel says that it is ready, press Start here."
 )
-"""Shown by the leading program right before it stops."""
+"""Shown by the leading program directly before it stops."""
 UNANSWERED: Final = Sentence(
     "Arm {other} did not answer in time, or its running wire is not as it should be."
 )

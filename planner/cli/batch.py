@@ -38,7 +38,7 @@ STATE_STYLE = {"verified": "green", "infeasible": "yellow", "bad_input": "yellow
 NEIGHBOUR: Final = "neighbour"
 """Value of ``--like`` with which panels are planned like adjacent ones."""
 TABLE_FIGURES = ("targets", "cycle_s", "clearance_mm")
-"""Figures that fit in the printed table. ``summary.csv`` and ``summary.html`` have all of them."""
+"""Values of a job that fit in the printed table. ``summary.csv`` and ``summary.html`` have all of them."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,9 +73,9 @@ class Batch:
 
 
 def usable_cores() -> int:
-    """Number of cores that this process may use."""
-    able = getattr(os, "sched_getaffinity", None)  # not on every system
-    return len(able(0)) if able is not None else os.cpu_count() or 1
+    """Return the number of cores that this process may use."""
+    get_affinity = getattr(os, "sched_getaffinity", None)  # not on every system
+    return len(get_affinity(0)) if get_affinity is not None else os.cpu_count() or 1
 
 
 def run_batch(request: Batch) -> int:
@@ -88,9 +88,9 @@ def run_batch(request: Batch) -> int:
     from planner.batch.run import collect_items
 
     _require_options(request)
-    done, seconds = _plan_items(request, lambda: collect_items(request.problems, request.output))
-    _print_rows(done, request.output, seconds)
-    return batch.exit_code(done)
+    rows, seconds = _plan_items(request, lambda: collect_items(request.problems, request.output))
+    _print_rows(rows, request.output, seconds)
+    return batch.exit_code(rows)
 
 
 def _plan_items(request: Batch, collect_items: Callable[[], list[BatchItem]]) -> tuple[list[BatchRow], float]:
@@ -100,7 +100,7 @@ def _plan_items(request: Batch, collect_items: Callable[[], list[BatchItem]]) ->
     from planner.batch.job import JobFinished
 
     start = time.perf_counter()
-    rows: dict[str, BatchRow] = {}
+    rows_by_name: dict[str, BatchRow] = {}
     with batch.claimed_folder(request.output):
         items = collect_items()
         count = min(request.workers or usable_cores(), len(items))
@@ -112,23 +112,28 @@ def _plan_items(request: Batch, collect_items: Callable[[], list[BatchItem]]) ->
 
             def on_event(event: JobEvent) -> None:
                 if isinstance(event, JobFinished):
-                    rows[event.name] = batch_rows.BatchRow(items_by_name[event.name], event.done)
+                    rows_by_name[event.name] = batch_rows.BatchRow(items_by_name[event.name], event.done)
                 display.show(event)
 
             try:
-                done = batch.run_batch(items, request.output, planners, settings, on_event)
+                rows = batch.run_batch(items, request.output, planners, settings, on_event)
             except BaseException:
-                so_far = [rows[item.name] for item in items if item.name in rows]
-                _write_summary(request, so_far, time.perf_counter() - start)
+                finished_rows = [rows_by_name[item.name] for item in items if item.name in rows_by_name]
+                _write_summary(request, finished_rows, time.perf_counter() - start)
                 raise
-        _write_summary(request, done, time.perf_counter() - start)
-    return done, time.perf_counter() - start
+        _write_summary(request, rows, time.perf_counter() - start)
+    return rows, time.perf_counter() - start
 
 
 def _with_references(request: Batch, items: list[BatchItem]) -> tuple[list[BatchItem], Path | None]:
-    """Items with the items that they are planned like, and the folder of an earlier batch.
+    """Resolve the option ``--like``.
 
-    Raises ``TandemError`` (``batch.field``).
+    Returns:
+        Items, each with its reference item if the option is `NEIGHBOUR`, and the folder of the earlier batch
+        whose results are reference plans, or None.
+
+    Raises:
+        TandemError: ``batch.field``.
     """
     if request.like is None:
         return items, None
@@ -139,17 +144,21 @@ def _with_references(request: Batch, items: list[BatchItem]) -> tuple[list[Batch
     from planner.plans import DATA_FILE
 
     folder = Path(request.like)
-    new = [item.name for item in items if not is_file(folder / item.name / DATA_FILE)]
-    if len(new) == len(items):
-        what = f"--like {folder}: it holds no plan of any of these problems"
+    new_names = [item.name for item in items if not is_file(folder / item.name / DATA_FILE)]
+    if len(new_names) == len(items):
+        message = f"--like {folder}: it holds no plan of any of these problems"
         hint = f"name the folder of an earlier batch of them, or use {NEIGHBOUR}"
-        raise issue_error("batch.field", what, field="--like", hint=hint)
-    if new:
-        err.print(f"{len(new)} of {len(items)} have no plan in {folder}: {', '.join(new[:5])}", markup=False)
+        raise issue_error("batch.field", message, field="--like", hint=hint)
+    if new_names:
+        err.print(
+            f"{len(new_names)} of {len(items)} have no plan in {folder}: {', '.join(new_names[:5])}",
+            markup=False,
+        )
     return items, folder
 
 
 def _require_options(request: Batch) -> None:
+    """Require that problems are named and that limits are positive."""
     numbers = {"--workers": request.workers, "--timeout": request.timeout, "--memory": request.memory}
     issues = [
         Issue("batch.field", f"{name}: must be above 0, got {value:g}", field=name)
@@ -164,6 +173,7 @@ def _require_options(request: Batch) -> None:
 
 @contextmanager
 def _make_planners(request: Batch, count: int) -> Iterator[Planners]:
+    """Open the cluster, or ``count`` worker processes, that plan the jobs."""
     if request.cluster is not None:
         from planner.batch.cluster import ClusterPlanners
 
@@ -206,6 +216,7 @@ class _ProgressDisplay:
 
 @contextmanager
 def _show_progress(items: Sequence[BatchItem]) -> Iterator[_ProgressDisplay]:
+    """Show the progress of a batch on standard error."""
     columns = (
         TextColumn("{task.description:<32}", markup=False),
         BarColumn(),
@@ -226,6 +237,7 @@ def _write_summary(request: Batch, rows: Sequence[BatchRow], seconds: float) -> 
 
 
 def _print_rows(rows: Sequence[BatchRow], folder: Path, seconds: float) -> None:
+    """Print the results of a batch as a table, its accepted issues, and a summary with the duration [s]."""
     from planner.batch import compare
 
     table = Table(
@@ -244,15 +256,18 @@ def _print_rows(rows: Sequence[BatchRow], folder: Path, seconds: float) -> None:
         )
     out.print(table)
     for row in rows:
-        taken = accepted_codes(row.done.issues)
-        if taken:
-            what = f"{row.item.name}: accepted by the problem, not by Tandem: {', '.join(taken)}"
-            out.print(what, markup=False, soft_wrap=True)
-    verified = sum(row.done.state == "verified" for row in rows)
-    kept = sum(row.is_kept for row in rows)
-    again = f", {kept} of them finished before" if kept else ""
-    where = folder / "summary.html"
-    out.print(f"{verified} of {len(rows)} verified{again}; {seconds:.1f} s; see {where}", markup=False)
+        accepted = accepted_codes(row.done.issues)
+        if accepted:
+            message = f"{row.item.name}: accepted by the problem, not by Tandem: {', '.join(accepted)}"
+            out.print(message, markup=False, soft_wrap=True)
+    verified_count = sum(row.done.state == "verified" for row in rows)
+    kept_count = sum(row.is_kept for row in rows)
+    kept_text = f", {kept_count} of them finished before" if kept_count else ""
+    summary_page = folder / "summary.html"
+    out.print(
+        f"{verified_count} of {len(rows)} verified{kept_text}; {seconds:.1f} s; see {summary_page}",
+        markup=False,
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -288,18 +303,19 @@ def run_fit(request: Fit) -> int:
     from planner.batch import run as batch
 
     problem = pipeline.load(request.problem)
-    about = Batch(
+    batch_request = Batch(
         (request.problem,), request.output, request.workers, request.resume, request.timeout, reports="failed"
     )
-    _require_options(about)
-    rows, seconds = _plan_items(about, lambda: cell_ranking.cell_items(problem, request.cells))
+    _require_options(batch_request)
+    rows, seconds = _plan_items(batch_request, lambda: cell_ranking.cell_items(problem, request.cells))
     rows = cell_ranking.rank_cells(rows, problem.settings)
-    _write_summary(about, rows, seconds)
+    _write_summary(batch_request, rows, seconds)
     _print_ranking(rows, problem, seconds, request.output)
     return 0 if any(row.done.state == "verified" for row in rows) else batch.exit_code(rows)
 
 
 def _print_ranking(rows: Sequence[BatchRow], problem: Problem, seconds: float, folder: Path) -> None:
+    """Print ranked cells as a table, the reasons why others are not proven, and a summary."""
     from planner.batch import compare
 
     names = ("cycle_s", "clearance_mm", "joint_limits_deg", "singularity_deg")
@@ -318,14 +334,14 @@ def _print_ranking(rows: Sequence[BatchRow], problem: Problem, seconds: float, f
         issue = compare.most_severe_issue(row.done)
         if row.done.state != "verified" and issue is not None:
             out.print(f"{row.item.name}: {issue}", markup=False, soft_wrap=True)
-    verified = sum(row.done.state == "verified" for row in rows)
-    where = folder / "summary.html"
-    what = f"{problem.name} is proven in {verified} of {len(rows)} cells; {seconds:.1f} s; see {where}"
-    out.print(what, markup=False)
+    proven = sum(row.done.state == "verified" for row in rows)
+    page = folder / "summary.html"
+    message = f"{problem.name} is proven in {proven} of {len(rows)} cells; {seconds:.1f} s; see {page}"
+    out.print(message, markup=False)
 
 
 COMPARED_FIGURES = ("cycle_s", "clearance_mm", "path_cost", "planning_s")
-"""Figures of each job that are compared between two batches."""
+"""Values of each job that are compared between two batches."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -356,10 +372,11 @@ def run_compare(request: Compare) -> None:
 
 
 def _print_plans(plans: PlanComparison) -> None:
+    """Print verdicts and values of two plans, changed segments, and numbers of issues that differ."""
     from planner.batch.compare import FIGURE_HEADINGS
 
     table = Table("figure", "first", "second", "change")
-    verdicts = [_verdict(side.ok) for side in (plans.first, plans.second)]
+    verdicts = [_verdict(result.ok) for result in (plans.first, plans.second)]
     table.add_row("proof", *verdicts, "" if verdicts[0] == verdicts[1] else "differs")
     for pair in plans.figures:
         table.add_row(FIGURE_HEADINGS.get(pair.name, pair.name), *_figure_cells(pair))
@@ -368,15 +385,15 @@ def _print_plans(plans: PlanComparison) -> None:
         out.print("both are plans of the same problem")
     if plans.segments:
         table = Table("changed segment", "targets", "seconds", "joints deg", "poses mm")
-        for s in plans.segments:
-            targets = f"{_format_value(s.targets[0])} to {_format_value(s.targets[1])}"
-            seconds = f"{_format_value(s.seconds[0])} to {_format_value(s.seconds[1])}"
+        for segment in plans.segments:
+            targets = f"{_format_value(segment.targets[0])} to {_format_value(segment.targets[1])}"
+            seconds = f"{_format_value(segment.seconds[0])} to {_format_value(segment.seconds[1])}"
             table.add_row(
-                f"{s.operation}/{s.segment}",
+                f"{segment.operation}/{segment.segment}",
                 targets,
                 seconds,
-                _format_value(s.joints_deg),
-                _format_value(s.poses_mm),
+                _format_value(segment.joints_deg),
+                _format_value(segment.poses_mm),
             )
         out.print(table)
     else:
@@ -385,6 +402,7 @@ def _print_plans(plans: PlanComparison) -> None:
 
 
 def _print_batches(jobs: list[JobPair]) -> None:
+    """Print status and values of each job in two batches, and the sums over the jobs that both have."""
     from planner.batch.compare import FIGURE_HEADINGS, STATE_LABELS
 
     table = Table(
@@ -392,22 +410,25 @@ def _print_batches(jobs: list[JobPair]) -> None:
     )
     for job in jobs:
         states = [
-            STATE_LABELS[done.state] if done is not None else "missing" for done in (job.first, job.second)
+            STATE_LABELS[result.state] if result is not None else "missing"
+            for result in (job.first, job.second)
         ]
         status = states[0] if states[0] == states[1] else f"{states[0]} to {states[1]}"
-        codes = "; ".join(f"{code} {first} to {other}" for code, (first, other) in job.issues.items())
+        codes = "; ".join(f"{code} {first} to {second}" for code, (first, second) in job.issues.items())
         table.add_row(job.name, status, *(_both_values(job.figure(name)) for name in COMPARED_FIGURES), codes)
     out.print(table)
-    both = [job for job in jobs if job.first is not None and job.second is not None]
+    jobs_in_both = [job for job in jobs if job.first is not None and job.second is not None]
     for name in COMPARED_FIGURES:
-        pairs = [job.figure(name) for job in both]
-        known = [(p.first, p.second) for p in pairs if p.first is not None and p.second is not None]
-        if known:
-            sums = sum(first for first, _ in known), sum(other for _, other in known)
+        pairs = [job.figure(name) for job in jobs_in_both]
+        known_values = [
+            (pair.first, pair.second) for pair in pairs if pair.first is not None and pair.second is not None
+        ]
+        if known_values:
+            sums = sum(first for first, _ in known_values), sum(second for _, second in known_values)
             title = FIGURE_HEADINGS.get(name, "planned in s")
             if not name.endswith("_mm"):  # a sum of distances has no meaning
                 out.print(
-                    f"{title}, sum over {len(known)} jobs: {_format_value(sums[0])} to "
+                    f"{title}, sum over {len(known_values)} jobs: {_format_value(sums[0])} to "
                     f"{_format_value(sums[1])}"
                 )
     changed = sum(
@@ -417,6 +438,7 @@ def _print_batches(jobs: list[JobPair]) -> None:
 
 
 def _print_issue_counts(issue_counts: Mapping[str, tuple[int, int]]) -> None:
+    """Print the issue codes whose numbers differ between two plans."""
     if not issue_counts:
         out.print("the same issues")
         return
@@ -431,6 +453,7 @@ def _verdict(ok: bool | None) -> str:
 
 
 def _figure_cells(pair: FigurePair) -> tuple[str, str, str]:
+    """Return both values and their change, also in percent, as text."""
     change = pair.change
     change_text = "" if change is None else "same" if change == 0.0 else f"{change:+.4g}"
     if change and pair.first:
@@ -465,14 +488,15 @@ class Difference:
 
 
 def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> tuple[Difference, ...]:
-    """Differences of the values of two problem sources, field by field in the order of the files.
+    """List the fields in which two problem sources differ, in the order of the first source.
 
-    Files that they name are compared by content.
+    Files that the sources name are compared by content.
     """
     return tuple(_compare_values("", first, second))
 
 
 def _compare_values(field: str, a: Any, b: Any) -> Iterator[Difference]:
+    """Yield the differences of two values and of all values in them. ``field`` is their path."""
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         for key in dict.fromkeys([*a, *b]):
             name = f"{field}.{key}" if field else str(key)
@@ -481,14 +505,15 @@ def _compare_values(field: str, a: Any, b: Any) -> Iterator[Difference]:
             else:
                 yield from _compare_values(name, a.get(key, _ABSENT), b.get(key, _ABSENT))
     elif isinstance(a, list) and isinstance(b, list):
-        for i in range(max(len(a), len(b))):
-            first_item, second_item = (rows[i] if i < len(rows) else _ABSENT for rows in (a, b))
-            yield from _compare_values(f"{field}[{i}]", first_item, second_item)
+        for index in range(max(len(a), len(b))):
+            first_item, second_item = (side[index] if index < len(side) else _ABSENT for side in (a, b))
+            yield from _compare_values(f"{field}[{index}]", first_item, second_item)
     elif type(a) is not type(b) or a != b:
         yield Difference(field, _format_field(a), _format_field(b))
 
 
 def _compare_files(field: str, a: Any, b: Any) -> Iterator[Difference]:
+    """Yield a difference if the files with the names ``a`` and ``b`` have different content."""
     if not isinstance(a, str) or not isinstance(b, str):
         yield from _compare_values(field, a, b)
     elif (first_content := _content_digest(a)) != (second_content := _content_digest(b)):

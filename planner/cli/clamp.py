@@ -47,7 +47,7 @@ class CalibrateClamp:
 
 
 def run_calibrate_clamp(request: CalibrateClamp, problem: Problem) -> tuple[Issue, ...]:
-    """Compute, print and write; returns warnings.
+    """Compute, print and write the calibration of a clamp. Return warnings.
 
     Raises:
         TandemError: The test or its files are not usable.
@@ -60,8 +60,8 @@ def run_calibrate_clamp(request: CalibrateClamp, problem: Problem) -> tuple[Issu
 
     sheet = problem.stock.sheet
     if sheet is None:
-        what = f"{problem.name}: has a block and no sheet; state the problem whose clamp was tested"
-        raise issue_error("forming.no_sheet", what, field="problem")
+        message = f"{problem.name}: has a block and no sheet; state the problem whose clamp was tested"
+        raise issue_error("forming.no_sheet", message, field="problem")
     require_suffix(request.output, "a page is .html", (".html",))
     thickness = float(problem.stock.size[2])
     tolerance = 0.05 * thickness if request.thickness_tol_mm is None else request.thickness_tol_mm * MM
@@ -73,8 +73,12 @@ def run_calibrate_clamp(request: CalibrateClamp, problem: Problem) -> tuple[Issu
         .buffer(-clamp_calibration.PRESSED_WIDTH_M)
         .contains(shapely.Point(position))
     ):
-        got = f"place_mm: got {request.place_mm[0]:g}, {request.place_mm[1]:g}, which is not in the opening"
-        raise issue_error("forming.plate_test", f"{got}; state the position of the load", field="place_mm")
+        problem_text = (
+            f"place_mm: got {request.place_mm[0]:g}, {request.place_mm[1]:g}, which is not in the opening"
+        )
+        raise issue_error(
+            "forming.plate_test", f"{problem_text}; state the position of the load", field="place_mm"
+        )
     readings = clamp_calibration.read_readings(request.readings, request.dial_mm * MM)
     plate = clamp_calibration.TestPlate(
         sheet.opening, position, sheet.metal.young, sheet.metal.poisson, thickness, tolerance
@@ -84,8 +88,8 @@ def run_calibrate_clamp(request: CalibrateClamp, problem: Problem) -> tuple[Issu
             plate, float(readings.force.max()), float(readings.force.min())
         )
     except (LimitLoadError, ValueError) as error:
-        what = f"{request.readings.name}: the sheet of {problem.name} does not bear these forces ({error})"
-        raise issue_error("forming.plate_test", what, file=str(request.readings)) from error
+        message = f"{request.readings.name}: the sheet of {problem.name} does not bear these forces ({error})"
+        raise issue_error("forming.plate_test", message, file=str(request.readings)) from error
     calibration = clamp_calibration.calibrate(plate, readings, response)
     _print_calibration(calibration, plate, request.thickness_tol_mm is None)
     if request.output is not None:
@@ -95,19 +99,20 @@ def run_calibrate_clamp(request: CalibrateClamp, problem: Problem) -> tuple[Issu
 
 def _require_range(name: str, value: float, low: float, high: float, unit: str) -> None:
     if not low <= value <= high:
-        what = f"{name}: got {value:g} {unit}, allowed {low:g} to {high:g}; correct it"
-        raise issue_error("forming.plate_test", what, field=name)
+        message = f"{name}: got {value:g} {unit}, allowed {low:g} to {high:g}; correct it"
+        raise issue_error("forming.plate_test", message, field=name)
 
 
-def _print_calibration(calibration: ClampCalibration, plate: TestPlate, assumed: bool) -> None:
+def _print_calibration(calibration: ClampCalibration, plate: TestPlate, is_tolerance_assumed: bool) -> None:
+    """Print the estimates with their intervals, the line for the problem file, and the assumptions."""
     table = Table("figure", "value", "95 % from", "to")
     _add_row(table, "border, 0 slides, 1 is immovable", calibration.grip, 1.0, 2)
     _add_row(table, "its spring, N/mm per mm", calibration.spring, MM**2, 2)
     _add_row(table, "thickness, mm", calibration.thickness, 1.0 / MM, 3)
     _add_row(table, "kappa, sheet over shell", calibration.kappa, 1.0, 3)
     out.print(table)
-    worst = float(abs(calibration.residuals).max()) / MM
-    out.print(f"readings deviate from the fit by at most {worst:.3f} mm")
+    max_deviation = float(abs(calibration.residuals).max()) / MM
+    out.print(f"readings deviate from the fit by at most {max_deviation:.3f} mm")
     lines = {
         "sliding": "clamp: {border: sliding}",
         "immovable": "clamp: {border: immovable}",
@@ -116,11 +121,12 @@ def _print_calibration(calibration: ClampCalibration, plate: TestPlate, assumed:
     }
     out.print(f"for the problem: {lines[calibration.border]}", markup=False)
     assumptions = f"assumed: Young's modulus {plate.young / 1e9:g} GPa, Poisson's ratio {plate.poisson:g}"
-    assumptions += ", thickness within 5 %" if assumed else ""
+    assumptions += ", thickness within 5 %" if is_tolerance_assumed else ""
     out.print(f"{assumptions}; kappa includes the error of the modulus", markup=False)
 
 
 def _add_row(table: Table, name: str, estimate: IntervalEstimate, unit: float, digits: int) -> None:
+    """Add an estimate and its 95 % interval to a table. ``unit`` is a factor from SI to the printed unit."""
     table.add_row(
         name, *(f"{value * unit:.{digits}f}" for value in (estimate.value, estimate.low, estimate.high))
     )
@@ -135,7 +141,7 @@ def _calibration_page(
 ) -> str:
     from planner.report import exhibits
 
-    shown = {
+    exhibits_by_name = {
         "test": {
             "kind": "curve",
             "title": "Deflection of the flat sheet over force",
@@ -153,4 +159,4 @@ def _calibration_page(
         f"{plate.thickness / MM:g} ordered, kappa {calibration.kappa.value:.3f}."
     )
     title = f"Plate test {request.readings.name} of {problem.name}"
-    return exhibits.exhibits_page(title, ("test", "Plate test"), shown, about)
+    return exhibits.exhibits_page(title, ("test", "Plate test"), exhibits_by_name, about)

@@ -41,23 +41,29 @@ P = ParamSpec("P")
 
 
 def _infeasible_code(error: TandemError) -> int:
+    """Return the exit code of a command that plans: the input is wrong, or there is no plan."""
     return BAD_INPUT if is_input_error(error.issues) else NO_PLAN
 
 
 def _failed_code(error: TandemError) -> int:
+    """Return the exit code of other commands: the input is wrong, or the command failed."""
     return BAD_INPUT if is_input_error(error.issues) else FAILED
 
 
 def _command(
     code: Callable[[TandemError], int] = lambda _: BAD_INPUT, name: str | None = None
 ) -> Callable[[Callable[P, int | None]], Callable[P, int]]:
-    """Register a function as a command with that ``name``, by default the function's.
+    """Return a decorator that registers a function as a command.
 
-    The exit code is what the function returns, `DONE` for None. The issues of a ``TandemError`` are printed,
-    and ``code`` gives its exit code.
+    The exit code is what the function returns, or `DONE` if it returns None. If it raises ``TandemError``,
+    the issues are printed.
+
+    Args:
+        code: Function that returns the exit code for a ``TandemError``.
+        name: Name of the command, or None for that of the function.
     """
 
-    def registered(function: Callable[P, int | None]) -> Callable[P, int]:
+    def register(function: Callable[P, int | None]) -> Callable[P, int]:
         @functools.wraps(function)
         def run(*args: P.args, **kwargs: P.kwargs) -> int:
             try:
@@ -68,7 +74,7 @@ def _command(
         app.command(name=name)(run)
         return run
 
-    return registered
+    return register
 
 
 @_command()
@@ -157,13 +163,13 @@ def verify(
     programs = pipeline.read_programs(folder, bare=problem is not None)
     try:
         proof = pipeline.verify(loaded, programs, _process_count())
-        foreign = problem is not None and not proof.is_read
-        partly = pipeline.read_partly(loaded, programs) if foreign else None
+        is_foreign = problem is not None and not proof.is_read
+        partial_reading = pipeline.read_partly(loaded, programs) if is_foreign else None
     except TandemError as error:
         return _print_refusal(error, NOT_PROVEN)
-    if partly is not None:
-        print_issues(partly.issues)
-        out.print(f"{loaded.name}: not read as a whole; proven individually: {partly.proven}")
+    if partial_reading is not None:
+        print_issues(partial_reading.issues)
+        out.print(f"{loaded.name}: not read as a whole; proven individually: {partial_reading.proven}")
     else:
         print_issues(proof.issues)
     passed, total, not_applicable = proof.rule_counts
@@ -251,8 +257,8 @@ def download(request: tyro.conf.OmitArgPrefixes[loading_commands.Download]) -> i
     touched_up, proof = loading_commands.run_download(request)
     print_issues(loading_commands.summarise_issues(touched_up))
     print_issues(proof.issues)
-    sent = f"touched up in {len(touched_up)} places" if touched_up else "unchanged since it was sent"
-    out.print(f"{sent}; {'proven' if proof.ok else 'NOT proven'}", highlight=False)
+    change_text = f"touched up in {len(touched_up)} places" if touched_up else "unchanged since it was sent"
+    out.print(f"{change_text}; {'proven' if proof.ok else 'NOT proven'}", highlight=False)
     out.print("These are stored files; loaded modules were not read: save them first.", highlight=False)
     return DONE if proof.ok else NOT_PROVEN
 
@@ -431,9 +437,9 @@ def issues() -> None:
     from planner.issue_codes import all_codes
 
     table = Table("code", "meaning")
-    for code, row in all_codes().items():
-        may = " (may be accepted)" if row.acceptance else ""
-        table.add_row(code, row.meaning + may)
+    for code, entry in all_codes().items():
+        remark = " (may be accepted)" if entry.acceptance else ""
+        table.add_row(code, entry.meaning + remark)
     out.print(table)
 
 
@@ -452,8 +458,8 @@ def main() -> None:
         if _is_interrupt(error):
             _exit_stopped()
         err.print_exception()
-        what = f"{type(error).__name__}: {error}; nothing was written, please report this"
-        print_issues((Issue("internal.error", what),))
+        message = f"{type(error).__name__}: {error}; nothing was written, please report this"
+        print_issues((Issue("internal.error", message),))
         sys.exit(FAILED)
     except KeyboardInterrupt:
         _exit_stopped()
@@ -472,14 +478,17 @@ def _exit_stopped() -> NoReturn:
 
 
 def _is_interrupt(error: BaseException | None) -> bool:
-    """Whether a Ctrl-C is the root cause of an error that a library raised."""
+    """Report whether a Ctrl-C is a cause of an error that a library raised."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
 
 
 def _handle_unraisable(unraisable: sys.UnraisableHookArgs) -> None:
-    """Raise a Ctrl-C again shortly after it met a callback that cannot raise."""
+    """Raise a Ctrl-C again if it was raised in a callback that cannot pass exceptions on.
+
+    Python reports such exceptions to this hook and drops them. The interruption is repeated 0.05 s later.
+    """
     if issubclass(unraisable.exc_type, KeyboardInterrupt):
         threading.Timer(0.05, _thread.interrupt_main).start()
     else:
@@ -489,9 +498,9 @@ def _handle_unraisable(unraisable: sys.UnraisableHookArgs) -> None:
 def _import_pipeline() -> ModuleType:
     """Import the pipeline when a command needs it, which takes half a second.
 
-    Drake, which it imports, logs without being asked, so its log level is raised. The arrays are small:
-    threads of the linear algebra only slow each other down, and their number must not change a plan. NumPy
-    reads these variables when it is loaded. Values that are set already are kept.
+    The import loads Drake, whose log level is raised to show warnings only. The linear algebra uses one
+    thread, because the arrays are small and the number of threads must not change a plan. NumPy reads these
+    environment variables when it is loaded. Values that are set already are kept.
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
@@ -503,7 +512,7 @@ def _import_pipeline() -> ModuleType:
 
 
 def _process_count() -> int:
-    """Number of processes for one plan: two if this process may use two cores."""
+    """Return the number of processes for one plan: two if this process may use two cores."""
     return min(2, batch_commands.usable_cores())
 
 

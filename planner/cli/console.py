@@ -47,8 +47,8 @@ def require_suffix(path: Path | None, allowed: str, suffixes: Sequence[str], fie
         TandemError: The name has another ending (``output.folder``).
     """
     if path is not None and path.suffix.lower() not in suffixes:
-        what = f"{path.name}: unsupported suffix; {allowed}"
-        raise issue_error("output.folder", what, field=field)
+        message = f"{path.name}: unsupported suffix; {allowed}"
+        raise issue_error("output.folder", message, field=field)
 
 
 def write_file(path: Path, content: str | bytes) -> None:
@@ -56,8 +56,8 @@ def write_file(path: Path, content: str | bytes) -> None:
     try:
         write_atomic(path, content)
     except OSError as error:
-        what = f"{path}: cannot be written ({error.strerror}); choose another path"
-        raise issue_error("output.folder", what, field="output") from error
+        message = f"{path}: cannot be written ({error.strerror}); choose another path"
+        raise issue_error("output.folder", message, field="output") from error
 
 
 def write_output(path: Path, text: str, done: str = "written to") -> None:
@@ -74,7 +74,11 @@ def print_accepted(codes: Sequence[str]) -> None:
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """Show progress on standard error. The function takes a stage and the fraction of it that is done."""
+    """Show progress on standard error.
+
+    Yields:
+        Function that takes a stage and the fraction of it that is completed.
+    """
     columns = (SpinnerColumn(), TextColumn("{task.description:<12}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=err, transient=True) as bar:
         tasks: dict[str, object] = {}
@@ -88,17 +92,25 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
 
 
 def print_summary(outcome: object, output: Path, seconds: float) -> None:
-    """Print the verdict, the length of the motion and the planning time [s] of an outcome in ``output``."""
+    """Print verdict, duration of the motion and planning time of an outcome.
+
+    Args:
+        outcome: Outcome of :func:`planner.pipeline.plan`.
+        output: Result folder.
+        seconds: Planning time [s].
+    """
     from planner.pipeline import Outcome
 
     if not isinstance(outcome, Outcome):
         raise TypeError(f"expected an Outcome, got {type(outcome).__name__}")
-    moves = sum(operation.targets.count for operation in outcome.plan.operations)
+    target_count = sum(operation.targets.count for operation in outcome.plan.operations)
     cycle = outcome.plan.duration
     verdict = "verified" if outcome.verified else "NOT verified, no programs written"
-    out.print(f"{outcome.problem.name}: {moves} targets, {cycle:.1f} s of motion, {verdict}")
+    out.print(f"{outcome.problem.name}: {target_count} targets, {cycle:.1f} s of motion, {verdict}")
     print_accepted(outcome.accepted)
-    stages = ", ".join(f"{name} {lap:.1f}" for name, lap in _stage_times(outcome.plan).items())
+    stages = ", ".join(
+        f"{name} {stage_seconds:.1f}" for name, stage_seconds in _stage_times(outcome.plan).items()
+    )
     spent = f" ({stages})" if stages else ""
     out.print(
         f"planned in {seconds:.1f} s{spent}; see {output / 'report.html'}", highlight=False, markup=False
@@ -106,9 +118,12 @@ def print_summary(outcome: object, output: Path, seconds: float) -> None:
 
 
 def _stage_times(plan: Plan) -> dict[str, float]:
-    """Return the time [s] of each stage of motion planning, summed over all operations, if it took any."""
-    laps: dict[str, float] = {}
+    """Return the time [s] of each stage of motion planning, summed over all operations.
+
+    Stages that took less than 0.05 s are left out.
+    """
+    seconds_by_stage: dict[str, float] = {}
     for metrics in (plan.metrics, *(operation.metrics for operation in plan.operations)):
         for name, seconds in metrics.get("stages", {}).items():
-            laps[name] = laps.get(name, 0.0) + float(seconds)
-    return {name: seconds for name, seconds in laps.items() if seconds >= 0.05}
+            seconds_by_stage[name] = seconds_by_stage.get(name, 0.0) + float(seconds)
+    return {name: seconds for name, seconds in seconds_by_stage.items() if seconds >= 0.05}

@@ -34,7 +34,10 @@ class ElementRequest:
 
 
 def run_element(request: ElementRequest) -> tuple[Issue, ...]:
-    """Divide, write and print; returns issues.
+    """Divide an element, write its files and print a summary.
+
+    Returns:
+        Issues of the division.
 
     Raises:
         TandemError: The element cannot be divided or written.
@@ -45,9 +48,9 @@ def run_element(request: ElementRequest) -> tuple[Issue, ...]:
     start = time.perf_counter()
     prepare_folder(request.output, output.OWNED_ENTRIES, keep=request.file)
     element = element_file.read_element(request.file)
-    raw = element.file.raw_blocks
-    if raw is not None and raw.stock is not None:
-        prepare_folder(request.output, output.OWNED_ENTRIES, keep=request.file.parent / raw.stock)
+    raw_blocks = element.file.raw_blocks
+    if raw_blocks is not None and raw_blocks.stock is not None:
+        prepare_folder(request.output, output.OWNED_ENTRIES, keep=request.file.parent / raw_blocks.stock)
     previous_problems = unchanged.problems_in(request.output) if request.resume else {}
     if request.resume and unchanged.is_unchanged(request.output, element, request.file):
         data = json.loads((request.output / "element.json").read_text("utf-8"))
@@ -60,8 +63,10 @@ def run_element(request: ElementRequest) -> tuple[Issue, ...]:
     )
     out.print(f"{element.file.name}: {division.summary}", markup=False)
     if previous_problems:
-        same, count = unchanged.count_unchanged(previous_problems, division.files)
-        out.print(f"{same} of {count} problems are unchanged: tandem batch --resume plans the others")
+        unchanged_count, count = unchanged.count_unchanged(previous_problems, division.files)
+        out.print(
+            f"{unchanged_count} of {count} problems are unchanged: tandem batch --resume plans the others"
+        )
     seconds = time.perf_counter() - start
     out.print(f"divided in {seconds:.1f} s; see {request.output / 'element.html'}", markup=False)
     return division.issues
@@ -81,7 +86,10 @@ class ElementReport:
 
 
 def run_element_report(request: ElementReport) -> tuple[Issue, ...]:
-    """Read, measure, write and print; returns issues.
+    """Read the results of an element's panels, write the report and print a summary.
+
+    Returns:
+        Issues of the report.
 
     Raises:
         TandemError: A folder cannot be read.
@@ -93,10 +101,10 @@ def run_element_report(request: ElementReport) -> tuple[Issue, ...]:
     for name, text in report_files(run_result, request.element).items():
         write_atomic(request.element / name, text)
     proven = sum(panel.proven for panel in run_result.panels)
-    hours = ", ".join(f"{arm} {s / run_page.HOUR_S:.2f} h" for arm, s in run_result.all_seconds().items())
-    blocks_cut = (
-        f", {sum(saw_job.proven for saw_job in run_result.saw)} of {len(run_result.saw)} jobs of raw blocks"
+    hours = ", ".join(
+        f"{arm} {seconds / run_page.HOUR_S:.2f} h" for arm, seconds in run_result.all_seconds().items()
     )
+    blocks_cut = f", {sum(job.proven for job in run_result.saw)} of {len(run_result.saw)} jobs of raw blocks"
     out.print(
         f"{run_result.data['name']}: {proven} of {len(run_result.panels)} "
         f"panels{blocks_cut if run_result.saw else ''} proven; robots: {hours or 'none'}; "
@@ -125,7 +133,10 @@ class ElementMark:
 
 
 def run_element_mark(request: ElementMark) -> tuple[Issue, ...]:
-    """Read, mark, write and print; returns issues.
+    """Record the state of a panel, and print the progress with the next steps.
+
+    Returns:
+        Issues of the progress.
 
     Raises:
         TandemError: The folder or the panel is unknown.

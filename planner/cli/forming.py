@@ -83,7 +83,7 @@ class SpringbackCommand:
 
 
 def run_springback(request: SpringbackCommand, problem: Problem) -> tuple[Issue, ...]:
-    """Compute, print and write; returns warnings.
+    """Predict the springback of a forming operation, print it and write the requested files. Return warnings.
 
     Raises:
         TandemError: Options or the operation are not suitable.
@@ -99,12 +99,12 @@ def run_springback(request: SpringbackCommand, problem: Problem) -> tuple[Issue,
         ("triangles", request.triangles, MIN_TRIANGLES),
     ):
         if value is not None and value < min_value:
-            what = f"got {value}, allowed at least {min_value}"
-            raise issue_error("forming.springback_mode", what, field=name, hint="correct it")
+            text = f"got {value}, allowed at least {min_value}"
+            raise issue_error("forming.springback_mode", text, field=name, hint="correct it")
     if request.write is not None and (request.triangles or MIN_WRITTEN_TRIANGLES) < MIN_WRITTEN_TRIANGLES:
-        what = f"got {request.triangles}, allowed at least {MIN_WRITTEN_TRIANGLES} with --write: the proof "
-        what += "checks parts of a springback file on finer meshes and allows 3 percent"
-        raise issue_error("forming.springback_mode", what, field="triangles", hint="omit it")
+        text = f"got {request.triangles}, allowed at least {MIN_WRITTEN_TRIANGLES} with --write: the proof "
+        text += "checks parts of a springback file on finer meshes and allows 3 percent"
+        raise issue_error("forming.springback_mode", text, field="triangles", hint="omit it")
     require_suffix(request.write, "a springback file is .json", (".json",), "write")
     job = forming_job(problem, request.operation)
     work = job.planned
@@ -118,41 +118,45 @@ def run_springback(request: SpringbackCommand, problem: Problem) -> tuple[Issue,
         triangles = _converged_triangles(work, control)
     forecasts = forecast.make_forecast(planned_passes, control, _solve_curves(work, all_points, triangles))
     _print_forecast(work, forecasts, time.perf_counter() - started)
-    finer = [
+    allowed_counts = [
         curve.allowed
         for pass_forecast in forecasts
         for curve in pass_forecast.curves
         if curve.allowed > triangles
     ]
-    if finer:
-        mesh_text = f"{triangles} triangles are too few for a mesh of the sheet at {len(finer)} of them"
-        out.print(f"{mesh_text}: up to {max(finer)} are allowed there")
+    if allowed_counts:
+        mesh_text = (
+            f"{triangles} triangles are too few for a mesh of the sheet at {len(allowed_counts)} of them"
+        )
+        out.print(f"{mesh_text}: up to {max(allowed_counts)} are allowed there")
     shifted_paths = (
         () if request.write is None else _write_shifts(request.write, problem, job, forecasts, planned_passes)
     )
     if request.output is not None:
-        page = request.output.suffix.lower() == ".html"
-        shown = (
+        is_page = request.output.suffix.lower() == ".html"
+        exhibits_by_name = (
             {
                 **released_part.springback_maps(work, planned_passes, forecasts, shifted_paths),
                 **forecast.forecast_exhibits(forecasts),
             }
-            if page
+            if is_page
             else {}
         )
         write_output(
-            request.output, _forecast_page(problem, work, shown) if page else _forecast_csv(forecasts)
+            request.output,
+            _forecast_page(problem, work, exhibits_by_name) if is_page else _forecast_csv(forecasts),
         )
     if request.curves is not None:
         from planner.processes.forming.plan.springback.levels import loop_file_data
 
         data = loop_file_data(problem.name, problem.digest, work, planned_passes, forecasts)
         write_output(request.curves, json.dumps(data, separators=(",", ":")) + "\n")
-    stated = job.operation.springback
-    if stated is None:
+    springback_section = job.operation.springback
+    if springback_section is None:
         return tuple(forecast.forecast_issues(forecasts))
     out.print(
-        f"{job.operation.name} goes deeper by {stated.file.name}: figures above are without it", markup=False
+        f"{job.operation.name} goes deeper by {springback_section.file.name}: figures above are without it",
+        markup=False,
     )
     return tuple(issue for issue in forecast.forecast_issues(forecasts) if issue.code != "forming.springback")
 
@@ -164,9 +168,15 @@ def _write_shifts(
     forecasts: Sequence[PassSpringback],
     planned_passes: Sequence[Any],
 ) -> tuple[ShiftedPath, ...]:
-    """Write the springback file and print what the slope leaves uncompensated.
+    """Write the springback file, and print the shifts and the springback that remains uncompensated.
 
-    Returns the paths with their shifts.
+    Some springback remains where the shift grows from 0, because its slope along the path is limited.
+
+    Returns:
+        The paths with their shifts.
+
+    Raises:
+        TandemError: ``forming.compensation``, a shift is too large, or the mode is not supported.
     """
     from planner.processes.forming.plan.operation import Springback as Section
     from planner.processes.forming.plan.springback import compensation, compensation_file
@@ -177,12 +187,12 @@ def _write_shifts(
     for tool_path in paths:
         max_shift = float(tool_path.shift.max()) / MM
         if max_shift > limits.most_mm:
-            what = (
+            message = (
                 f"pass {tool_path.name}: a shift of {max_shift:.2f} mm is needed, most_mm allows "
                 f"{limits.most_mm:g} mm"
             )
             hint = "support the sheet closer to the part, or allow more: springback: {most_mm: ...}"
-            raise issue_error("forming.compensation", what, field="springback.most_mm", hint=hint)
+            raise issue_error("forming.compensation", message, field="springback.most_mm", hint=hint)
     identity = compensation_file.job_identity(job.planned, job.setup.stock, job.part)
     text = compensation_file.springback_file_text(
         problem.name, job.planned, identity, forecasts, paths, limits.slope
@@ -209,90 +219,98 @@ def forming_job(problem: Problem, name: str | None) -> FormingJob:
     """Return the forming operation with that name, or the first one.
 
     Raises:
-        TandemError: ``forming.no_sheet`` if there is none.
+        TandemError: ``forming.no_sheet``, there is no such operation.
     """
     from planner.processes import registry
     from planner.processes.forming.plan.job import FormingJob
 
     jobs = [job for job in registry.jobs(problem) if isinstance(job, FormingJob)]
-    chosen = [job for job in jobs if name in (None, job.operation.name)]
-    if not chosen:
-        have = ", ".join(job.operation.name for job in jobs) or "none"
-        what = f"{problem.name}: got operation {name or 'of forming'}, allowed forming operations: {have}"
-        raise issue_error("forming.no_sheet", what, field="operation")
-    return chosen[0]
+    matching_jobs = [job for job in jobs if name in (None, job.operation.name)]
+    if not matching_jobs:
+        names = ", ".join(job.operation.name for job in jobs) or "none"
+        message = f"{problem.name}: got operation {name or 'of forming'}, allowed forming operations: {names}"
+        raise issue_error("forming.no_sheet", message, field="operation")
+    return matching_jobs[0]
 
 
 def _converged_triangles(
     work: FormingWork, control_points: Sequence[tuple[ControlPoints, list[SpringbackPoint]]]
 ) -> int:
-    """Number of triangles with which some points of each pass have converged springback.
+    """Find the number of triangles of the sheet with which the springback of sample points has converged.
 
-    The points of a pass are taken from its first to its last level.
+    The number is increased until the springback differs from that with a finer sheet by at most
+    `CONVERGENCE_TOLERANCE`, or `MAX_TRIANGLES` is reached. The sample points of a pass are spread from its
+    first to its last level.
     """
     from planner.processes.forming.plan.springback import forecast
 
     points = forecast.comparison_points(control_points)
-    triangles, curves = (
-        MIN_WRITTEN_TRIANGLES,
-        _solve_curves(work, points, MIN_WRITTEN_TRIANGLES, forecast.ESTIMATE_LOAD_FACTORS),
-    )
+    triangles = MIN_WRITTEN_TRIANGLES
+    curves = _solve_curves(work, points, MIN_WRITTEN_TRIANGLES, forecast.ESTIMATE_LOAD_FACTORS)
     while triangles < MAX_TRIANGLES:
         finer = min(int(REFINEMENT_RATIO * triangles), MAX_TRIANGLES)
-        better = _solve_curves(work, points, finer, forecast.ESTIMATE_LOAD_FACTORS)
-        deviation = forecast.max_relative_difference(points, curves, better)
+        finer_curves = _solve_curves(work, points, finer, forecast.ESTIMATE_LOAD_FACTORS)
+        deviation = forecast.max_relative_difference(points, curves, finer_curves)
         if deviation <= CONVERGENCE_TOLERANCE:
             break
         out.print(
             f"with {triangles} triangles the springback differs by up to {100.0 * deviation:.1f} % from "
             f"that with {finer}: {finer} are used"
         )
-        triangles, curves = finer, better
+        triangles, curves = finer, finer_curves
     return triangles
 
 
 def _solve_curves(
     work: FormingWork, points: Sequence[SpringbackPoint], triangles: int, fractions: FloatArray | None = None
 ) -> list[SpringbackCurve]:
-    """Curves of all points, on all cores; each process computes every n-th one.
+    """Compute the springback curves of points on all cores. Each of n processes computes every n-th one.
 
-    They are at ``fractions`` of the expected forces, by default those of a whole curve.
+    Args:
+        work: Plan of the forming operation.
+        points: Points of the sheet.
+        triangles: Maximum number of triangles of the elastic sheet.
+        fractions: Fractions of the expected forces at which a curve is computed, or None for `LOAD_FACTORS`.
+
+    Returns:
+        Curves in the order of the points.
     """
     from planner.pipeline import WARM_UP
     from planner.processes.forming.plan.springback.curves import LOAD_FACTORS
     from planner.processes.forming.plan.springback.forecast import solve_curves
     from planner.runtime.second_process import SecondProcess
 
-    loads = LOAD_FACTORS if fractions is None else fractions
+    load_factors = LOAD_FACTORS if fractions is None else fractions
     count = max(1, min(usable_cores(), len(points)))
     with contextlib.ExitStack() as stack:
         executors = [stack.enter_context(SecondProcess(WARM_UP)) for _ in range(count - 1)]
-        others = [
-            executor.submit(solve_curves, work, points[k + 1 :: count], triangles, loads)
-            for k, executor in enumerate(executors)
+        submitted = [
+            executor.submit(solve_curves, work, points[process_index + 1 :: count], triangles, load_factors)
+            for process_index, executor in enumerate(executors)
         ]
-        parts = [
-            list(solve_curves(work, points[::count], triangles, loads)),
-            *(list(other) for other in others),
+        curves_by_process = [
+            list(solve_curves(work, points[::count], triangles, load_factors)),
+            *(list(result) for result in submitted),
         ]
     curves_in_order: list[SpringbackCurve | None] = [None] * len(points)
-    for k, part in enumerate(parts):
-        curves_in_order[k::count] = part
+    for process_index, curves in enumerate(curves_by_process):
+        curves_in_order[process_index::count] = curves
     return [curve for curve in curves_in_order if curve is not None]
 
 
 def _print_forecast(work: FormingWork, forecasts: Sequence[PassSpringback], seconds: float) -> None:
+    """Print the springback at each level of each pass, and the assumptions."""
     from planner.processes.forming.plan.springback.forecast import describe_forces
 
     count = sum(len(pass_forecast.curves) for pass_forecast in forecasts)
     table = Table("pass", "z mm", "points", "wall deg", "force N", "springback mm")
     rows = [row for pass_forecast in forecasts for row in _level_rows(pass_forecast)]
-    step = -(-len(rows) // MAX_ROWS)
+    step = -(-len(rows) // MAX_ROWS)  # rounded up, so that at most MAX_ROWS rows are printed
     for row in rows[::step] if step > 1 else rows:
         table.add_row(*row)
     out.print(table)
     border = work.sheet.border
-    kind = (
+    border_text = (
         "slides in its plane"
         if border == 0.0
         else "is immovable"
@@ -300,10 +318,11 @@ def _print_forecast(work: FormingWork, forecasts: Sequence[PassSpringback], seco
         else (f"yields with a spring of {border * MM**2:g} N/mm per mm")
     )
     force = "; ".join(describe_forces(work))
-    out.print(f"{count} control points in {seconds:.1f} s; {force}; assumed: the sheet's edge {kind}")
+    out.print(f"{count} control points in {seconds:.1f} s; {force}; assumed: the sheet's edge {border_text}")
 
 
 def _level_rows(pass_forecast: PassSpringback) -> Iterator[tuple[str, ...]]:
+    """Yield the table row of each level of a pass, with the ranges over its control points."""
     import numpy as np
 
     from planner.geometry.units import DEG
@@ -321,7 +340,8 @@ def _level_rows(pass_forecast: PassSpringback) -> Iterator[tuple[str, ...]]:
 
 
 def _format_span(values: Any, digits: int) -> str:
-    if (values != values).any():
+    """Format the range of an array. A value that is not a number means that the sheet snaps through."""
+    if (values != values).any():  # only NaN differs from itself
         return "snaps"
     low, high = f"{values.min():.{digits}f}", f"{values.max():.{digits}f}"
     return low if low == high else f"{low} to {high}"
@@ -331,11 +351,14 @@ def _forecast_csv(forecasts: Sequence[PassSpringback]) -> str:
     from planner.processes.forming.plan.springback.forecast import forecast_rows
 
     data = forecast_rows(forecasts)
-    plain = [[" ".join(map(str, v)) if isinstance(v, list) else v for v in row.values()] for row in data]
-    return format_csv([[*data[0]], *plain])
+    cells = [
+        [" ".join(map(str, value)) if isinstance(value, list) else value for value in row.values()]
+        for row in data
+    ]
+    return format_csv([[*data[0]], *cells])
 
 
-def _forecast_page(problem: Problem, work: FormingWork, shown: dict[str, Any]) -> str:
+def _forecast_page(problem: Problem, work: FormingWork, exhibits_by_name: dict[str, Any]) -> str:
     import numpy as np
 
     from planner.report import exhibits
@@ -347,7 +370,7 @@ def _forecast_page(problem: Problem, work: FormingWork, shown: dict[str, Any]) -
     )
     title = f"Springback of {work.operation.name}"
     section = ("springback", "Springback")
-    return exhibits.exhibits_page(title, section, shown, about, block, f"{problem.name}: {title}")
+    return exhibits.exhibits_page(title, section, exhibits_by_name, about, block, f"{problem.name}: {title}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -368,7 +391,10 @@ class ControlRequest:
 
 
 def run_control(request: ControlRequest, problem: Problem) -> tuple[Issue, ...]:
-    """Compute, simulate, print and write; returns warnings.
+    """Compute the gains of force control, simulate the loops, and print and write the results.
+
+    Returns:
+        Warnings.
 
     Raises:
         TandemError: The machine file or the operation is not suitable.
@@ -379,8 +405,8 @@ def run_control(request: ControlRequest, problem: Problem) -> tuple[Issue, ...]:
     file = machine.read_machine(request.machine)
     operation = forming_job(problem, request.operation).operation
     if len(operation.arms) != 2:
-        what = f"{operation.name}: mode {operation.mode} has one arm, force control needs a support arm"
-        raise issue_error("control.machine", what, field="operation", hint="use a mode with two arms")
+        message = f"{operation.name}: mode {operation.mode} has one arm, force control needs a support arm"
+        raise issue_error("control.machine", message, field="operation", hint="use a mode with two arms")
     feed = operation.feed_mm_s * MM
     simulation = machine.simulate_machine(file, feed)
     _print_control(file, simulation, feed)
@@ -390,14 +416,15 @@ def run_control(request: ControlRequest, problem: Problem) -> tuple[Issue, ...]:
 
 
 def _print_control(file: MachineFile, simulation: MachineBehaviour, feed: float) -> None:
+    """Print gains and simulated accuracy of force control at a feed [m/s]."""
     from planner.loops.machine import INTERFACES
 
     machine = file.value()
-    stiff, late = machine.effective_contact(simulation.control.fraction)
+    effective_stiffness, lag = machine.effective_contact(simulation.control.fraction)
     table = Table("figure", "value")
     for name, value in (
         ("stiffness of the contact", f"{machine.contact * MM:.0f} N/mm"),
-        ("as seen by the support's loop", f"{stiff * MM:.0f} N/mm, lag {late * 1e3:.1f} ms"),
+        ("as seen by the support's loop", f"{effective_stiffness * MM:.0f} N/mm, lag {lag * 1e3:.1f} ms"),
         (
             "integral gain",
             f"{simulation.control.gain * 1e6:.2f} um/(N s), unstable from {simulation.max_gain * 1e6:.2f}",
@@ -423,42 +450,43 @@ def _print_control(file: MachineFile, simulation: MachineBehaviour, feed: float)
 
 
 def _control_page(name: str, file: MachineFile, simulation: MachineBehaviour) -> str:
+    """Return the page with forces and motions of the simulated responses over time."""
     from planner.report import exhibits
 
     band = [{"name": f"{sign:+g} N", "value": file.force_n + sign} for sign in (-file.band_n, file.band_n)]
-    runs = (
+    responses = (
         ("step", "Step of the required force", simulation.step),
         ("ramp", f"Gap that changes by {simulation.gap_speed / MM:.3g} mm/s", simulation.ramp),
     )
-    shown = {
+    exhibits_by_name = {
         key: {
             "kind": "curve",
             "title": title,
-            "x": run.time,
+            "x": response.time,
             "x_label": "time [s]",
             "y_label": "force [N]",
             "series": (
-                {"name": "as measured", "y": run.measured[0], "colour": 1},
-                {"name": "force", "y": run.force[0], "colour": 0},
-                {"name": "commanded", "y": run.commanded[0], "colour": 2},
+                {"name": "as measured", "y": response.measured[0], "colour": 1},
+                {"name": "force", "y": response.force[0], "colour": 0},
+                {"name": "commanded", "y": response.commanded[0], "colour": 2},
             ),
             "limits": band,
         }
-        for key, title, run in runs
+        for key, title, response in responses
     } | {
         f"{key}_way": {
             "kind": "curve",
             "title": f"{title}: motion of the arms",
-            "x": run.time,
+            "x": response.time,
             "x_label": "time [s]",
             "y_label": "displacement [mm]",
             "series": (
-                {"name": "support, from its start", "y": (run.support[0] - run.support[0, 0]) / MM},
-                {"name": "uncompensated deflection of the forming arm", "y": run.deflection[0] / MM},
+                {"name": "support, from its start", "y": (response.support[0] - response.support[0, 0]) / MM},
+                {"name": "uncompensated deflection of the forming arm", "y": response.deflection[0] / MM},
             ),
         }
-        for key, title, run in runs
+        for key, title, response in responses
     }
     about = "A simulation with the figures of the machine's file, without measurements."
     title = f"Force control of {name} with {file.name}"
-    return exhibits.exhibits_page(title, ("control", "Force over time"), shown, about)
+    return exhibits.exhibits_page(title, ("control", "Force over time"), exhibits_by_name, about)

@@ -97,22 +97,27 @@ def connect(where: str, access: Access) -> Rws | Store:
         login = Login(user, "" if access.user is None else _read_password(user, where))
         return Ftp(where, login, access.timeout, trust)
     if scheme not in ("", "file"):
-        what = f"--controller: got {where}, allowed: http://, https://, ftp://, ftps://, or a folder"
-        raise issue_error("upload.address", what, field="controller")
+        message = f"--controller: got {where}, allowed: http://, https://, ftp://, ftps://, or a folder"
+        raise issue_error("upload.address", message, field="controller")
     return MountedFolder(Path(where.removeprefix("file://")))
 
 
 def _read_password(user: str, where: str) -> str:
+    """Return the password in the environment variable, or ask for it at the terminal."""
     if PASSWORD_VARIABLE in os.environ:
         return os.environ[PASSWORD_VARIABLE]
     if not sys.stdin.isatty():
-        what = f"no password: set {PASSWORD_VARIABLE}, or run in a terminal, where the command asks for it"
-        raise issue_error("upload.login", what)
+        message = f"no password: set {PASSWORD_VARIABLE}, or run in a terminal, where the command asks for it"
+        raise issue_error("upload.login", message)
     return getpass.getpass(f"Password of {user} at {where}: ")
 
 
 def run_upload(request: Upload) -> UploadedPrograms:
-    """Send a result and print what is on the controller now."""
+    """Send a verified result to a controller and print what was sent and compared.
+
+    Raises:
+        TandemError: ``upload.*``, or the folder cannot be read.
+    """
     from planner import pipeline
     from planner.shopfloor.loading import compare, proven, upload
     from planner.shopfloor.loading.rws import Rws
@@ -125,8 +130,8 @@ def run_upload(request: Upload) -> UploadedPrograms:
         else:
             sent = upload.to_store(link, result, request.arm)
 
-    def print_line(what: str) -> None:
-        out.print(what, highlight=False, markup=False, soft_wrap=True)
+    def print_line(line: str) -> None:
+        out.print(line, highlight=False, markup=False, soft_wrap=True)
 
     print_line(f"{len(sent.files)} files in {sent.folder}, read back and compared")
     if release_text is not None:
@@ -144,9 +149,13 @@ def run_upload(request: Upload) -> UploadedPrograms:
 
 
 def run_download(request: Download) -> tuple[tuple[Issue, ...], Proof]:
-    """Fetch programs from a controller and prove them.
+    """Fetch programs from a controller, write them to a new folder and prove them.
 
-    Returns what was touched up on the controller, and the proof of the fetched programs.
+    Returns:
+        Issues for positions that were touched up on the controller, and the proof of the fetched programs.
+
+    Raises:
+        TandemError: ``upload.*``, ``output.folder``, or the result folder cannot be read.
     """
     from planner import pipeline
     from planner.programs import text
@@ -155,30 +164,30 @@ def run_download(request: Download) -> tuple[tuple[Issue, ...], Proof]:
     problem = pipeline.load_result(request.result)
     result = proven.read(request.result, problem)
     if request.output.exists() and (not request.output.is_dir() or any(request.output.iterdir())):
-        what = f"-o {request.output}: is not an empty folder; name a new one"
-        raise issue_error("output.folder", what, field="output")
-    _, files = proven.select_programs(result, request.arm)
+        message = f"-o {request.output}: is not an empty folder; name a new one"
+        raise issue_error("output.folder", message, field="output")
+    _, sent_files = proven.select_programs(result, request.arm)
     with closing(connect(request.controller, request)) as link:
-        name = request.there or download.folder(link, proven.folder_name(problem))
-        back = download.fetch(link, name)
-    for file, content in back.items():
+        controller_folder = request.there or download.folder(link, proven.folder_name(problem))
+        fetched_files = download.fetch(link, controller_folder)
+    for file, content in fetched_files.items():
         write_atomic(request.output / "programs" / file, content)
     for path in sorted((request.result / "problem").rglob("*")):  # `tandem verify` needs them
         if path.is_file():
             write_atomic(request.output / path.relative_to(request.result), path.read_bytes())
     texts = pipeline.read_programs(request.output)
     for file, content in result.files.items():
-        if file not in files:  # files of the other controller, as sent
+        if file not in sent_files:  # files of the other controller, as sent
             texts.setdefault(file, text.decode(content, file))
-    return touched.touched(files, back), pipeline.verify(problem, texts)
+    return touched.touched(sent_files, fetched_files), pipeline.verify(problem, texts)
 
 
 def summarise_issues(issues: tuple[Issue, ...]) -> tuple[Issue, ...]:
-    """The first issues, and one issue that counts the others."""
+    """Return the first `MAX_LISTED_PLACES` issues, and one issue that counts the others."""
     if len(issues) <= MAX_LISTED_PLACES:
         return issues
-    more = f"{len(issues) - MAX_LISTED_PLACES} more places differ from what was sent"
+    message = f"{len(issues) - MAX_LISTED_PLACES} more places differ from what was sent"
     return (
         *issues[:MAX_LISTED_PLACES],
-        Issue("upload.touched", more, Severity.WARNING, count=len(issues) - MAX_LISTED_PLACES),
+        Issue("upload.touched", message, Severity.WARNING, count=len(issues) - MAX_LISTED_PLACES),
     )

@@ -98,7 +98,10 @@ class NextLoop:
 
 
 def run_next_loop(request: NextLoop) -> tuple[Issue, ...]:
-    """Compute, print and write; returns warnings.
+    """Compute the offsets of the next level from measured forces, print them and write the requested files.
+
+    Returns:
+        Warnings.
 
     Raises:
         TandemError: Options, curves or forces are not usable.
@@ -114,8 +117,8 @@ def run_next_loop(request: NextLoop) -> tuple[Issue, ...]:
     if request.kappa is not None and not MIN_KAPPA <= request.kappa <= MAX_KAPPA:
         raise TandemError(_out_of_range("kappa", request.kappa, f"{MIN_KAPPA:g} to {MAX_KAPPA:g}"))
     if request.before_mm is not None and not 0.0 <= request.before_mm <= request.law.most_mm:
-        what = f"0 to {request.law.most_mm:g}, as most_mm has it"
-        raise TandemError(_out_of_range("before_mm", request.before_mm, what))
+        message = f"0 to {request.law.most_mm:g}, as most_mm has it"
+        raise TandemError(_out_of_range("before_mm", request.before_mm, message))
     measured = (
         MeasuredForces((), ())
         if request.forces is None
@@ -123,12 +126,16 @@ def run_next_loop(request: NextLoop) -> tuple[Issue, ...]:
     )
     number = len(measured.force)
     if number >= len(plan.levels):
-        what = f"got forces of all {number} levels of {plan.name}, so there is no next level"
-        raise issue_error("forming.loop_forces", what, field="level", hint="leave out the last level")
+        message = f"got forces of all {number} levels of {plan.name}, so there is no next level"
+        raise issue_error("forming.loop_forces", message, field="level", hint="leave out the last level")
     if number == 0 and request.before_mm:
         raise TandemError(_out_of_range("before_mm", request.before_mm, "0 for level 0, the first one"))
-    alone = request.problem is not None and request.output is None  # the level ignores the springback file
-    file, file_shift = ("", None) if alone else _springback_file_shift(request.folder, plan, number)
+    is_problem_only = (
+        request.problem is not None and request.output is None
+    )  # the level ignores the springback file
+    file_name, file_shift = (
+        ("", None) if is_problem_only else _springback_file_shift(request.folder, plan, number)
+    )
     start = time.perf_counter()
     kappa = _measured_kappa(plan, measured) if request.kappa is None else request.kappa
     border = job_stability(plan, law, kappa, request.law.model_error)
@@ -142,12 +149,12 @@ def run_next_loop(request: NextLoop) -> tuple[Issue, ...]:
     if file_shift is not None:
         out.print(
             f"the plan goes {file_shift.min() / MM:.3f} to {file_shift.max() / MM:.3f} mm deeper on this "
-            f"level by {file}: offsets are the required shifts minus that",
+            f"level by {file_name}: offsets are the required shifts minus that",
             markup=False,
         )
     if request.output is not None:
-        kind = request.output.suffix.lower()
-        writer = {".csv": _offsets_csv, ".json": _offsets_json}.get(kind)
+        suffix = request.output.suffix.lower()
+        writer = {".csv": _offsets_csv, ".json": _offsets_json}.get(suffix)
         if writer is None:
             text = _map_page(plan, law, border, measured, kappa)
         else:
@@ -157,19 +164,20 @@ def run_next_loop(request: NextLoop) -> tuple[Issue, ...]:
         from planner import pipeline
         from planner.cli.next_level import CorrectedLevel, write_level
 
-        whole = pipeline.load_result(request.folder)
+        planned_problem = pipeline.load_result(request.folder)
         # the level's own path, which is not a closed loop, determines the shift at its start
-        free = level_correction.level_correction(plan, law, number, measured.force, kappa)
-        level = CorrectedLevel(plan, number, free, law, kappa, request.before_mm)
-        path = write_level(request.problem, whole, level)
+        free_offsets = level_correction.level_correction(plan, law, number, measured.force, kappa)
+        level = CorrectedLevel(plan, number, free_offsets, law, kappa, request.before_mm)
+        path = write_level(request.problem, planned_problem, level)
         out.print(f"written to {path}; next: tandem plan {path} -o FOLDER")
     return tuple(issues)
 
 
 def _read_plan(folder: Path, options: LawOptions) -> LoopPlan:
-    """The pass of a result folder.
+    """Read the pass of a result folder with its springback curves.
 
-    Raises `TandemError`: forming.loop_curves, also if the curves belong to another problem.
+    Raises:
+        TandemError: ``forming.loop_curves``, also if the curves belong to another problem.
     """
     from planner import pipeline
     from planner.loops.loop_plan import read_loop_plan
@@ -178,16 +186,23 @@ def _read_plan(folder: Path, options: LawOptions) -> LoopPlan:
     plan = read_loop_plan(file, options.pass_name)
     digest = pipeline.load_result(folder).digest
     if plan.digest != digest:
-        what = f"{file} has curves of problem {plan.digest[:12]}, {folder} is a plan of {digest[:12]}"
+        message = f"{file} has curves of problem {plan.digest[:12]}, {folder} is a plan of {digest[:12]}"
         hint = f"write them for this one: tandem springback {folder}/problem/problem.yaml --curves {file}"
-        raise issue_error("forming.loop_curves", what, file=str(file), field="digest", hint=hint)
+        raise issue_error("forming.loop_curves", message, file=str(file), field="digest", hint=hint)
     return plan
 
 
 def _springback_file_shift(folder: Path, plan: LoopPlan, number: int) -> tuple[str, FloatArray | None]:
-    """The springback file of a plan, and the shift (K,) [m] of its tools at the points of a level.
+    """Return the springback file that a plan uses, and the shift of the tools on a level.
 
-    The shift is None without a file.
+    Args:
+        folder: Result folder.
+        plan: Pass with its curves.
+        number: Index of the level.
+
+    Returns:
+        Name of the file, and shift (K,) [m] at the points of the level. Without a file, an empty name and
+        None.
 
     Raises:
         TandemError: The path of the curves differs (``forming.loop_curves``), or a file is refused.
@@ -198,10 +213,10 @@ def _springback_file_shift(folder: Path, plan: LoopPlan, number: int) -> tuple[s
     from planner.processes.forming.plan.process_plan import make_tool_paths
     from planner.processes.forming.plan.springback.levels import level_shifts
 
-    whole = pipeline.load_result(folder)
-    if all(getattr(pass_plan, "springback", None) is None for pass_plan in whole.operations):
+    problem = pipeline.load_result(folder)
+    if all(getattr(pass_plan, "springback", None) is None for pass_plan in problem.operations):
         return "", None
-    for job in registry.jobs(whole):
+    for job in registry.jobs(problem):
         compensation = job.read_compensation() if isinstance(job, FormingJob) else None
         if compensation is None or not isinstance(job, FormingJob):
             continue
@@ -210,14 +225,15 @@ def _springback_file_shift(folder: Path, plan: LoopPlan, number: int) -> tuple[s
             if pass_plan.name != plan.name or pass_plan.name not in paths_by_name:
                 continue
             levels = level_shifts(pass_plan, path, paths_by_name[pass_plan.name])
-            if [len(row) for row in levels] == [len(level.path) for level in plan.levels]:
+            if [len(shifts) for shifts in levels] == [len(level.path) for level in plan.levels]:
                 return compensation.file, levels[number]
-    what = f"{folder} uses a springback file, whose loops in {plan.name} differ from those of the curves"
+    message = f"{folder} uses a springback file, whose loops in {plan.name} differ from those of the curves"
     hint = f"write the curves again: tandem springback {folder}/problem/problem.yaml --curves FILE"
-    raise issue_error("forming.loop_curves", what, field="springback", hint=hint)
+    raise issue_error("forming.loop_curves", message, field="springback", hint=hint)
 
 
 def _make_law(options: LawOptions) -> CorrectionLaw:
+    """Check the options of the correction law, and convert them to SI units."""
     from planner.loops.level_correction import CorrectionLaw
 
     for name, value, low, high in (
@@ -249,78 +265,88 @@ def _out_of_range(name: str, value: float, allowed: str) -> Issue:
 
 
 def _measured_kappa(plan: LoopPlan, measured: Any) -> float:
-    """Ratio of the springback of the sheet to that of the model, from the lifts in a file.
+    """Estimate the ratio of the springback of the sheet to that of the model, from the lifts of the tool.
 
-    Raises ``TandemError`` (forming.loop_forces) if a lift is far from the model.
+    Args:
+        plan: Pass with its curves.
+        measured: Measured forces and lifts.
+
+    Raises:
+        TandemError: ``forming.loop_forces``, a lift is far from the model.
     """
     import numpy as np
 
     from planner.loops import level_correction
 
-    lifts, models = [np.empty(0)], [np.empty(0)]
+    measured_lifts, models = [np.empty(0)], [np.empty(0)]
     for number, (level, force, lift) in enumerate(
         zip(plan.levels, measured.force, measured.lift, strict=False)
     ):
-        lifted = np.flatnonzero(np.isfinite(lift))
+        lifted_points = np.flatnonzero(np.isfinite(lift))
         model = level_correction.model_springback(level, np.minimum(force, level.loads[:, -1]))
-        for k in lifted:
-            if not MIN_KAPPA * model[k] <= lift[k] <= MAX_KAPPA * model[k]:
-                what = (
-                    f"level {number}, point {k}: got {lift[k] / MM:g} mm for the tool's lift, allowed "
-                    f"{MIN_KAPPA * model[k] / MM:.3f} to {MAX_KAPPA * model[k] / MM:.3f} mm: the model "
-                    f"predicts {model[k] / MM:.3f} mm under {force[k]:.0f} N"
+        for point in lifted_points:
+            if not MIN_KAPPA * model[point] <= lift[point] <= MAX_KAPPA * model[point]:
+                message = (
+                    f"level {number}, point {point}: got {lift[point] / MM:g} mm for the tool's lift, "
+                    f"allowed {MIN_KAPPA * model[point] / MM:.3f} to {MAX_KAPPA * model[point] / MM:.3f} mm: "
+                    f"the model predicts {model[point] / MM:.3f} mm under {force[point]:.0f} N"
                 )
                 hint = "state the springback of the sheet in mm, or leave the cell empty"
-                raise issue_error("forming.loop_forces", what, field="springback_mm", hint=hint)
-        lifts.append(lift[lifted])
-        models.append(model[lifted])
-    return float(level_correction.springback_ratio(np.concatenate(lifts), np.concatenate(models)))
+                raise issue_error("forming.loop_forces", message, field="springback_mm", hint=hint)
+        measured_lifts.append(lift[lifted_points])
+        models.append(model[lifted_points])
+    return float(level_correction.springback_ratio(np.concatenate(measured_lifts), np.concatenate(models)))
 
 
 def _print_offsets(
     plan: LoopPlan, number: int, offsets: LevelCorrection, kappa: float, border: JobStability, seconds: float
 ) -> None:
+    """Print force, springback and offset at some points of a level, and how stable the loop is."""
     level = plan.levels[number]
     table = Table("point", "x mm", "y mm", "z mm", "force N", "springback mm", "offset mm")
-    rows = range(len(level.path_index))
-    for k in rows[:: max(1, len(rows) // 24)]:
-        x, y, z = level.path[level.path_index[k]] / MM
+    point_indices = range(len(level.path_index))
+    for point in point_indices[:: max(1, len(point_indices) // 24)]:
+        x, y, z = level.path[level.path_index[point]] / MM
         table.add_row(
-            str(k),
+            str(point),
             *(f"{value:.2f}" for value in (x, y, z)),
-            f"{offsets.force[k]:.0f}",
-            f"{kappa * offsets.springback[k] / MM:.3f}",
-            f"{offsets.offset[level.path_index[k]] / MM:.3f}",
+            f"{offsets.force[point]:.0f}",
+            f"{kappa * offsets.springback[point] / MM:.3f}",
+            f"{offsets.offset[level.path_index[point]] / MM:.3f}",
         )
     out.print(table)
-    worst = border.worst_level
+    worst_level = border.worst_level
     out.print(
         f"{plan.name}: level {number} of {len(plan.levels)}, {len(level.path)} places; kappa {kappa:.3f}; "
-        f"q {border.ratio:.2f}, border {border.max_ratio[worst]:.2f} at gamma {border.gamma[worst]:.2f}; "
-        f"{1e3 * seconds:.0f} ms"
+        f"q {border.ratio:.2f}, border {border.max_ratio[worst_level]:.2f} "
+        f"at gamma {border.gamma[worst_level]:.2f}; {1e3 * seconds:.0f} ms"
     )
 
 
 def _offsets_csv(
     plan: LoopPlan, number: int, offsets: LevelCorrection, kappa: float, file_shift: FloatArray | None = None
 ) -> str:
+    """Return the offsets at all places of a level as CSV. It has no column that depends on ``kappa``."""
     del kappa
-    deeper = [] if file_shift is None else ["file_mm"]
-    rows: list[list[object]] = [["level", "place", "x_mm", "y_mm", "z_mm", "offset_mm", *deeper]]
-    for k, (point, offset) in enumerate(zip(plan.levels[number].path, offsets.offset, strict=True)):
-        by_file = [] if file_shift is None else [f"{file_shift[k] / MM:.4f}"]
-        rows.append([number, k, *(f"{value:.3f}" for value in point / MM), f"{offset / MM:.4f}", *by_file])
+    file_heading = [] if file_shift is None else ["file_mm"]
+    rows: list[list[object]] = [["level", "place", "x_mm", "y_mm", "z_mm", "offset_mm", *file_heading]]
+    for place, (point, offset) in enumerate(zip(plan.levels[number].path, offsets.offset, strict=True)):
+        file_cells = [] if file_shift is None else [f"{file_shift[place] / MM:.4f}"]
+        rows.append(
+            [number, place, *(f"{value:.3f}" for value in point / MM), f"{offset / MM:.4f}", *file_cells]
+        )
     return format_csv(rows)
 
 
 def _offsets_json(
     plan: LoopPlan, number: int, offsets: LevelCorrection, kappa: float, file_shift: FloatArray | None = None
 ) -> str:
+    """Return the offsets at all places of a level, with forces and springback at its points, as JSON."""
     level = plan.levels[number]
-    by_file = (
+    file_fields = (
         [{}] * len(level.path)
         if file_shift is None
-        else [{"file_mm": round(float(s) / MM, 4)} for s in file_shift]
+        else [{"file_mm": round(float(shift) / MM, 4)} for shift in file_shift]
     )
     data = {
         "tandem_offsets": 1,
@@ -330,16 +356,20 @@ def _offsets_json(
         "way": [0, 0, -plan.side],
         "kappa": round(kappa, 4),
         "points": [
-            {"point": k, "force_n": round(float(n), 2), "springback_mm": round(float(kappa * s) / MM, 4)}
-            for k, (n, s) in enumerate(zip(offsets.force, offsets.springback, strict=True))
+            {
+                "point": index,
+                "force_n": round(float(force), 2),
+                "springback_mm": round(float(kappa * springback) / MM, 4),
+            }
+            for index, (force, springback) in enumerate(zip(offsets.force, offsets.springback, strict=True))
         ],
         "places": [
             {
-                "xyz_mm": [round(float(v), 3) for v in point / MM],
+                "xyz_mm": [round(float(coordinate), 3) for coordinate in point / MM],
                 "offset_mm": round(float(value) / MM, 4),
-                **deeper,
+                **file_field,
             }
-            for point, value, deeper in zip(level.path, offsets.offset, by_file, strict=True)
+            for point, value, file_field in zip(level.path, offsets.offset, file_fields, strict=True)
         ],
     }
     return json.dumps(data, indent=1) + "\n"
@@ -348,20 +378,21 @@ def _offsets_json(
 def _limited_offset_issues(
     plan: LoopPlan, law: CorrectionLaw, number: int, offsets: LevelCorrection
 ) -> list[Issue]:
+    """Return a warning if offsets were limited, or if a predicted force is beyond the end of a curve."""
     if not offsets.clipped:
         return []
     level = plan.levels[number]
-    over = float((offsets.force - level.loads[:, -1]).max())
-    if over > 0.0:
-        what = (
-            f"level {number}: {offsets.force.max():.0f} N are predicted, curves end {over:.0f} N below; "
-            "the springback at their ends is used"
+    excess_force = float((offsets.force - level.loads[:, -1]).max())
+    if excess_force > 0.0:
+        message = (
+            f"level {number}: {offsets.force.max():.0f} N are predicted, curves end {excess_force:.0f} N "
+            "below; the springback at their ends is used"
         )
         hint = "check the force sensor, or state the force in the problem (force_n) and write curves again"
     else:
-        what = f"level {number}: offsets were limited to 0 to {law.max_offset / MM:g} mm"
+        message = f"level {number}: offsets were limited to 0 to {law.max_offset / MM:g} mm"
         hint = "allow more (most_mm), if the cell and the controller do"
-    return [Issue("forming.loop_range", what, Severity.WARNING, field="most_mm", hint=hint)]
+    return [Issue("forming.loop_range", message, Severity.WARNING, field="most_mm", hint=hint)]
 
 
 def _map_page(
@@ -369,36 +400,42 @@ def _map_page(
 ) -> str:
     from planner.loops.job_stability import stability_map
 
-    shown = {"lifts": _lifts_exhibit(plan, measured, kappa), "map": stability_map(border, law)}
+    exhibits_by_name = {"lifts": _lifts_exhibit(plan, measured, kappa), "map": stability_map(border, law)}
     return _loop_page(
-        f"Springback loop of pass {plan.name}", {k: exhibit for k, exhibit in shown.items() if exhibit}
+        f"Springback loop of pass {plan.name}",
+        {name: exhibit for name, exhibit in exhibits_by_name.items() if exhibit},
     )
 
 
 def _lifts_exhibit(plan: LoopPlan, measured: MeasuredForces, kappa: float) -> dict[str, Any]:
-    """Some lifts of the tool over the curves of their points; empty without lifts."""
+    """Return a picture of some lifts of the tool with the curves of their points; empty without lifts."""
     import numpy as np
 
     from planner.geometry.arrays import spread_rows
     from planner.loops.level_correction import model_springback
 
     measured_lifts = [
-        (number, int(k)) for number, row in enumerate(measured.lift) for k in np.flatnonzero(np.isfinite(row))
+        (number, int(point))
+        for number, lifts in enumerate(measured.lift)
+        for point in np.flatnonzero(np.isfinite(lifts))
     ]
-    chosen = spread_rows(len(measured_lifts), MAX_SHOWN_LIFTS)
+    chosen_indices = spread_rows(len(measured_lifts), MAX_SHOWN_LIFTS)
     series: list[dict[str, Any]] = []
-    for colour, (number, k) in enumerate(measured_lifts[i] for i in chosen):
+    for colour, (number, point) in enumerate(measured_lifts[index] for index in chosen_indices):
         level = plan.levels[number]
-        x = np.linspace(0.0, float(level.loads[k, -1]), 60)
-        model = np.array([model_springback(level, np.full(len(level.path_index), n))[k] for n in x])
-        rows = (
+        x = np.linspace(0.0, float(level.loads[point, -1]), 60)
+        model = np.array(
+            [model_springback(level, np.full(len(level.path_index), force))[point] for force in x]
+        )
+        curves = (
             (x, model, ""),
             (x, kappa * model, "dashed"),
-            (measured.force[number][[k]], measured.lift[number][[k]], "dots"),
+            (measured.force[number][[point]], measured.lift[number][[point]], "dots"),
         )
-        name = f"level {number}, point {k}"
+        name = f"level {number}, point {point}"
         series += [
-            {"name": name, "x": n, "y": s / MM, "colour": colour, "style": style} for n, s, style in rows
+            {"name": name, "x": force, "y": springback / MM, "colour": colour, "style": style}
+            for force, springback, style in curves
         ]
     return (
         {}
@@ -445,7 +482,10 @@ class SimulateLoop:
 
 
 def run_simulate_loop(request: SimulateLoop) -> tuple[Issue, ...]:
-    """Form, print and write; returns warnings.
+    """Simulate the loop on random sheets, without correction and with two rules. Print and write the errors.
+
+    Returns:
+        No issues.
 
     Raises:
         TandemError: Options, curves or the plant are not usable.
@@ -468,12 +508,12 @@ def run_simulate_loop(request: SimulateLoop) -> tuple[Issue, ...]:
     for lift in request.lifts_mm:
         if not 0.0 < lift * MM <= deepest:
             raise TandemError(_out_of_range("lifts_mm", lift, f"above 0 and at most {deepest / MM:g}"))
-    depth = deepest / len(plan.levels)
-    seeds = [request.seed + k for k in range(request.sheets)]
-    half = CorrectionLaw(rule="half", every=max(1, round(MM / depth)), feed_forward=False)
+    level_depth = deepest / len(plan.levels)
+    seeds = [request.seed + index for index in range(request.sheets)]
+    half_rule = CorrectionLaw(rule="half", every=max(1, round(MM / level_depth)), feed_forward=False)
     runs = {
         "not corrected": run_loop(plan, plant, None, seeds),
-        _law_title(half): run_loop(plan, plant, half, seeds),
+        _law_title(half_rule): run_loop(plan, plant, half_rule, seeds),
         f"yours: {_law_title(law)}": run_loop(
             plan, plant, law, seeds, [lift * MM for lift in request.lifts_mm]
         ),
@@ -482,16 +522,18 @@ def run_simulate_loop(request: SimulateLoop) -> tuple[Issue, ...]:
     for name, simulated in runs.items():
         table.add_row(name, *_run_figures(simulated))
     out.print(table)
-    worst = border.worst_level
+    worst_level = border.worst_level
     out.print(
         f"{request.sheets} sheets of {plant.name}, errors below 2 mm of depth; q {border.ratio:.2f}, border "
-        f"{border.max_ratio[worst]:.2f} at gamma {border.gamma[worst]:.2f}"
+        f"{border.max_ratio[worst_level]:.2f} at gamma {border.gamma[worst_level]:.2f}"
     )
     if request.output is not None:
         from planner.loops.job_stability import stability_map
 
-        shown = {"errors": _errors_exhibit(runs), "map": stability_map(border, law)}
-        write_output(request.output, _loop_page(f"Simulated springback loop of pass {plan.name}", shown))
+        exhibits_by_name = {"errors": _errors_exhibit(runs), "map": stability_map(border, law)}
+        write_output(
+            request.output, _loop_page(f"Simulated springback loop of pass {plan.name}", exhibits_by_name)
+        )
     return ()
 
 
@@ -500,20 +542,22 @@ def _law_title(law: CorrectionLaw) -> str:
 
 
 def _run_figures(simulated: LoopRun) -> tuple[str, ...]:
+    """Return the errors of a simulated loop [mm] as table cells: means over the sheets and 95 % quantiles."""
     import numpy as np
 
     largest, mean = simulated.max_error() / MM, simulated.mean_error() / MM
-    row: Sequence[FloatArray | float] = (
+    values: Sequence[FloatArray | float] = (
         largest.mean(),
         float(np.quantile(largest, 0.95)),
         mean.mean(),
         float(np.quantile(mean, 0.95)),
         simulated.final_mean_error().mean() / MM,
     )
-    return tuple(f"{value:.2f}" for value in row)
+    return tuple(f"{value:.2f}" for value in values)
 
 
 def _errors_exhibit(runs: dict[str, LoopRun]) -> dict[str, Any]:
+    """Return a picture of the mean error over depth, with one curve for each simulated loop."""
     import numpy as np
 
     first_run = next(iter(runs.values()))

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from planner.problem import Problem
 
 DECIMALS = 4
-"""Decimals of figures in mm."""
+"""Decimals of lengths in mm and of kappa."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,9 +47,11 @@ class CorrectedLevel:
 
 
 def write_level(path: Path, problem: Problem, corrected: CorrectedLevel) -> Path:
-    """Write the problem of one level, with its files.
+    """Write the problem of one level of a pass, with its files.
 
-    A springback file of the problem is left out, because shifts are relative to the path without it.
+    The file with the shifts of the level refers to the level's path. This path is determined first, from a
+    problem that states the level without shifts. A springback file of the problem is left out, because shifts
+    are relative to the path without it.
 
     Args:
         path: File to write.
@@ -57,11 +59,11 @@ def write_level(path: Path, problem: Problem, corrected: CorrectedLevel) -> Path
         corrected: Level of one of its passes.
 
     Returns:
-        The path.
+        Path of the file.
 
     Raises:
-        TandemError: ``forming.loop_law`` if ``before_mm`` is missing, ``output.folder``, and what the
-            operation or path of the level is refused for.
+        TandemError: ``forming.loop_law`` if ``before_mm`` is missing, ``output.folder``, or the issues of the
+            level's operation or path.
     """
     from planner import pipeline
     from planner.processes import registry
@@ -74,10 +76,10 @@ def write_level(path: Path, problem: Problem, corrected: CorrectedLevel) -> Path
     require_suffix(path, "a problem is .yaml", (".yaml", ".yml"), "problem")
     require_free(path, problem, "level")
     if number > 0 and corrected.before_mm is None:
-        what = f"the shift at which level {number - 1} ended is missing"
+        message = f"the shift at which level {number - 1} ended is missing"
         hint = "state --before-mm: its last shift, or 0 if it had none"
-        raise issue_error("forming.loop_law", what, field="before_mm", hint=hint)
-    stated: dict[str, Any] = {
+        raise issue_error("forming.loop_law", message, field="before_mm", hint=hint)
+    level_fields: dict[str, Any] = {
         "number": number,
         "pass_name": plan.name,
         "slope": law.slope,
@@ -85,20 +87,20 @@ def write_level(path: Path, problem: Problem, corrected: CorrectedLevel) -> Path
     }
     start_shift_mm = round(corrected.before_mm or 0.0, DECIMALS)
     operation_index = _forming_operation_index(problem, plan.name)
-    first = build_problem(_level_document(problem, operation_index, stated), registry.readers())
-    job = registry.job(first, operation_index)
+    problem_without_shifts = build_problem(
+        _level_document(problem, operation_index, level_fields), registry.readers()
+    )
+    job = registry.job(problem_without_shifts, operation_index)
     if not isinstance(job, FormingJob) or job.operation.level is None:
         raise TypeError(f"{job} forms no level")
-    work, level = (
-        job.planned,
-        job.operation.level.model_copy(update={"plan": problem.digest, "before_mm": start_shift_mm}),
-    )
-    one = level_pass(work, level)
-    loop = make_level_path(work, one, level)
-    step = (work.operation.stepdown_mm or 0.0) * MM
-    radius = work.heads[work.forming_arm(one)].radius
+    work = job.planned
+    level = job.operation.level.model_copy(update={"plan": problem.digest, "before_mm": start_shift_mm})
+    single_level_pass = level_pass(work, level)
+    level_path = make_level_path(work, single_level_pass, level)
+    stepdown = (work.operation.stepdown_mm or 0.0) * MM
+    radius = work.heads[work.forming_arm(single_level_pass)].radius
     ring = level_file.OffsetRing(point=plan.levels[number].path, offset=corrected.correction.offset)
-    tool_path = level_file.shifted_level_path(one, loop, radius, ring, level, step)
+    tool_path = level_file.shifted_level_path(single_level_pass, level_path, radius, ring, level, stepdown)
     force_ratio = corrected.correction.force / plan.levels[number].force.clip(min=1.0)
     reasons = {
         "kappa": round(corrected.kappa, DECIMALS),
@@ -111,28 +113,32 @@ def write_level(path: Path, problem: Problem, corrected: CorrectedLevel) -> Path
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "level.json"
         file.write_text(text, encoding="utf-8")
-        stated |= {"file": str(file), "plan": problem.digest, "before_mm": start_shift_mm}
+        level_fields |= {"file": str(file), "plan": problem.digest, "before_mm": start_shift_mm}
         return pipeline.save(
-            build_problem(_level_document(problem, operation_index, stated), registry.readers()), path, True
+            build_problem(_level_document(problem, operation_index, level_fields), registry.readers()),
+            path,
+            True,
         )
 
 
 def require_free(path: Path, problem: Problem, section: str) -> None:
-    """Require that a path may be written.
+    """Require that a problem file may be written to a path.
+
+    The path must be free, or contain a problem that the same command wrote earlier.
 
     Args:
         path: File to write.
-        problem: Planned problem, whose own folder is excluded.
-        section: Section of an operation. An existing file must be an earlier problem with this section.
+        problem: Planned problem. No file may be written into its folder.
+        section: Section of an operation by which an earlier problem of the command is recognised.
 
     Raises:
         TandemError: ``output.folder``.
     """
     from planner.reading import strict_yaml
 
-    what = ""
+    message = ""
     if path.resolve().is_relative_to(problem.path.resolve().parent):
-        what = "is in the folder of the plan's own problem"
+        message = "is in the folder of the plan's own problem"
     elif is_file(path):
         try:
             operations = strict_yaml.read(path).data.get("operations")
@@ -140,27 +146,34 @@ def require_free(path: Path, problem: Problem, section: str) -> None:
             operations = None
         operation_list = operations if isinstance(operations, list) else []
         if not any(isinstance(operation, dict) and section in operation for operation in operation_list):
-            what = f"exists and is not a problem with a {section}"
-    if what:
+            message = f"exists and is not a problem with a {section}"
+    if message:
         hint = "choose another name"
-        raise issue_error("output.folder", f"{path} {what}", field="problem", hint=hint)
+        raise issue_error("output.folder", f"{path} {message}", field="problem", hint=hint)
 
 
 def _forming_operation_index(problem: Problem, name: str) -> int:
-    """Index of the only operation, which forms the sheet.
+    """Return the index of the only operation of a problem, which forms the sheet.
 
-    Raises ``TandemError`` (forming.loop_curves) if there are several operations.
+    Args:
+        problem: Problem.
+        name: Name of the pass, for the message.
+
+    Raises:
+        TandemError: ``forming.loop_curves``, there are several operations, or it is not a forming operation.
     """
-    indices = [k for k, operation in enumerate(problem.operations) if operation.process == "forming"]
-    if len(indices) != 1 or len(problem.operations) != 1:
-        what = f"got a problem of {len(problem.operations)} operations, a level of {name} needs a problem of "
+    forming_indices = [
+        index for index, operation in enumerate(problem.operations) if operation.process == "forming"
+    ]
+    if len(forming_indices) != 1 or len(problem.operations) != 1:
+        text = f"got a problem of {len(problem.operations)} operations, a level of {name} needs a problem of "
         hint = "plan the forming of the sheet as a problem of its own"
-        raise issue_error("forming.loop_curves", what + "one", field="operations", hint=hint)
-    return indices[0]
+        raise issue_error("forming.loop_curves", text + "one", field="operations", hint=hint)
+    return forming_indices[0]
 
 
 def _level_document(problem: Problem, operation_index: int, level: dict[str, Any]) -> Any:
-    """The problem's file with a level in its operation, and without a springback file."""
+    """Return the problem as a document, with ``level`` in its operation and without a springback file."""
     from planner.reading import strict_yaml
 
     source = copy.deepcopy(dict(problem.source))

@@ -118,7 +118,7 @@ KerfAction = tyro.conf.OmitSubcommandPrefixes[
 
 
 def run_kerf(action: FoamFit | KerfWidth | KerfSpeed | KerfPower) -> None:
-    """Compute, or fit and write.
+    """Print a kerf with its power and speed, or fit a foam and write its file.
 
     Raises:
         TandemError: ``kerf.*``.
@@ -129,28 +129,29 @@ def run_kerf(action: FoamFit | KerfWidth | KerfSpeed | KerfPower) -> None:
         _answer_kerf(action)
 
 
-def _answer_kerf(question: KerfWidth | KerfSpeed | KerfPower) -> None:
+def _answer_kerf(request: KerfWidth | KerfSpeed | KerfPower) -> None:
+    """Compute and print the kerf for a power and a speed, or the speed or power for a kerf."""
     from planner.processes.hotwire.plan.kerf import width as kerf
 
-    foam = _read_foam(question.foam)
-    wire = kerf.HotWire(question.wire_diameter_mm * MM, question.wire_length_mm * MM)
-    thickness = question.thickness_mm * MM
-    if isinstance(question, KerfSpeed):
-        power, kerf_width = question.power_w, question.kerf_mm * MM
-        speed = float(kerf.speed_for(foam, wire, power, kerf_width, thickness, question.model))
-    elif isinstance(question, KerfPower):
-        speed, kerf_width = question.speed_mm_s * MM, question.kerf_mm * MM
-        power = float(kerf.power_for(foam, wire, speed, kerf_width, thickness, question.model))
+    foam = _read_foam(request.foam)
+    wire = kerf.HotWire(request.wire_diameter_mm * MM, request.wire_length_mm * MM)
+    thickness = request.thickness_mm * MM
+    if isinstance(request, KerfSpeed):
+        power, kerf_width = request.power_w, request.kerf_mm * MM
+        speed = float(kerf.speed_for(foam, wire, power, kerf_width, thickness, request.model))
+    elif isinstance(request, KerfPower):
+        speed, kerf_width = request.speed_mm_s * MM, request.kerf_mm * MM
+        power = float(kerf.power_for(foam, wire, speed, kerf_width, thickness, request.model))
     else:
-        power, speed = question.power_w, question.speed_mm_s * MM
-    _print_kerf(kerf.width(foam, wire, power, speed, thickness, question.model), power, speed)
+        power, speed = request.power_w, request.speed_mm_s * MM
+    _print_kerf(kerf.width(foam, wire, power, speed, thickness, request.model), power, speed)
 
 
 def _print_kerf(estimate: KerfEstimate, power: float, speed: float) -> None:
     from planner.processes.hotwire.plan.kerf.width import explain
 
-    low, middle, high = (float(value) / MM for value in (estimate.low, estimate.width, estimate.high))
-    out.print(f"kerf {middle:.2f} mm ({low:.2f} to {high:.2f} mm in 9 of 10 cuts)")
+    low, width, high = (float(value) / MM for value in (estimate.low, estimate.width, estimate.high))
+    out.print(f"kerf {width:.2f} mm ({low:.2f} to {high:.2f} mm in 9 of 10 cuts)")
     out.print(f"at {power:.1f} W and {speed / MM:.2f} mm/s")
     for text in explain(int(estimate.flag)):
         out.print(f"note: {text}")
@@ -164,47 +165,52 @@ def _read_foam(text: str) -> FoamMaterial:
 
 
 def _fit_foam(request: FoamFit) -> None:
+    """Fit the kerf model of a foam to test cuts, and write the foam file."""
     from planner.processes.hotwire.plan.kerf import calibration
     from planner.reading import materials as material_file
 
-    given: dict[str, object] = {
+    foam_fields: dict[str, object] = {
         "density_kg_m3": request.density_kg_m3,
         "specific_heat_j_kg_k": request.specific_heat_j_kg_k,
         "melt_temperature_c": request.melt_temperature_c,
         "name": request.name,
     }
     if request.conductivity_w_m_k is not None:
-        given["conductivity_w_m_k"] = request.conductivity_w_m_k
-    foam = material_file.make_foam(given)
+        foam_fields["conductivity_w_m_k"] = request.conductivity_w_m_k
+    foam = material_file.make_foam(foam_fields)
     diameter = _metres("wire_diameter_mm", request.wire_diameter_mm)
     length = None if request.wire_length_mm is None else _metres("wire_length_mm", request.wire_length_mm)
     thickness = None if request.thickness_mm is None else _metres("thickness_mm", request.thickness_mm)
-    read = calibration.read_cuts(request.tests, diameter, length, thickness)
-    report = calibration.fit_robust(foam, read, diameter)
+    cut_file = calibration.read_cuts(request.tests, diameter, length, thickness)
+    report = calibration.fit_robust(foam, cut_file, diameter)
     today = dt.date.today().isoformat()
-    source = f"{report.fit.count} of {len(read.cuts)} test cuts in {request.tests.name}, fitted {today}"
+    source = f"{report.fit.count} of {len(cut_file.cuts)} test cuts in {request.tests.name}, fitted {today}"
     material_file.write_foam(request.output, dataclasses.replace(foam, kerf=report.fit), source)
-    _print_fit(report, read, request.output)
+    _print_fit(report, cut_file, request.output)
 
 
 def _metres(name: str, value_mm: float) -> float:
+    """Convert an option from mm to m. Refuse values that are not positive."""
     if not (math.isfinite(value_mm) and value_mm > 0.0):
         text = f"must be above 0, got {value_mm:g}"
         raise issue_error("kerf.input", text, field=name, hint="correct it")
     return value_mm * MM
 
 
-def _print_fit(report: FitReport, read: CutFile, path: Path) -> None:
+def _print_fit(report: FitReport, cut_file: CutFile, path: Path) -> None:
+    """Print the fitted parameters, the residuals, and how to use the foam file at ``path``."""
     from planner.processes.hotwire.plan.kerf import models as kerf_models
 
-    fit, size = report.fit, abs(report.residuals[report.kept]) / MM
-    half = float(kerf_models.interval_half_width(fit, fit.mean_ideal)) / MM
+    fit, residuals = report.fit, abs(report.residuals[report.kept]) / MM
+    half_width = float(kerf_models.interval_half_width(fit, fit.mean_ideal)) / MM
     out.print(f"chi {fit.chi:.3f}, offset {fit.offset / MM:.3f} mm")
     out.print(
         f"{fit.count} cuts used; left out as too hot {report.hot.sum()}, as too cold {report.cold.sum()}"
     )
-    out.print(f"residual: mean {size.mean():.3f} mm, largest {size.max():.3f} mm")
-    out.print(f"9 of 10 cuts within {half:.2f} mm of the fit, in foam {read.thickness / MM:g} mm thick")
+    out.print(f"residual: mean {residuals.mean():.3f} mm, largest {residuals.max():.3f} mm")
+    out.print(
+        f"9 of 10 cuts within {half_width:.2f} mm of the fit, in foam {cut_file.thickness / MM:g} mm thick"
+    )
     out.print(f"written to {path}: tandem kerf width {path} --power-w ... --speed-mm-s ...")
 
 
@@ -231,10 +237,10 @@ class Align:
 
 
 def run_align(request: Align) -> tuple[Issue, ...]:
-    """Fit, print, and write the cell; returns warnings.
+    """Fit the base of an arm to probed points, print the residuals and write the cell. Return warnings.
 
     Raises:
-        TandemError: ``align.*``, and what a cell file is refused for.
+        TandemError: ``align.*``, or the issues of an invalid cell file.
     """
     from planner.files import write_atomic
     from planner.geometry.arrays import inverse, to_rpy
@@ -243,8 +249,8 @@ def run_align(request: Align) -> tuple[Issue, ...]:
     from planner.shopfloor.align import probing, rigid_fit
 
     if not 0.0 < request.tolerance_mm <= 1000.0:
-        what = f"tolerance: got {request.tolerance_mm:g} mm, allowed above 0, up to 1000 mm"
-        raise issue_error("align.file", what, hint="correct it")
+        message = f"tolerance: got {request.tolerance_mm:g} mm, allowed above 0, up to 1000 mm"
+        raise issue_error("align.file", message, hint="correct it")
     document = strict_yaml.read(request.cell)
     cell = read_cell(document)
     index = probing.moved_arm(cell, request.arm, str(request.cell))
@@ -259,15 +265,15 @@ def run_align(request: Align) -> tuple[Issue, ...]:
     )
     _print_points(alignment, points, {issue.target for issue in issues})
     if issues:
-        raise TandemError([dataclasses.replace(i, file=str(request.points)) for i in issues])
+        raise TandemError([dataclasses.replace(issue, file=str(request.points)) for issue in issues])
     base = fixed.base @ alignment.pose
     text = probing.with_base(document, index, base)
     probing.require_readable(text, request.output, document)
     try:
         write_atomic(request.output, text)
     except (OSError, ValueError) as error:
-        what = f"{request.output}: cannot be written ({getattr(error, 'strerror', None) or error})"
-        raise issue_error("output.folder", what, hint="choose another path") from error
+        message = f"{request.output}: cannot be written ({getattr(error, 'strerror', None) or error})"
+        raise issue_error("output.folder", message, hint="choose another path") from error
     xyz, rpy = probing.rounded(base)
     shift = inverse(moved.base) @ base
     out.print(f"base of {moved.name}: xyz_mm {xyz}, rpy_deg {rpy}")
@@ -282,13 +288,14 @@ def run_align(request: Align) -> tuple[Issue, ...]:
     return rigid_fit.collinearity_warnings(points.first[used], points.second[used], arms)
 
 
-def _print_points(alignment: Alignment, points: ProbedPoints, bad: set[str | None]) -> None:
+def _print_points(alignment: Alignment, points: ProbedPoints, bad_names: set[str | None]) -> None:
+    """Print the residual of each probed point, and which points were left out or do not fit."""
     table = Table("point", "error mm", "x mm", "y mm", "z mm", "")
-    for k, name in enumerate(points.names):
-        remark = "left out" if not alignment.used[k] else "BAD" if name in bad else ""
-        x, y, z = alignment.residual[k] / MM
+    for index, name in enumerate(points.names):
+        remark = "left out" if not alignment.used[index] else "BAD" if name in bad_names else ""
+        x, y, z = alignment.residual[index] / MM
         table.add_row(
-            name, f"{alignment.distance[k] / MM:.3f}", f"{x:+.3f}", f"{y:+.3f}", f"{z:+.3f}", remark
+            name, f"{alignment.distance[index] / MM:.3f}", f"{x:+.3f}", f"{y:+.3f}", f"{z:+.3f}", remark
         )
     out.print(table)
 
@@ -319,7 +326,7 @@ class Features:
 
 
 def run_features(request: Features) -> tuple[Issue, ...]:
-    """Print the tree and write the requested file; returns notes and warnings.
+    """Print the features of a sheet part as a tree, and write the requested file. Return notes and warnings.
 
     Raises:
         TandemError: The mesh is not usable.
@@ -334,8 +341,8 @@ def run_features(request: Features) -> tuple[Issue, ...]:
 
     require_suffix(request.output, "a drawing is .html or .svg, a table .json", (".html", ".svg", ".json"))
     path = bundled_path(request.part)
-    stated = None if request.tolerance_mm is None else request.tolerance_mm * MM
-    face = recover_face(read_mesh(path, LENGTH_UNITS[request.unit]), stated, path)
+    stated_tolerance = None if request.tolerance_mm is None else request.tolerance_mm * MM
+    face = recover_face(read_mesh(path, LENGTH_UNITS[request.unit]), stated_tolerance, path)
     mesh = Mesh(face.face.vertices, face.face.faces)
     tree = build_feature_tree(mesh, request.step_mm * MM, max(MIN_BUMP_HEIGHT_M, face.tolerance))
     order = feature_tree.in_place_order if request.strategy == "in_place" else feature_tree.virgin_sheet_order
@@ -348,25 +355,25 @@ def run_features(request: Features) -> tuple[Issue, ...]:
         )
     )
     if request.output is not None:
-        kind = request.output.suffix.lower()
-        if kind == ".json":
+        suffix = request.output.suffix.lower()
+        if suffix == ".json":
             table = {
                 "part": request.part.name,
                 "tolerance_mm": _to_mm(face.tolerance),
                 **_feature_table(tree, mesh),
             }
             table["order"] = [_order_row(step) for step in order(tree)]
-            drawn = json.dumps(table, indent=2) + "\n"
-        elif kind == ".svg":
-            drawn = feature_tree.standalone_drawing(tree)
+            content = json.dumps(table, indent=2) + "\n"
+        elif suffix == ".svg":
+            content = feature_tree.standalone_drawing(tree)
         else:
-            drawn = feature_page.drawing_page(tree, f"Features of {request.part.name}")
-        write_output(request.output, drawn, "written to" if kind == ".json" else "drawn in")
+            content = feature_page.drawing_page(tree, f"Features of {request.part.name}")
+        write_output(request.output, content, "written to" if suffix == ".json" else "drawn in")
     return (*face.notes, *tree.issues)
 
 
 def _feature_table(tree: FeatureTree, mesh: Mesh) -> dict[str, Any]:
-    """The tree as data: lengths in mm, angles in degrees from the sheet plane, in the mesh's frame."""
+    """Return the tree as data: lengths in mm in the frame of the mesh, angles in degrees to the sheet."""
     return {
         "level_mm": _to_mm(tree.level),
         "features": [_feature_row(tree, mesh, feature) for feature in tree.features],
@@ -374,9 +381,9 @@ def _feature_table(tree: FeatureTree, mesh: Mesh) -> dict[str, Any]:
 
 
 def _feature_row(tree: FeatureTree, mesh: Mesh, feature: Feature) -> dict[str, Any]:
-    """One feature: centres of its outline and last contour, depth, steepest and mean wall angle.
+    """Return one feature as data, with lengths in mm and angles in degrees.
 
-    The mean is over the area of the wall.
+    The mean wall angle is weighted by area. Faces flatter than `MIN_WALL_ANGLE_RAD` do not count.
     """
     import numpy as np
     from shapely import Polygon
@@ -390,7 +397,7 @@ def _feature_row(tree: FeatureTree, mesh: Mesh, feature: Feature) -> dict[str, A
     slope = np.arccos(np.clip(face_normals(triangles)[:, 2], -1.0, 1.0))
     area = np.where(slope > MIN_WALL_ANGLE_RAD, face_areas(triangles), 0.0)
     outline = Polygon(feature.region).buffer(0.0)
-    last = Polygon(feature.contours[-1][:, :2]).buffer(0.0)
+    last_contour = Polygon(feature.contours[-1][:, :2]).buffer(0.0)
     low_x, low_y, high_x, high_y = outline.bounds
     return {
         "id": feature.id,
@@ -401,7 +408,9 @@ def _feature_row(tree: FeatureTree, mesh: Mesh, feature: Feature) -> dict[str, A
         "end_mm": _to_mm(feature.end),
         "depth_mm": _to_mm(abs(feature.end - feature.start)),
         "centre_mm": [_to_mm(outline.centroid.x), _to_mm(outline.centroid.y)],
-        "end_centre_mm": None if last.is_empty else [_to_mm(last.centroid.x), _to_mm(last.centroid.y)],
+        "end_centre_mm": None
+        if last_contour.is_empty
+        else [_to_mm(last_contour.centroid.x), _to_mm(last_contour.centroid.y)],
         "size_mm": [_to_mm(high_x - low_x), _to_mm(high_y - low_y)],
         "wall_angle_deg": round(wall_angle(face.vertices, face.faces) / DEG, 2),
         "mean_wall_angle_deg": round(float((slope * area).sum() / max(float(area.sum()), 1e-30)) / DEG, 2),
@@ -414,19 +423,20 @@ def _order_row(step: OrderStep) -> dict[str, Any]:
 
 
 def _to_mm(value: float) -> float:
-    return round(float(value) / MM, 4) + 0.0
+    return round(float(value) / MM, 4) + 0.0  # the sum turns -0.0 into 0.0
 
 
 def _feature_tree_view(tree: FeatureTree, name: str) -> Tree:
+    """Return the features as a tree for the terminal. Parents precede their children in ``tree.features``."""
     count = len(tree.features)
-    shown = Tree(
+    root = Tree(
         f"{escape(name)}: {count} feature{'s' if count > 1 else ''}, flat at z = {tree.level / MM:z.3f} mm"
     )
     nodes: dict[int, Tree] = {}
     for feature in tree.features:
-        above = shown if feature.parent is None else nodes[feature.parent]
-        nodes[feature.id] = above.add(_feature_line(feature))
-    return shown
+        parent = root if feature.parent is None else nodes[feature.parent]
+        nodes[feature.id] = parent.add(_feature_line(feature))
+    return root
 
 
 def _feature_line(feature: Feature) -> str:

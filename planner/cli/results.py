@@ -32,10 +32,10 @@ def write_pages(folder: str | Path, processes: int = 1, maps: bool = False) -> P
     Args:
         folder: Result folder.
         processes: As for :func:`planner.pipeline.plan`.
-        maps: Whether the report gets a map of each freedom, over some targets.
+        maps: Whether the report gets a map of each freedom, over a sample of the targets.
 
     Returns:
-        The proof.
+        The new proof.
 
     Raises:
         TandemError: Something is missing or damaged in the folder.
@@ -68,17 +68,15 @@ def freedom_maps(problem: Problem, plan: Plan) -> Iterator[FreedomMapData]:
         scene = Scene.of(
             setup.cell, operation_plan.targets.arms, stock_pose, problem.settings, model, plan.bases
         )
-        rows = spread_rows(operation_plan.targets.count, QUICK_CHECK_TARGETS)
-        subset_targets, columns = (
-            select_targets(operation_plan.targets, rows),
-            [freedom_of_targets.name for freedom_of_targets in operation_plan.targets.freedoms],
-        )
-        names = tuple(operation_plan.targets.name(row) for row in rows.tolist())
+        target_indices = spread_rows(operation_plan.targets.count, QUICK_CHECK_TARGETS)
+        subset_targets = select_targets(operation_plan.targets, target_indices)
+        columns = [freedom_of_targets.name for freedom_of_targets in operation_plan.targets.freedoms]
+        names = tuple(operation_plan.targets.name(target_index) for target_index in target_indices.tolist())
         for freedom, unit in freedom_ranges.freedom_units(
             operation_plan.targets, has_stock_pose=False
         ).items():
             freedom_map = freedom_ranges.compute_freedom_map(
-                scene, subset_targets, freedom, operation_plan.values[rows]
+                scene, subset_targets, freedom, operation_plan.values[target_indices]
             )
             display_unit, scale = freedom_ranges.DISPLAY_UNITS[unit]
             yield FreedomMapData(
@@ -91,7 +89,7 @@ def freedom_maps(problem: Problem, plan: Plan) -> Iterator[FreedomMapData]:
                 causes=("", *freedom_ranges.CAUSE_TEXTS.values()),
                 distance=freedom_map.clearance / MM,
                 clearance=problem.settings.clearance / MM,
-                path=operation_plan.values[rows, columns.index(freedom)] / scale,
+                path=operation_plan.values[target_indices, columns.index(freedom)] / scale,
             )
 
 
@@ -100,8 +98,8 @@ def export_result(
 ) -> Path:
     """Write a result for CAD programs or as G-code.
 
-    A .glb or .3dm file shows the cell at one moment, with nominal and simulated part, tool paths and wires. A
-    .ngc file has what was milled as G-code for a five-axis machine.
+    A .glb or .3dm file shows the cell at one moment, with nominal and simulated part, tool paths and wires.
+    A .ngc file contains the milling operations as G-code for a five-axis machine.
 
     Args:
         folder: Result folder.
@@ -113,56 +111,62 @@ def export_result(
     Raises:
         TandemError: ``problem.field`` for another suffix, a time outside the plan or an unsuitable machine,
             ``upload.unproven`` for G-code of a result that is not proven, ``part.extra_missing``,
-            ``output.folder``, and for what is missing or damaged in the folder.
+            ``output.folder``, and the issues of missing or damaged files in the folder.
     """
     from planner.report import cad_export, rhino_file
     from planner.report.output import cell_model
 
     kinds = (*cad_export.SUFFIXES, GCODE_SUFFIX)
     if output.suffix.lower() not in kinds:
-        what = f"-o: got {output.name}, allowed suffixes: {' or '.join(kinds)}"
-        raise issue_error("problem.field", what, field="output")
+        text = f"-o: got {output.name}, allowed suffixes: {' or '.join(kinds)}"
+        raise issue_error("problem.field", text, field="output")
     if (output.suffix.lower() == GCODE_SUFFIX) != (machine is not None):
-        what = f"--machine: got {machine}; it is required for {GCODE_SUFFIX} files and not allowed for others"
-        raise issue_error("problem.field", what, field="machine")
+        text = f"--machine: got {machine}; it is required for {GCODE_SUFFIX} files and not allowed for others"
+        raise issue_error("problem.field", text, field="machine")
     problem, plan = load_planned_result(folder)
     if machine is not None:
         write_file(output, _gcode_text(Path(folder), problem, plan, machine, reverse).encode("ascii"))
         return output
-    at = cad_export.cell_state(problem, plan, seconds)
-    cut = cad_export.read_simulated_part(Path(folder) / "simulated_part.obj")
-    shapes = cad_export.shapes(cell_model(problem, plan, at.setup), problem, plan, at, cut)
+    cell_state = cad_export.cell_state(problem, plan, seconds)
+    simulated_part = cad_export.read_simulated_part(Path(folder) / "simulated_part.obj")
+    shapes = cad_export.shapes(
+        cell_model(problem, plan, cell_state.setup), problem, plan, cell_state, simulated_part
+    )
     if output.suffix.lower() == ".glb":
         write_file(output, cad_export.glb(shapes))
         return output
-    lines, targets = cad_export.lines(problem, plan, at), cad_export.targets(problem, plan)
+    lines, targets = cad_export.lines(problem, plan, cell_state), cad_export.targets(problem, plan)
     write_file(output, rhino_file.rhino_bytes(itertools.chain(shapes, lines, targets)))
     return output
 
 
 def _gcode_text(folder: Path, problem: Problem, plan: Plan, machine: str, reverse: str) -> str:
-    """G-code of a proven milling result."""
+    """Return the G-code of a proven milling result.
+
+    Raises:
+        TandemError: ``problem.field`` for an unsuitable machine, ``upload.unproven`` without a valid proof.
+    """
     from planner.processes.milling.plan.gcode import inverse_time, state
     from planner.shopfloor.loading import proven
 
     if machine not in state.KINEMATICS:
-        what = f"--machine: got {machine}, allowed: {', '.join(state.KINEMATICS)}"
-        raise issue_error("problem.field", what, field="machine")
+        message = f"--machine: got {machine}, allowed: {', '.join(state.KINEMATICS)}"
+        raise issue_error("problem.field", message, field="machine")
     letters = state.KINEMATICS[machine].letters
     if not set(reverse) <= set(letters) or len(set(reverse)) != len(reverse):
-        what = f"--reverse: got {reverse[:20]!r}, allowed: letters of {letters}, each once"
-        raise issue_error("problem.field", what, field="reverse")
+        message = f"--reverse: got {reverse[:20]!r}, allowed: letters of {letters}, each once"
+        raise issue_error("problem.field", message, field="reverse")
     if plan.digest != problem.digest:  # the proof covers the programs, but G-code is written from the plan
-        what = (
+        message = (
             f"plan.json is of problem {plan.digest[:12]}, the folder holds {problem.digest[:12]}; plan again"
         )
-        raise issue_error("upload.unproven", f"{folder}: {what}", file=str(folder))
+        raise issue_error("upload.unproven", f"{folder}: {message}", file=str(folder))
     proven.read(folder, problem)
-    each = zip(problem.operations, plan.operations, strict=True)
+    operation_pairs = zip(problem.operations, plan.operations, strict=True)
     paths = [
         inverse_time.machine_path(
             operation, operation_plan.targets, operation_plan.values, operation_plan.time
         )
-        for operation, operation_plan in each
+        for operation, operation_plan in operation_pairs
     ]
     return inverse_time.write_program(problem.name, paths, state.find_convention(machine, reverse))

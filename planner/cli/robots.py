@@ -1,6 +1,6 @@
-"""``tandem robots``: built-in robots and the sources of their figures.
+"""``tandem robots``: built-in robots and the sources of their values.
 
-``tandem robots add URDF`` adds your own arm. It is checked, written as lines for a cell, and drawn.
+``tandem robots add URDF`` adds your own arm. It is checked, written as YAML lines for a cell, and drawn.
 """
 
 from __future__ import annotations
@@ -76,8 +76,8 @@ def show_robots(name: str | None) -> None:
 
     names = robot_names() if name is None else (name,)
     table = Table(box=None, pad_edge=False)
-    for head in ("name", "robot", "reach mm", "kg", "controller", "assumed"):
-        table.add_column(head, no_wrap=True)
+    for heading in ("name", "robot", "reach mm", "kg", "controller", "assumed"):
+        table.add_column(heading, no_wrap=True)
     for robot_name in names:
         data = robot(robot_name)
         reach, payload = f"{data.reach / MM:.0f}", f"{data.payload:g}"
@@ -86,14 +86,14 @@ def show_robots(name: str | None) -> None:
     if name is None:
         out.print("Assumed or unverified figures, and sources: tandem robots NAME")
         return
-    for word, lines in (("assumed or unverified", robot(name).assumed), ("sources", robot(name).sources)):
-        out.print(f"{word}:")
+    for group, lines in (("assumed or unverified", robot(name).assumed), ("sources", robot(name).sources)):
+        out.print(f"{group}:")
         for line in lines:
             out.print(f"- {line}", markup=False)
 
 
 def run_add(request: AddRobot) -> None:
-    """Check, print, and write lines and picture.
+    """Check the URDF of an arm, print its values, and write the lines for a cell and the picture.
 
     Raises:
         TandemError: As :func:`planner.reading.robot_file.build_robot`, and ``problem.field`` for options.
@@ -110,13 +110,13 @@ def run_add(request: AddRobot) -> None:
     name = request.name or _default_name(text)
     path = request.output or Path(f"{name}.yaml")
     if name in robot_names():
-        what = f"{name!r} is a built-in robot; choose another --name"
-        raise issue_error("problem.duplicate_name", what, field="name")
+        message = f"{name!r} is a built-in robot; choose another --name"
+        raise issue_error("problem.duplicate_name", message, field="name")
     _require_writable(path)
     chain = read_custom_chain(text, request.base, request.tip)
-    lines = _robot_lines(request, name, chain, path.parent)
-    document = strict_yaml.Document(path, lines, None, b"", file=False)
-    spec, issues = validate(OwnRobotFile, lines, document, ())
+    fields = _robot_lines(request, name, chain, path.parent)
+    document = strict_yaml.Document(path, fields, None, b"", file=False)
+    spec, issues = validate(OwnRobotFile, fields, document, ())
     if issues:
         raise TandemError(issues)
     # by its absolute path, because the output folder may not exist yet
@@ -125,62 +125,74 @@ def run_add(request: AddRobot) -> None:
     picture = path.with_suffix(".svg")
     try:
         write_atomic(picture, arm_picture.drawing(robot))
-        write_atomic(path, _robot_yaml(lines, robot, request))
+        write_atomic(path, _robot_yaml(fields, robot, request))
     except (OSError, ValueError) as error:
-        what = f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})"
-        raise issue_error("output.folder", what, hint="choose another path") from error
+        message = f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})"
+        raise issue_error("output.folder", message, hint="choose another path") from error
     out.print(f"written to {path}, for an arm of a cell in {path.parent.resolve()}; drawn in {picture}")
 
 
 def _require_writable(path: Path) -> None:
-    """Require that a file is new, or holds lines of an arm, which may be rewritten. A user's cell may not."""
+    """Require that a file is new, or that this command wrote it. A user's cell is never overwritten.
+
+    Raises:
+        TandemError: ``output.folder``.
+    """
     if path.suffix not in (".yaml", ".yml"):
-        what = f"{path}: unsupported suffix; use .yaml"
-        raise issue_error("output.folder", what, field="output")
+        message = f"{path}: unsupported suffix; use .yaml"
+        raise issue_error("output.folder", message, field="output")
     if path.exists() and not (path.is_file() and "\nrobot:\n" in path.read_text("utf-8", "replace")):
-        what = f"{path} exists and was not written by tandem robots add; choose another name"
-        raise issue_error("output.folder", what, field="output")
+        message = f"{path} exists and was not written by tandem robots add; choose another name"
+        raise issue_error("output.folder", message, field="output")
 
 
 def _default_name(text: str) -> str:
+    """Return a valid name of the arm from the name in the text of its URDF, at most 24 characters."""
     match = re.search(r"<robot[^>]*\bname\s*=\s*[\"']([^\"']*)", text)
-    plain = re.sub(r"\W+", "_", match[1] if match else "", flags=re.ASCII).strip("_")
-    return (plain if plain[:1].isalpha() else f"arm_{plain}")[:24].rstrip("_")
+    name = re.sub(r"\W+", "_", match[1] if match else "", flags=re.ASCII).strip("_")
+    return (name if name[:1].isalpha() else f"arm_{name}")[:24].rstrip("_")
 
 
 def _robot_lines(request: AddRobot, name: str, chain: UrdfChain, folder: Path) -> dict[str, Any]:
-    """The lines of the arm, as a problem has them; file names are relative to ``folder``."""
+    """Return the fields of the arm for a problem file. File names are relative to ``folder``."""
     from planner.reading.dae import DAE_SUFFIX
 
     urdf = Path(os.path.relpath(request.urdf.resolve(), folder.resolve())).as_posix()
-    lines: dict[str, Any] = {"urdf": urdf, "name": name, "base": request.base, "tip": chain.tip_link}
-    lines |= {"family": request.family, "payload_kg": request.payload_kg}
+    fields: dict[str, Any] = {"urdf": urdf, "name": name, "base": request.base, "tip": chain.tip_link}
+    fields |= {"family": request.family, "payload_kg": request.payload_kg}
     for key in ("title", "controller", "full_speed_after_s", "coupled_deg", "home_deg", "left_out"):
         value = getattr(request, key)
         if value not in (None, ()):
-            lines[key] = list(value) if isinstance(value, tuple) else value
+            fields[key] = list(value) if isinstance(value, tuple) else value
     if request.meshes is not None:
-        lines["meshes"] = _mesh_files(chain.shapes, request.meshes, request.urdf)
-        mesh_names = {mesh["name"] for mesh in lines["meshes"]}
+        fields["meshes"] = _mesh_files(chain.shapes, request.meshes, request.urdf)
+        mesh_names = {mesh["name"] for mesh in fields["meshes"]}
         visuals = _mesh_files(chain.visuals, request.meshes, request.urdf, (DAE_SUFFIX,))
-        lines |= (
-            {"visuals": visual_meshes}
-            if (visual_meshes := [mesh for mesh in visuals if mesh["name"] not in mesh_names])
-            else {}
-        )
+        visual_meshes = [mesh for mesh in visuals if mesh["name"] not in mesh_names]
+        if visual_meshes:
+            fields["visuals"] = visual_meshes
     if request.source is not None:
-        lines["sources"] = {"urdf": request.source}
-    return lines
+        fields["sources"] = {"urdf": request.source}
+    return fields
 
 
 def _mesh_files(
     shapes: Sequence[UrdfShape], folder: Path, urdf: Path, extra_suffixes: tuple[str, ...] = ()
 ) -> list[dict[str, str]]:
-    """Files of the URDF's meshes in a folder.
+    """Find the files of a URDF's meshes in a folder.
 
-    A mesh matches by as much of its path as exists there, else by its name. For a mesh that is not readable
-    (DAE of a collision) or missing, a converted file matches that differs only in its suffix.
-    ``extra_suffixes`` are readable in addition.
+    The end of a mesh's path is compared with the files, the whole path first and the name alone last. If no
+    file matches a mesh in another format than the usual ones (such as DAE), a converted file with one of
+    their suffixes may match. Meshes with several matches are left out.
+
+    Args:
+        shapes: Shapes of the URDF.
+        folder: Folder that is searched, with its subfolders.
+        urdf: The URDF. Paths of the result are relative to its folder.
+        extra_suffixes: Suffixes that can be read in addition to the usual ones.
+
+    Returns:
+        ``name`` of each mesh in the URDF, and path of its ``file``.
     """
     from planner.geometry.mesh_files import PLAIN_SUFFIXES
 
@@ -189,22 +201,23 @@ def _mesh_files(
         for path in sorted(folder.rglob("*"))
         if path.suffix.lower() in (*PLAIN_SUFFIXES, *extra_suffixes)
     ]
-    plain = [path for path in files if path.suffix.lower() in PLAIN_SUFFIXES]
-    out = []
+    plain_files = [path for path in files if path.suffix.lower() in PLAIN_SUFFIXES]
+    entries = []
     for name in dict.fromkeys(shape.file for shape in shapes if shape.kind == "mesh"):
         mesh_path = Path(name.partition("://")[2] or name)
         suffix = mesh_path.suffix.lower()
         matches = _match_path_end(mesh_path, files) if suffix in (*PLAIN_SUFFIXES, *extra_suffixes) else []
         if not matches and suffix not in PLAIN_SUFFIXES:
-            stems = _match_path_end(mesh_path.with_suffix(""), [path.with_suffix("") for path in plain])
-            matches = [path for path in plain if path.with_suffix("") in stems]
+            stems = _match_path_end(mesh_path.with_suffix(""), [path.with_suffix("") for path in plain_files])
+            matches = [path for path in plain_files if path.with_suffix("") in stems]
         if len(matches) == 1:
             relative_path = os.path.relpath(matches[0].resolve(), urdf.resolve().parent)
-            out.append({"name": name, "file": Path(relative_path).as_posix()})
-    return out
+            entries.append({"name": name, "file": Path(relative_path).as_posix()})
+    return entries
 
 
 def _match_path_end(requested_path: Path, candidates: Sequence[Path]) -> list[Path]:
+    """Return the candidates that share the longest end of their path with the requested path, if any."""
     for count in range(len(requested_path.parts), 0, -1):
         matches = [path for path in candidates if path.parts[-count:] == requested_path.parts[-count:]]
         if matches:
@@ -212,34 +225,45 @@ def _match_path_end(requested_path: Path, candidates: Sequence[Path]) -> list[Pa
     return []
 
 
-def _robot_yaml(lines: dict[str, Any], robot: RobotData, request: AddRobot) -> str:
-    """The lines as YAML, with assumptions as comments."""
+def _robot_yaml(fields: dict[str, Any], robot: RobotData, request: AddRobot) -> str:
+    """Return the fields of the arm as YAML, with assumptions and default values as comments."""
     from planner.reading.robot_file import DEFAULT_FULL_SPEED_TIME_S, home_description
 
-    home = ", ".join(f"{v:g}" for v in (robot.home / DEG).round(6) + 0.0)
-    usual = {
+    home = ", ".join(f"{angle:g}" for angle in (robot.home / DEG).round(6) + 0.0)
+    defaults_by_key = {
         "full_speed_after_s": f"{DEFAULT_FULL_SPEED_TIME_S:g}  # of every axis from rest, as the largest "
         "built in",
         "home_deg": f"[{home}]  # serial joints: {home_description(robot.form)}",
         "coupled_deg": "null  # of a parallel rod: the range of axis 2 + axis 3",
     }
-    body = [f"  {key}: {json.dumps(value, ensure_ascii=False)}" for key, value in lines.items()]
-    defaults = [f"  # {key}: {value}; assumed" for key, value in usual.items() if key not in lines]
+    body = [f"  {key}: {json.dumps(value, ensure_ascii=False)}" for key, value in fields.items()]
+    defaults = [f"  # {key}: {value}; assumed" for key, value in defaults_by_key.items() if key not in fields]
     assumptions = [f"# {line}" for line in robot.assumed]
     head = [f"# {robot.title}, from {request.urdf.name}, for an arm of a cell. Without a source, or assumed:"]
     return "\n".join([*head, *assumptions, "robot:", *body, *defaults, ""])
 
 
 def _print_robot(robot: RobotData, chain: UrdfChain, deviation: tuple[float, float]) -> None:
+    """Print axes, dimensions and assumptions of an arm.
+
+    Args:
+        robot: Arm.
+        chain: Chain of joints in the URDF.
+        deviation: Largest distance [m] and angle [rad] between the closed form and the URDF.
+    """
     table = Table("axis", "joint", "from deg", "to deg", "deg/s", "bodies")
     shapes = robot.file.shapes if robot.file is not None else ()
-    for i, joint in enumerate(chain.joints):
-        low, high, speed = (f"{v[i] / DEG:.6g}" for v in (robot.lower, robot.upper, robot.velocity))
-        bodies = ", ".join(sorted("hull" if shape.kind == "mesh" else shape.kind for shape in shapes[i + 1]))
-        table.add_row(str(i + 1), joint, low, high, speed, bodies)
+    for index, joint in enumerate(chain.joints):
+        low, high, speed = (
+            f"{values[index] / DEG:.6g}" for values in (robot.lower, robot.upper, robot.velocity)
+        )
+        bodies = ", ".join(
+            sorted("hull" if shape.kind == "mesh" else shape.kind for shape in shapes[index + 1])
+        )
+        table.add_row(str(index + 1), joint, low, high, speed, bodies)
     out.print(table)
-    figures = vars(robot.form).items()
-    lengths = ", ".join(f"{key} {v / MM:.7g}" for key, v in figures if isinstance(v, float))
+    dimensions = vars(robot.form).items()
+    lengths = ", ".join(f"{key} {value / MM:.7g}" for key, value in dimensions if isinstance(value, float))
     count = "seven axes, the last one free," if robot.axes == 7 else "six axes"
     out.print(f"{count} in closed form: {lengths} mm; it reaches {robot.reach / MM:.0f} mm")
     out.print(

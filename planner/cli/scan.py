@@ -89,7 +89,10 @@ class Adjust:
 
 
 def run_scan_fit(request: ScanFit) -> tuple[Issue, ...]:
-    """Register, measure, print and write; returns warnings.
+    """Register a scan of a formed part, and print and write its deviation from the nominal face.
+
+    Returns:
+        Warnings.
 
     Raises:
         TandemError: The folder or the scan is not usable.
@@ -102,20 +105,23 @@ def run_scan_fit(request: ScanFit) -> tuple[Issue, ...]:
     cloud, _, pose, deviations = _measure(problem, request.scan, request.options)
     _print_deviation(cloud, pose, deviations)
     if request.output is not None:
-        page = request.output.suffix.lower() == ".html"
-        shown = {
+        is_page = request.output.suffix.lower() == ".html"
+        exhibits_by_name = {
             "off": _deviation_map(
                 deviations.point, deviations.deviation, "Deviation of the scan from the nominal face"
             )
         }
         title = f"Scan of {problem.name}"
-        text = _scan_page(title, problem, cloud, shown) if page else _deviation_csv(deviations)
+        text = _scan_page(title, problem, cloud, exhibits_by_name) if is_page else _deviation_csv(deviations)
         write_output(request.output, text)
     return (*freedoms.issues(deviations, pose, cloud.file), *deviation.issues(deviations, cloud.file))
 
 
 def run_adjust(request: Adjust) -> tuple[Issue, ...]:
-    """Register, measure, adjust, print and write; returns warnings.
+    """Register a scan of a formed part, move the targets by its deviation, and write the new problem.
+
+    Returns:
+        Warnings.
 
     Raises:
         TandemError: The folder or the scan is not usable.
@@ -130,16 +136,16 @@ def run_adjust(request: Adjust) -> tuple[Issue, ...]:
     require_suffix(request.output, "a file is .yaml or .yml", (".yaml", ".yml"))
     require_suffix(request.page, "a file is .html", (".html",), "page")
     if not 0.1 <= request.gain <= 1.2:
-        what = f"got {request.gain:g}, allowed 0.1 to 1.2"
-        raise issue_error("forming.loop_law", what, field="gain", hint="correct it")
+        message = f"got {request.gain:g}, allowed 0.1 to 1.2"
+        raise issue_error("forming.loop_law", message, field="gain", hint="correct it")
     problem = pipeline.load_result(request.folder)
     job = forming_job(problem, request.operation)
     cloud, marks, pose, deviations = _measure(problem, request.scan, request.options)
     _print_deviation(cloud, pose, deviations)
     freedoms.require_place(deviations, pose, cloud.file)
     compensation = job.read_compensation()
-    stated = job.operation.springback
-    limits = Springback(file=request.output) if stated is None else stated
+    springback_section = job.operation.springback
+    limits = Springback(file=request.output) if springback_section is None else springback_section
     scan = adjustment.RegisteredScan(cloud, marks, pose, deviations, top=request.options.face == "top")
     step = adjustment.AdjustmentStep(compensation, request.gain, limits)
     adjusted_passes = adjustment.adjusted(job.planned, make_tool_paths(job.planned), scan, step)
@@ -149,14 +155,22 @@ def run_adjust(request: Adjust) -> tuple[Issue, ...]:
     path = _write_problem(request, problem, job.operation.name, text, limits)
     out.print(f"written to {path}; next: tandem plan {path} -o FOLDER", markup=False)
     if request.page is not None:
-        shown = _adjustment_exhibits(adjusted_passes)
-        write_output(request.page, _scan_page(f"{problem.name} adjusted", problem, cloud, shown))
+        exhibits_by_name = _adjustment_exhibits(adjusted_passes)
+        write_output(request.page, _scan_page(f"{problem.name} adjusted", problem, cloud, exhibits_by_name))
     return (*freedoms.issues(deviations, pose, cloud.file), *deviation.issues(deviations, cloud.file))
 
 
 def _measure(
     problem: Problem, scan: Path, options: ScanOptions
 ) -> tuple[Cloud, ProbedPoints | None, ScanPose, Deviation]:
+    """Read and register a scan.
+
+    Returns:
+        Points of the scan, marks or None, pose of the scan, and its deviations from the part.
+
+    Raises:
+        TandemError: A file is not usable, or the scan does not fit the part.
+    """
     from planner.shopfloor.align import probing
     from planner.shopfloor.scan import cloud, deviation, registration
 
@@ -169,6 +183,10 @@ def _measure(
 
 
 def _write_problem(request: Adjust, problem: Problem, operation: str, text: str, limits: Any) -> Path:
+    """Write the problem with the adjustment as the springback section of its forming operation.
+
+    ``text`` is the content of the adjustment file, and ``limits`` a section with the limits of the shifts.
+    """
     from planner import pipeline
     from planner.cli.next_level import require_free
     from planner.processes import registry
@@ -198,6 +216,7 @@ def _write_problem(request: Adjust, problem: Problem, operation: str, text: str,
 
 
 def _print_deviation(cloud: Cloud, pose: ScanPose, deviations: Deviation) -> None:
+    """Print how a scan was registered, and statistics of its deviation from the nominal face."""
     import numpy as np
 
     from planner.shopfloor.scan.registration import describe_pose
@@ -206,49 +225,61 @@ def _print_deviation(cloud: Cloud, pose: ScanPose, deviations: Deviation) -> Non
     deviations_mm = deviations.deviation[np.isfinite(deviations.deviation)] / MM
     table = Table("mm along the normal", "min", "5 %", "median", "95 %", "max", "rms")
     low, p5, middle, p95, high = np.percentile(deviations_mm, (0, 5, 50, 95, 100))
-    figures = (low, p5, middle, p95, high, float(np.sqrt(np.mean(deviations_mm**2))))
-    table.add_row("scan minus nominal face", *(f"{value:.3f}" for value in figures))
+    statistics = (low, p5, middle, p95, high, float(np.sqrt(np.mean(deviations_mm**2))))
+    table.add_row("scan minus nominal face", *(f"{value:.3f}" for value in statistics))
     out.print(table)
-    known = 100.0 * len(deviations_mm) / len(deviations.deviation)
+    seen_percent = 100.0 * len(deviations_mm) / len(deviations.deviation)
     out.print(
-        f"{len(deviations.deviation)} places, {known:.1f} % of them seen, from {deviations.used} points; "
-        f"noise of a point {deviations.noise / MM:.3f} mm",
+        f"{len(deviations.deviation)} places, {seen_percent:.1f} % of them seen, from {deviations.used} "
+        f"points; noise of a point {deviations.noise / MM:.3f} mm",
         markup=False,
     )
 
 
 def _print_adjusted(adjusted_passes: Sequence[AdjustedPass]) -> None:
+    """Print the depth deficit of each pass, its prediction for the next part, and the shifts of the tools."""
     import numpy as np
 
     table = Table("pass", "too shallow mm, along z", "predicted mm", "tools deeper mm")
     for adjusted_pass in adjusted_passes:
-        seen = np.isfinite(adjusted_pass.shallowness)
-        both = [adjusted_pass.shallowness[seen] / MM, adjusted_pass.foretold[seen] / MM] if seen.any() else []
-        spans = [f"{row.min():.2f} to {row.max():.2f}" for row in both] or ["not on the scan", "unchanged"]
+        is_seen = np.isfinite(adjusted_pass.shallowness)
+        measured_and_predicted = (
+            [adjusted_pass.shallowness[is_seen] / MM, adjusted_pass.foretold[is_seen] / MM]
+            if is_seen.any()
+            else []
+        )
+        spans = [f"{values.min():.2f} to {values.max():.2f}" for values in measured_and_predicted] or [
+            "not on the scan",
+            "unchanged",
+        ]
         shift = adjusted_pass.tool_path.shift / MM
         table.add_row(adjusted_pass.tool_path.name, *spans, f"{shift.min():.2f} to {shift.max():.2f}")
     out.print(table)
 
 
 def _deviation_map(points: FloatArray, deviation: FloatArray, title: str) -> dict[str, Any]:
+    """Return a heat map of deviations (N,) [m] at points (N, 3) [m]. Points that were not scanned are NaN.
+
+    At most about `MAX_DRAWN_POINTS` are drawn. The scale ends at the 98 % quantile.
+    """
     import numpy as np
 
-    seen = np.flatnonzero(np.isfinite(deviation))
-    seen = seen[:: max(1, -(-len(seen) // MAX_DRAWN_POINTS))]
-    value = deviation[seen] / MM
-    limit = max(float(np.percentile(np.abs(value), 98)), 0.01)
+    seen_indices = np.flatnonzero(np.isfinite(deviation))
+    seen_indices = seen_indices[:: max(1, -(-len(seen_indices) // MAX_DRAWN_POINTS))]
+    values = deviation[seen_indices] / MM
+    limit = max(float(np.percentile(np.abs(values), 98)), 0.01)
     return {
         "kind": "heatmap",
         "title": title,
-        "points": points[seen],
-        "value": value,
+        "points": points[seen_indices],
+        "value": values,
         "unit": "mm",
         "limit": limit,
     }
 
 
 def _adjustment_exhibits(adjusted_passes: Sequence[AdjustedPass]) -> dict[str, Any]:
-    """Deviation of the part and prediction for the next one, on one scale, and the shifts of the tools."""
+    """Return maps of the measured and the predicted depth deficit on one scale, and of the tool shifts."""
     import numpy as np
 
     from planner.processes.forming.plan.springback.compensation import compensation_exhibit
@@ -259,29 +290,36 @@ def _adjustment_exhibits(adjusted_passes: Sequence[AdjustedPass]) -> dict[str, A
         )
         for name in ("point", "shallowness", "foretold")
     )
-    first = _deviation_map(points, deficit, "Depth deficit of the part, along z")
-    next_one = _deviation_map(points, predicted, "Predicted depth deficit of the next part, along z")
-    limit = max(float(np.abs(adjusted_pass["value"]).max()) for adjusted_pass in (first, next_one))
+    measured_map = _deviation_map(points, deficit, "Depth deficit of the part, along z")
+    predicted_map = _deviation_map(points, predicted, "Predicted depth deficit of the next part, along z")
+    color_limit = max(float(np.abs(exhibit["value"]).max()) for exhibit in (measured_map, predicted_map))
     return {
-        "before": {**first, "limit": limit},
-        "next": {**next_one, "limit": limit},
+        "before": {**measured_map, "limit": color_limit},
+        "next": {**predicted_map, "limit": color_limit},
         "deeper": compensation_exhibit([adjusted_pass.tool_path for adjusted_pass in adjusted_passes]),
     }
 
 
 def _deviation_csv(deviations: Deviation) -> str:
+    """Return points, normals and deviations as CSV. Points that were not scanned have an empty deviation."""
     import numpy as np
 
     rows = [["x_mm", "y_mm", "z_mm", "nx", "ny", "nz", "off_mm"]]
     for point, normal, deviation in zip(
         deviations.point / MM, deviations.normal, deviations.deviation / MM, strict=True
     ):
-        shown = f"{deviation:.4f}" if np.isfinite(deviation) else ""
-        rows.append([*(f"{v:.4f}" for v in point), *(f"{v:.5f}" for v in normal), shown])
+        deviation_text = f"{deviation:.4f}" if np.isfinite(deviation) else ""
+        rows.append(
+            [
+                *(f"{coordinate:.4f}" for coordinate in point),
+                *(f"{coordinate:.5f}" for coordinate in normal),
+                deviation_text,
+            ]
+        )
     return format_csv(rows)
 
 
-def _scan_page(title: str, problem: Problem, cloud: Cloud, shown: dict[str, Any]) -> str:
+def _scan_page(title: str, problem: Problem, cloud: Cloud, exhibits_by_name: dict[str, Any]) -> str:
     import numpy as np
 
     from planner.report import exhibits
@@ -291,4 +329,4 @@ def _scan_page(title: str, problem: Problem, cloud: Cloud, shown: dict[str, Any]
         f"{cloud.file}, SHA-256 {cloud.digest[:16]}, {len(cloud.points)} points, aligned with the flat "
         "around the part. Positive is above the nominal face, or too shallow."
     )
-    return exhibits.exhibits_page(title, ("scan", "Scan"), shown, about, block)
+    return exhibits.exhibits_page(title, ("scan", "Scan"), exhibits_by_name, about, block)

@@ -239,8 +239,8 @@ def serve(request: Serve) -> None:
         keep_days=request.keep_days,
         audit_days=request.audit_days,
     )
-    more = {"workers": request.workers, "lease_s": request.lease_s}
-    for name, value in (dataclasses.asdict(limits) | more).items():
+    other_limits = {"workers": request.workers, "lease_s": request.lease_s}
+    for name, value in (dataclasses.asdict(limits) | other_limits).items():
         if value is not None and not value > 0:
             raise issue_error("service.start", f"{name}: must be above 0, got {value:g}", field=name)
     server.serve(
@@ -265,12 +265,13 @@ def serve(request: Serve) -> None:
 
 
 def _oidc(request: Serve, issuer: str) -> OidcSettings:
+    """Return the settings of the log-in through the provider at the address ``issuer``."""
     try:
         from planner.service import oidc
     except ImportError as error:
         hint = "install it: pip install 'tandem-planner[service,oidc]'"
-        what = f"login with a provider needs {error.name or error}, which is not installed"
-        raise issue_error("service.install", what, hint=hint) from error
+        message = f"login with a provider needs {error.name or error}, which is not installed"
+        raise issue_error("service.install", message, hint=hint) from error
     grant_options = oidc.GrantOptions(request.oidc_role, request.oidc_claim, request.oidc_team)
     return oidc.read_settings(
         issuer, request.oidc_client, request.oidc_secret, grant_options, request.oidc_scope
@@ -288,9 +289,9 @@ def token(request: AddToken | List | Revoke | Drafts) -> None:
 
     auth = Auth(database)
     if isinstance(request, AddToken):
-        lasts_s = None if request.expires is None else parse_lifetime(request.expires)
+        lifetime_s = None if request.expires is None else parse_lifetime(request.expires)
         secret = auth.create_token(
-            request.name, request.role, request.team, lasts_s, request.scope, request.tag
+            request.name, request.role, request.team, lifetime_s, request.scope, request.tag
         )
         sys.stdout.write(f"{secret}\n")
     elif isinstance(request, Revoke):
@@ -308,19 +309,20 @@ def token(request: AddToken | List | Revoke | Drafts) -> None:
 
 
 def _drafts(request: Drafts, database: Database) -> None:
-    from planner.service.drafts import DraftStore as Kept
+    """List the drafts of a token, pass them to another token, or delete them."""
+    from planner.service.drafts import DraftStore
     from planner.service.models import format_time, utc
     from planner.service.security import ServiceLimits
 
-    kept = Kept(database, ServiceLimits())
+    draft_store = DraftStore(database, ServiceLimits())
     if request.delete and request.to is not None:
         raise issue_error("service.token", "to: --to and --delete exclude each other; omit one", field="to")
     if request.delete or request.to is not None:
-        count = kept.transfer(request.name, request.to)
-        done = "deleted" if request.to is None else f"passed to {request.to}"
-        _print_line(f"{request.name}: {count} drafts, cells, tools and templates {done}")
+        count = draft_store.transfer(request.name, request.to)
+        outcome = "deleted" if request.to is None else f"passed to {request.to}"
+        _print_line(f"{request.name}: {count} drafts, cells, tools and templates {outcome}")
     else:
-        for row in kept.of_token(request.name):
+        for row in draft_store.of_token(request.name):
             _print_line(f"{row['id']}  {format_time(utc(row['changed']))}  {row['kind']}  {row['title']}")
 
 
@@ -331,19 +333,19 @@ def audit(request: Audit) -> None:
         TandemError: The store cannot be opened.
     """
     with _require_installed():
-        from planner.service import audit as log
+        from planner.service import audit as audit_log
         from planner.service.models import format_time
-    entries = log.all_entries(_open_store(request), request.job, request.act, max(request.most, 1))
+    entries = audit_log.all_entries(_open_store(request), request.job, request.act, max(request.most, 1))
     for entry in entries:
         if request.json:
             sys.stdout.write(f"{entry.model_dump_json(exclude_none=True)}\n")
         else:
             details = [entry.about.get(key) for key in ("name", "file", "link", "release", "reason", "note")]
             detail_text = ", ".join(" ".join(str(text).split()) for text in details if text)
-            at = format_time(entry.at)
+            time_text = format_time(entry.at)
             _print_line(
-                f"{at}  {entry.by}{f' ({entry.team})' if entry.team else ''}  {entry.act}  {entry.job}  "
-                f"{detail_text}"
+                f"{time_text}  {entry.by}{f' ({entry.team})' if entry.team else ''}  {entry.act}  "
+                f"{entry.job}  {detail_text}"
             )
 
 
@@ -378,29 +380,39 @@ def restore(request: Restore) -> None:
     from planner.service.security import Auth
 
     database = _open_store(_Store(data=request.data, database=request.database))
-    alive = [stored.name for stored in Auth(database).list() if stored.revoked is None]
+    valid_names = [stored.name for stored in Auth(database).list() if stored.revoked is None]
     database.close()
-    if alive:
-        what = f"tokens and accounts are valid as at the backup: {', '.join(alive)}, with their links; "
-        _print_line(f"{what}revoke again those that were revoked since: tandem token revoke NAME")
+    if valid_names:
+        message = (
+            f"tokens and accounts are valid as at the backup: {', '.join(valid_names)}, with their links; "
+        )
+        _print_line(f"{message}revoke again those that were revoked since: tandem token revoke NAME")
 
 
-def _print_line(what: str) -> None:
-    out.print(what, highlight=False, markup=False, soft_wrap=True)
+def _print_line(line: str) -> None:
+    out.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 @contextlib.contextmanager
 def _require_installed() -> Iterator[None]:
-    """Context for imports of the service. Raises ``TandemError`` with what to install."""
+    """Convert errors of the imports of the service to an issue with the command that installs it.
+
+    Raises:
+        TandemError: ``service.install``.
+    """
     try:
         yield
     except ImportError as error:
-        what = f"the service needs {error.name or error}"
-        raise issue_error("service.install", what, hint=INSTALL) from error
+        message = f"the service needs {error.name or error}"
+        raise issue_error("service.install", message, hint=INSTALL) from error
 
 
 def _open_store(request: _Store, create: bool = False) -> Database:
-    """Open the store that a command works on; with ``create`` create it if there is none."""
+    """Open the store that a command works on. ``create`` creates it if there is none.
+
+    Raises:
+        TandemError: The store does not exist or cannot be opened, or the service is not installed.
+    """
     with _require_installed():
         from planner.service.models import Database, default_url
     if request.database is None and create:
@@ -410,12 +422,13 @@ def _open_store(request: _Store, create: bool = False) -> Database:
             message = f"data folder {request.data}: cannot be written ({error.strerror}); choose another one"
             raise issue_error("service.start", message, field="data") from error
     elif request.database is None and not (request.data / "tandem.db").is_file():
-        what = f"data folder {request.data}: contains no store; state the same --data as the service"
-        raise issue_error("service.start", what, field="data")
+        text = f"data folder {request.data}: contains no store; state the same --data as the service"
+        raise issue_error("service.start", text, field="data")
     return Database(request.database or default_url(request.data))
 
 
 def _format_time(seconds: float | None) -> str:
+    """Format a time [s since 1970] to the minute; empty for None."""
     if seconds is None:
         return ""
     return dt.datetime.fromtimestamp(seconds, dt.UTC).strftime("%Y-%m-%d %H:%M UTC")

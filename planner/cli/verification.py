@@ -23,7 +23,13 @@ MAX_FIELDS_SHOWN: Final = 40
 def compare_with_file(
     pipeline: ModuleType, folder: Path, problem: Problem, file: Path | None
 ) -> tuple[Issue, ...]:
-    """Print how the problem stored in a result folder differs from the user's own, read from ``file``.
+    """Print how the problem stored in a result folder differs from the user's own.
+
+    Args:
+        pipeline: Module :mod:`planner.pipeline`, which the caller has imported.
+        folder: Result folder.
+        problem: The user's own problem, or that of the folder if ``file`` is None.
+        file: File of the user's own problem, or None to compare nothing.
 
     Returns:
         A warning if they differ, or if the stored problem cannot be read.
@@ -37,9 +43,9 @@ def compare_with_file(
     try:
         stored = pipeline.load_result(folder)
     except TandemError as error:
-        what = f"the problem in {folder} cannot be read: {error.issues[0].message}"
+        message = f"the problem in {folder} cannot be read: {error.issues[0].message}"
         hint = "the proof is against your file; plan it into its own folder to have its copy there"
-        return (Issue("verify.problem_differs", what, Severity.WARNING, file=str(folder), hint=hint),)
+        return (Issue("verify.problem_differs", message, Severity.WARNING, file=str(folder), hint=hint),)
     out.print(f"problem in {folder}: {stored.digest}", highlight=False, markup=False, soft_wrap=True)
     out.print(f"problem in {file}: {problem.digest}", highlight=False, markup=False, soft_wrap=True)
     if stored.digest == problem.digest:
@@ -47,21 +53,28 @@ def compare_with_file(
         return ()
     differing = differences(stored.source, problem.source)
     _print_differences(differing, folder, file)
-    what = f"the problem in {folder} differs from {file} in {len(differing)} fields"
+    message = f"the problem in {folder} differs from {file} in {len(differing)} fields"
     hint = f"the proof is against your file; plan {file} yourself, or ask why the folder has another problem"
-    return (Issue("verify.problem_differs", what, Severity.WARNING, file=str(folder), hint=hint),)
+    return (Issue("verify.problem_differs", message, Severity.WARNING, file=str(folder), hint=hint),)
 
 
-def _print_differences(differing: tuple[Difference, ...], folder: Path, file: Path) -> None:
-    for item in differing[:MAX_FIELDS_SHOWN]:
-        text = f"  {item.field}: {item.first} in {folder}, {item.second} in {file}"
+def _print_differences(differing_fields: tuple[Difference, ...], folder: Path, file: Path) -> None:
+    for difference in differing_fields[:MAX_FIELDS_SHOWN]:
+        text = f"  {difference.field}: {difference.first} in {folder}, {difference.second} in {file}"
         out.print(text, highlight=False, markup=False, soft_wrap=True)
-    if len(differing) > MAX_FIELDS_SHOWN:
-        out.print(f"  and {len(differing) - MAX_FIELDS_SHOWN} more fields", highlight=False)
+    if len(differing_fields) > MAX_FIELDS_SHOWN:
+        out.print(f"  and {len(differing_fields) - MAX_FIELDS_SHOWN} more fields", highlight=False)
 
 
 def record_proof(folder: Path, programs: Mapping[str, str], proof: Proof, signed: bool) -> None:
-    """Write ``proof.json`` into a result folder, unless the one there is signed."""
+    """Write ``proof.json`` into a result folder, unless the one there is signed and will not be signed again.
+
+    Args:
+        folder: Result folder.
+        programs: Text of the programs, by name.
+        proof: Proof of the programs.
+        signed: The result is signed again afterwards.
+    """
     from planner.shopfloor.loading import proven
 
     try:
@@ -72,7 +85,11 @@ def record_proof(folder: Path, programs: Mapping[str, str], proof: Proof, signed
 
 
 def sign_folder(folder: Path, problem: Problem, proof: Proof, key: statement.PrivateKey) -> bool:
-    """Sign a result folder and print the fingerprint; False if it cannot be signed."""
+    """Sign a result folder and print the fingerprint of the key.
+
+    Returns:
+        False if it cannot be signed. The issues are printed.
+    """
     from planner import pipeline
 
     try:

@@ -19,11 +19,11 @@ from planner.issue_codes import format_message
 from planner.issues import Issue, Severity
 
 FREE_INTERFERENCE_M: Final = 1e-3
-"""Interference [m] that is not reported, where sides are not planes."""
+"""Interference [m] up to which panels whose sides are not planes are not reported."""
 NEIGHBOUR_OFFSET_M: Final = 1e-5
-"""Distance [m] outside of a side at which the panel beyond is searched."""
+"""Distance [m] outside of a side at which the panel beyond that side is searched."""
 PAGE_TOLERANCE_M: Final = 1e-3
-"""Maximum deviation [m] of outlines on the page."""
+"""Maximum deviation [m] of the simplified outlines that the page shows."""
 DIRECTION_DIGITS: Final = 9
 """Decimals of insertion directions in ``element.json``."""
 
@@ -34,8 +34,8 @@ class PanelBody:
 
     Attributes:
         name: Id of the panel.
-        whole: Body.
-        shown: Body with fewer points, for the page.
+        whole: Body with all points.
+        shown: The same body with fewer points, for the page.
     """
 
     name: str
@@ -49,8 +49,8 @@ class ElementAssembly:
 
     Attributes:
         bodies: Bodies in the order of their ids.
-        steps: Steps in which they are assembled.
-        up: Direction (3,) that is up.
+        steps: Assembly steps in order; each has the index in ``bodies`` of the panel that it inserts.
+        up: Unit vector (3,) that points upward.
     """
 
     bodies: tuple[PanelBody, ...]
@@ -58,7 +58,7 @@ class ElementAssembly:
     up: FloatArray
 
     def columns(self) -> list[dict[str, Any]]:
-        """Return the columns of each panel in the table."""
+        """Return the assembly columns of the table of panels: one dict for each of ``bodies``, in order."""
         out: list[dict[str, Any]] = [{}] * len(self.bodies)
         for number, step in enumerate(self.steps, 1):
             direction = " ".join(f"{v:.4f}" for v in (step.direction + 0.0).tolist())
@@ -66,7 +66,7 @@ class ElementAssembly:
         return out
 
     def data(self) -> list[dict[str, Any]]:
-        """Return the further data of each panel in ``element.json``."""
+        """Return what ``element.json`` states of assembly: a dict per panel, in the order of ``bodies``."""
         directions = {step.body: step.direction for step in self.steps}
         return [
             {
@@ -86,17 +86,17 @@ class ElementAssembly:
         return "\n".join(lines) + "\n"
 
     def issues(self, max_interference: float) -> Iterator[Issue]:
-        """Yield ``element.assembly`` for panels without a straight insertion path that is free.
+        """Yield one ``element.assembly`` that lists all panels without a free straight insertion path.
 
         Args:
-            max_interference: Interference [m] that is allowed.
+            max_interference: Interference [m] up to which a path counts as free.
         """
         blocked = [step for step in self.steps if step.depth > max_interference]
         if not blocked:
             return
-        worst = max(blocked, key=lambda step: step.depth)
+        worst_step = max(blocked, key=lambda step: step.depth)
         names = [f"{self.bodies[step.body].name} ({step.depth / MM:.1f} mm)" for step in blocked]
-        what = format_message(
+        message = format_message(
             "element.assembly",
             blocked_count=len(blocked),
             panel_count=len(self.bodies),
@@ -105,50 +105,62 @@ class ElementAssembly:
         hint = "split these panels or trim a side by as much, and insert them in the stated order"
         yield Issue(
             "element.assembly",
-            what,
+            message,
             Severity.WARNING,
             field="panels",
-            **measurement(worst.depth / MM, max_interference / MM, "mm"),
+            **measurement(worst_step.depth / MM, max_interference / MM, "mm"),
             hint=hint,
         )
 
 
 def _solid(slab: Slab) -> dict[str, str]:
-    """Return a body as lists of numbers in text.
+    """Return a body as text, for the 3D view of the page: lists of numbers that are separated by spaces.
 
-    The lists have the points [mm] of front and back in pairs, the triangles of the front, and the numbers of
-    the points on its outline.
+    The lists are the points [mm] of front and back, which are paired, and the triangles and the outline of
+    the front as indices of its points.
     """
 
-    def line(values: FloatArray | IntArray) -> str:
+    def join_numbers(values: FloatArray | IntArray) -> str:
         return " ".join(f"{v:g}" for v in values.ravel().tolist())
 
     front, back = (np.round(points / MM) + 0.0 for points in (slab.front, slab.back))
-    return {"front_mm": line(front), "back_mm": line(back), "faces": line(slab.faces), "rim": line(slab.rim)}
+    return {
+        "front_mm": join_numbers(front),
+        "back_mm": join_numbers(back),
+        "faces": join_numbers(slab.faces),
+        "rim": join_numbers(slab.rim),
+    }
 
 
 def ring_slab(front: FloatArray, back: FloatArray, plan: FloatArray, beyond: IntArray) -> Slab:
-    """Create a body between outlines (C, 3) [m], triangulated by the ``plan`` (C, 2) of its front."""
+    """Create a body between paired outlines (C, 3) [m] of front and back.
+
+    ``plan`` (C, 2) [m] is a counterclockwise projection of the front, in which it is triangulated. ``beyond``
+    (C,) has the index of the body beyond the side from each corner to the next one, or ``NONE``.
+    """
     return Slab(front, back, outline_faces(plan), np.arange(len(front)), beyond)
 
 
 def simplify_outlines(slab: Slab, plan: FloatArray, tolerance: float) -> Slab:
-    """Simplify the outlines of a body.
+    """Remove corners of a body's outlines, front and back together.
 
-    Corners are kept as needed to deviate by at most ``tolerance`` [m] and to keep the bodies beyond apart.
+    The outlines deviate by at most ``tolerance`` [m]. Corners where the body beyond changes are kept.
+    ``plan`` is that of `ring_slab`.
     """
-    both = np.concatenate([slab.front, slab.back], axis=1)
-    farthest = int(np.argmax(lengths(both - both[0])))
-    ring = np.concatenate([both, both[:1]])
-    ends = np.flatnonzero(slab.beyond != np.roll(slab.beyond, 1)).tolist()
-    stops = sorted({0, farthest, *ends, len(both)})
-    parts = [_simplified_indices(ring, a, b, tolerance) for a, b in itertools.pairwise(stops)]
-    kept = sorted({k % len(both) for part in parts for k in part})
+    paired = np.concatenate([slab.front, slab.back], axis=1)
+    farthest = int(np.argmax(lengths(paired - paired[0])))
+    closed_ring = np.concatenate([paired, paired[:1]])
+    changes = np.flatnonzero(slab.beyond != np.roll(slab.beyond, 1)).tolist()
+    stops = sorted({0, farthest, *changes, len(paired)})
+    parts = [_simplified_indices(closed_ring, a, b, tolerance) for a, b in itertools.pairwise(stops)]
+    kept = sorted({k % len(paired) for part in parts for k in part})
     return ring_slab(slab.front[kept], slab.back[kept], plan[kept], slab.beyond[kept])
 
 
 def _simplified_indices(points: FloatArray, first: int, last: int, limit: float) -> list[int]:
-    """Return the points that a polyline within ``limit`` [m] needs, ends included.
+    """Return the indices of the points from ``first`` to ``last`` that a polyline within ``limit`` [m] needs.
+
+    Both ends are included.
 
     Source: D. Douglas, T. Peucker, Cartographica 10, 1973.
     """
@@ -159,17 +171,21 @@ def _simplified_indices(points: FloatArray, first: int, last: int, limit: float)
     squared_length = max(float((b - a) @ (b - a)), 1e-30)
     fraction = np.clip((between - a) @ (b - a) / squared_length, 0.0, 1.0)
     distance = lengths(between - a - fraction[:, None] * (b - a))
-    worst = int(np.argmax(distance))
-    if distance[worst] <= limit:
+    worst_index = int(np.argmax(distance))
+    if distance[worst_index] <= limit:
         return [first, last]
-    middle = first + 1 + worst
+    middle = first + 1 + worst_index
     return _simplified_indices(points, first, middle, limit) + _simplified_indices(
         points, middle, last, limit
     )
 
 
 def supporting_panels(beyond: Sequence[IntArray], row: IntArray) -> list[IntArray]:
-    """Return the neighbours of each panel in previous rows."""
+    """Return the neighbours of each panel that are in previous rows and therefore support it.
+
+    ``beyond`` has the panel beyond each side of each panel, or ``NONE``. ``row`` (N,) has the row of each
+    panel.
+    """
     return [
         np.array(
             [b for b in np.unique(neighbours[neighbours != NONE]).tolist() if row[b] < row[k]], dtype=np.int64
@@ -179,5 +195,5 @@ def supporting_panels(beyond: Sequence[IntArray], row: IntArray) -> list[IntArra
 
 
 def panels_in_order(data: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the panels of ``element.json`` in assembly order; without an order in the file, by ids."""
+    """Return the panels of ``element.json`` in assembly order; in the order of the file if it states none."""
     return sorted(data["panels"], key=lambda panel: int(panel.get("order", 0)))

@@ -2,9 +2,9 @@
 
 **Strips** run along the wall. Each has an equal fraction of every ruling, at most the width of a block W_b on
 the longest ruling: W_s / ceil(W_s / W_b). **Panels** of a strip are parts of it that fit a block with their
-thickness. All parts between nodes of the wall that fit are known, since a part of one that fits also fits.
-Among all divisions into the fewest panels, dynamic programming finds the one with the smallest sum of squared
-heights.
+thickness. `strip_cuts` determines which parts between nodes of the wall fit: a part of one that fits normally
+also fits. Among all divisions into the fewest panels, dynamic programming finds the one with the smallest sum
+of squared heights.
 """
 
 import itertools
@@ -30,12 +30,13 @@ HEIGHT_STEP_M: Final = 0.937e-4
 def divide_boxes(
     wall: RuledWall, thickness: float, rooms: Sequence[BlockRoom], min_height: float
 ) -> tuple[WallPiece, ...] | None:
-    """Divide the wall strip by strip into pieces that all fit a block, at least ``min_height`` [m] high.
+    """Divide the wall strip by strip into pieces that all fit a block; None if there is no such division.
 
-    None if there is no such division.
+    ``rooms`` is the space for panels in each kind of block. Pieces are at least ``min_height`` [m] high along
+    the wall.
     """
-    fewest = fewest_strips(wall, rooms)
-    for count in range(fewest, fewest + MAX_ADDITIONAL_STRIPS + 1):
+    min_count = fewest_strips(wall, rooms)
+    for count in range(min_count, min_count + MAX_ADDITIONAL_STRIPS + 1):
         strips: list[FloatArray] = []
         for across in itertools.pairwise(np.linspace(0.0, 1.0, count + 1).tolist()):
             cuts = strip_cuts(wall, thickness, rooms, min_height, across)
@@ -48,9 +49,10 @@ def divide_boxes(
 
 
 def fewest_strips(wall: RuledWall, rooms: Sequence[BlockRoom], extra_width: float = 0.0) -> int:
-    """Return the smallest number of strips of equal fractions that blocks are wide enough for.
+    """Return the smallest number of equally wide strips that are no wider than the widest block.
 
-    ``extra_width`` [m] is added to the width of each. No strip is narrower than ``MIN_WIDTH_M``.
+    ``extra_width`` [m] is what a panel needs in addition to the width of its strip. The remaining width of a
+    block counts as at least ``MIN_WIDTH_M``.
     """
     width = max(max(float(room.size[0]) for room in rooms) - extra_width, MIN_WIDTH_M)
     return int(np.ceil(float(wall.widths.max()) / width - 1e-9))
@@ -63,52 +65,60 @@ def strip_cuts(
     min_height: float,
     across: tuple[float, float],
 ) -> FloatArray | None:
-    """Return the cut positions (N + 1,) [m] of a strip, from end to end, or None.
+    """Return the cut positions (N + 1,) [m] of a strip with the fewest and most even panels, from end to end.
 
-    All panels fit a block and are at least ``min_height`` [m] high.
+    All panels fit a block and are at least ``min_height`` [m] high; None if there are no such panels.
+    ``across`` is the range of the strip as fractions of the rulings.
     """
     nodes = wall.nodes
-    at = np.unique(np.searchsorted(nodes, np.arange(0.0, nodes[-1], CUT_STEP_M)))
-    at = np.append(at[at < len(nodes) - 1], len(nodes) - 1)
+    node_indices = np.unique(np.searchsorted(nodes, np.arange(0.0, nodes[-1], CUT_STEP_M)))
+    node_indices = np.append(node_indices[node_indices < len(nodes) - 1], len(nodes) - 1)
     rulings = np.concatenate(face_rulings(wall, thickness, nodes, across))
 
     def fits(i: int, j: int) -> bool:
-        points = rulings[:, at[i] : at[j] + 1].reshape(-1, 3)
-        along = float(nodes[at[i]]), float(nodes[at[j]])
+        """Whether the part between the positions i and j fits a block."""
+        points = rulings[:, node_indices[i] : node_indices[j] + 1].reshape(-1, 3)
+        along = float(nodes[node_indices[i]]), float(nodes[node_indices[j]])
         return first_fitting(flat_box(wall, along, across, points)[1], rooms) is not None
 
-    allowed = np.zeros((len(at), len(at)), dtype=np.bool_)
+    allowed = np.zeros((len(node_indices), len(node_indices)), dtype=np.bool_)
+    # the farthest end that fits does not decrease with i, so one sweep finds all intervals
     j = 1
-    for i in range(len(at) - 1):
+    for i in range(len(node_indices) - 1):
         j = max(j, i + 1)
-        while j < len(at) and fits(i, j):
+        while j < len(node_indices) and fits(i, j):
             j += 1
         allowed[i, i + 1 : j] = True
-    positions = nodes[at]
+    positions = nodes[node_indices]
     allowed &= positions - positions[:, None] >= min_height
     while (cuts := most_even_cuts(positions, allowed)) is not None:
-        over = [(i, k) for i, k in itertools.pairwise(cuts) if not fits(i, k)]
-        if not over:
+        unfit = [(i, k) for i, k in itertools.pairwise(cuts) if not fits(i, k)]
+        if not unfit:
             return np.asarray(positions[cuts])
-        for pair in over:  # a part of a fitting panel may not fit, because its middle ruling differs
-            allowed[pair] = False
+        for interval in unfit:  # a part of a fitting panel may not fit, because its middle ruling differs
+            allowed[interval] = False
     return None
 
 
 def most_even_cuts(positions: FloatArray, allowed: BoolArray) -> list[int] | None:
-    """Return the fewest allowed intervals with the smallest sum of squares, as indices of their ends.
+    """Divide a range into the fewest allowed intervals, and among these divisions the most even ones.
+
+    Most even means the smallest sum of squared lengths.
 
     Args:
         positions: Positions (M,), ascending; the intervals reach from the first to the last.
         allowed: Whether the interval from i to j is allowed (M, M).
+
+    Returns:
+        Indices of the ends of the intervals, from 0 to M - 1; None if no division is allowed.
     """
     # cost_n(j) = min_i cost_{n-1}(i) + h_ij^2, until n intervals reach the last position
     steps = np.round((positions - positions[:, None]) / HEIGHT_STEP_M)
-    price = np.where(allowed, steps**2, np.inf)
+    interval_cost = np.where(allowed, steps**2, np.inf)
     cost = np.where(np.arange(len(positions)) == 0, 0.0, np.inf)
     predecessors: list[IntArray] = []
     while not np.isfinite(cost[-1]):
-        total = cost[:, None] + price
+        total = cost[:, None] + interval_cost
         predecessors.append(np.argmin(total, axis=0))
         cost = total.min(axis=0)
         if not np.isfinite(cost).any():
@@ -120,7 +130,7 @@ def most_even_cuts(positions: FloatArray, allowed: BoolArray) -> list[int] | Non
 
 
 def _pieces(wall: RuledWall, strips: Sequence[FloatArray]) -> tuple[WallPiece, ...]:
-    """Create pieces from the cuts of each strip, with sides along the normals of the wall."""
+    """Create the pieces of all strips, from the cut positions [m] of each strip."""
     out = []
     for k, cuts in enumerate(strips):
         across = k / len(strips), (k + 1) / len(strips)
@@ -132,8 +142,12 @@ def _pieces(wall: RuledWall, strips: Sequence[FloatArray]) -> tuple[WallPiece, .
 def box_piece(
     wall: RuledWall, grid_position: tuple[int, int], along: tuple[float, float], across: tuple[float, float]
 ) -> WallPiece:
-    """Create a part of the wall with sides perpendicular to it."""
+    """Create a part of the wall with sides perpendicular to it.
+
+    ``along`` is its range [m] along the wall, ``across`` that across, as fractions of the rulings.
+    """
     u = wall.nodes_between(*along)
+    # up along the first side, down along the other
     outline = np.concatenate(
         [np.stack([u, np.full(len(u), t)], axis=1)[:: 1 if k == 0 else -1] for k, t in enumerate(across)]
     )

@@ -15,16 +15,16 @@ from planner.report.markup import Drawing
 
 _WIDTH: Final = 1000.0  # of drawings [px]
 _FILL: Final = {"proven": "var(--ok-bg)", "refused": "var(--bad-bg)", "open": "var(--note-bg)"}
-_WIDE: Final = 0.62  # mean width of a letter in sizes of type
-_MIN_FONT_PX: Final = 4.0  # px: smaller text is omitted, it is in the title
-_MAX_FONT_PX: Final = 22.0  # px: type of ids
-_SMALL_PERCENTILE: Final = 15.0  # percent of the panels that may be too small for the type of ids
-_COLOURS: Final = 8  # of the page's palette
+_LETTER_WIDTH: Final = 0.62  # mean width of a letter as a fraction of the font size
+_MIN_FONT_PX: Final = 4.0  # px: smaller text is omitted; the tooltip still shows it
+_MAX_FONT_PX: Final = 22.0  # px: of ids
+_SMALL_PERCENTILE: Final = 15.0  # percentage of the panels that may be too small for the common font size
+_COLOURS: Final = 8  # number of colours in the page's palette
 _GAP: Final = 26.0  # px between panels that are laid flat
 
 
 def group_colour(name: str) -> str:
-    """Return the colour of a group, by the letter that ids start with."""
+    """Return the CSS variable of a group's colour, which follows from the first letter of its ids."""
     return f"--c{(ord(name[0]) - ord('A')) % _COLOURS}"
 
 
@@ -36,11 +36,12 @@ def state_of(panel: PanelRun | SawRun) -> str:
 
 
 def _ring(panel: Mapping[str, Any], key: str = "outline_mm") -> FloatArray:
+    """Return a polygon (C, 2) [mm] of a panel of ``element.json``."""
     return np.array(panel[key], dtype=np.float64)
 
 
 def front_of(panel: Mapping[str, Any]) -> FloatArray:
-    """Return the front (C, 2) [mm] of a panel; if not stated separately, its outline in the drawing."""
+    """Return the front (C, 2) [mm] of a panel: ``front_mm`` of ``element.json``, else ``outline_mm``."""
     return _ring(panel, "front_mm" if "front_mm" in panel else "outline_mm")
 
 
@@ -56,12 +57,12 @@ def draw_rear(run: ElementRun) -> Drawing:
 
 
 def _outlines(run: ElementRun) -> dict[str, FloatArray]:
-    """Return outlines (C, 2) [px] by id, as seen from the front, y down."""
+    """Return the outlines (C, 2) [px] of all panels by id, as seen from the front, y down."""
     rings = {panel.name: _ring(panel.panel) for panel in run.panels}
     size = np.concatenate(list(rings.values())).max(axis=0)
     scale = _WIDTH / float(size[0])
-    high = float(size[1]) * scale
-    return {name: ring * [scale, -scale] + [0.0, high] for name, ring in rings.items()}
+    height = float(size[1]) * scale
+    return {name: ring * [scale, -scale] + [0.0, height] for name, ring in rings.items()}
 
 
 def _height(drawn: Mapping[str, FloatArray]) -> float:
@@ -69,7 +70,7 @@ def _height(drawn: Mapping[str, FloatArray]) -> float:
 
 
 def draw_front(run: ElementRun) -> Drawing:
-    """Draw all panels as seen from the front, in the colours of the page."""
+    """Draw all panels as seen from the front: state, time, direction of the wire, and measured joints."""
     drawn = _outlines(run)
     size_of_type = _type_size(drawn)
     out = [_svg(_height(drawn), "panels")]
@@ -108,53 +109,59 @@ def draw_front(run: ElementRun) -> Drawing:
     return Drawing("".join(out) + "</svg>")
 
 
-def _svg(high: float, label: str) -> str:
+def _svg(height: float, label: str) -> str:
     return (
-        f'<svg viewBox="-4 -4 {_WIDTH + 8:.0f} {high + 8:.0f}" role="img" aria-label="{label}" '
+        f'<svg viewBox="-4 -4 {_WIDTH + 8:.0f} {height + 8:.0f}" role="img" aria-label="{label}" '
         'style="width:100%;font-family:inherit">'
     )
 
 
-def _polygon(ring: FloatArray, fill: str, more: str = "") -> str:
+def _polygon(ring: FloatArray, fill: str, attributes: str = "") -> str:
     points = " ".join(f"{x:.1f},{y:.1f}" for x, y in ring.tolist())
-    return f'<polygon points="{points}" fill="{fill}" stroke="var(--soft)"{more}/>'
+    return f'<polygon points="{points}" fill="{fill}" stroke="var(--soft)"{attributes}/>'
 
 
-def _line(ends: Sequence[float], style: str, inside: str = "") -> str:
-    coordinates = " ".join(f'{k}="{v:.1f}"' for k, v in zip(("x1", "y1", "x2", "y2"), ends, strict=True))
-    return f"<line {coordinates} {style}>{inside}</line>"
+def _line(ends: Sequence[float], style: str, content: str = "") -> str:
+    coordinates = " ".join(f'{key}="{v:.1f}"' for key, v in zip(("x1", "y1", "x2", "y2"), ends, strict=True))
+    return f"<line {coordinates} {style}>{content}</line>"
 
 
 def _type_size(rings: Mapping[str, FloatArray]) -> float:
-    """Return the font size [px] of ids that fits most outlines."""
-    room = [
-        min(0.56 * float(np.ptp(ring[:, 0])) / (_WIDE * len(name)), 0.4 * float(np.ptp(ring[:, 1])))
+    """Return the font size [px] at which the ids of all but `_SMALL_PERCENTILE` percent fit their outlines.
+
+    ``rings`` are outlines (C, 2) [px] by id.
+    """
+    sizes = [
+        min(0.56 * float(np.ptp(ring[:, 0])) / (_LETTER_WIDTH * len(name)), 0.4 * float(np.ptp(ring[:, 1])))
         for name, ring in rings.items()
     ]
-    return min(_MAX_FONT_PX, float(np.percentile(room, _SMALL_PERCENTILE)))
+    return min(_MAX_FONT_PX, float(np.percentile(sizes, _SMALL_PERCENTILE)))
 
 
 def _draw_text(ring: FloatArray, name: str, size: float, below: str = "") -> list[str]:
-    """Write the id of a panel in the centre of its outline, at most of ``size``, and a smaller line below."""
-    wide, tall = np.ptp(ring, axis=0).tolist()
-    font_size = min(size, 0.7 * wide / (_WIDE * len(name)), 0.5 * tall)
+    """Write an id, at most of ``size`` [px], inside an outline (C, 2) [px], and a smaller line below it."""
+    width, height = np.ptp(ring, axis=0).tolist()
+    font_size = min(size, 0.7 * width / (_LETTER_WIDTH * len(name)), 0.5 * height)
     x, y, factor = fit_text(
         ring, BOLD_LETTER_WIDTH * len(name) * font_size, (1.8 if below else 1.0) * font_size
     )
     font_size *= factor
-    small = min(0.7 * font_size, 0.8 * wide / (_WIDE * max(len(below), 1)))
+    small_size = min(0.7 * font_size, 0.8 * width / (_LETTER_WIDTH * max(len(below), 1)))
     out = []
-    for line, high, at, weight in ((name, font_size, 0.0 if below else 0.35, 600), (below, small, 0.9, 400)):
-        if line and high >= _MIN_FONT_PX:
+    for line, line_size, dy, weight in (
+        (name, font_size, 0.0 if below else 0.35, 600),
+        (below, small_size, 0.9, 400),
+    ):
+        if line and line_size >= _MIN_FONT_PX:
             out.append(
-                f'<text x="{x:.1f}" y="{y + at * font_size:.1f}" text-anchor="middle" style="fill:var(--ink);'
-                f'font-size:{high:.1f}px;font-weight:{weight}">{html.escape(line)}</text>'
+                f'<text x="{x:.1f}" y="{y + dy * font_size:.1f}" text-anchor="middle" style="fill:var(--ink);'
+                f'font-size:{line_size:.1f}px;font-weight:{weight}">{html.escape(line)}</text>'
             )
     return out
 
 
 def upright_front(panel: Mapping[str, Any]) -> FloatArray:
-    """Return the front (C, 2) [mm] of a panel laid flat with its up direction upward, centred on its box."""
+    """Return the front (C, 2) [mm] of a panel laid flat with its up direction along +y, centred on (0, 0)."""
     ring = front_of(panel)
     x, y = panel.get("up", (0.0, 1.0))
     ring = ring @ np.array([[y, x], [-x, y]])
@@ -168,20 +175,20 @@ def id_letters(name: str) -> str:
 
 
 def draw_flat(run: ElementRun) -> str:
-    """Draw all fronts at one scale, a new line for each row of ids."""
+    """Draw the fronts of all panels laid flat, at one scale, and start a new line for each letter of ids."""
     rings = {panel.name: upright_front(panel.panel) for panel in run.panels}
     largest = max(float(np.ptp(ring, axis=0).max()) for ring in rings.values())
     scale = 0.11 * _WIDTH / largest
-    x, y, tall, row = 0.0, 0.0, 0.0, ""
+    x, y, row_height, row_letters = 0.0, 0.0, 0.0, ""
     out = []
     for panel in run.panels:
         ring = rings[panel.name] * [scale, -scale]
         width, height = np.ptp(ring, axis=0).tolist()
-        new = id_letters(panel.name)
-        if (row and new != row) or x + width > _WIDTH:
-            x, y, tall = 0.0, y + tall + (2.0 if new != row else 1.0) * _GAP, 0.0
-        row, tall = new, max(tall, height)
-        moved = ring + np.array([x + 0.5 * width, y + 0.5 * height])
-        out += [_polygon(moved, _FILL[state_of(panel)]), *_draw_text(moved, panel.name, _MAX_FONT_PX)]
+        letters = id_letters(panel.name)
+        if (row_letters and letters != row_letters) or x + width > _WIDTH:
+            x, y, row_height = 0.0, y + row_height + (2.0 if letters != row_letters else 1.0) * _GAP, 0.0
+        row_letters, row_height = letters, max(row_height, height)
+        placed = ring + np.array([x + 0.5 * width, y + 0.5 * height])
+        out += [_polygon(placed, _FILL[state_of(panel)]), *_draw_text(placed, panel.name, _MAX_FONT_PX)]
         x += width + _GAP
-    return _svg(y + tall, "panels laid flat") + "".join(out) + "</svg>"
+    return _svg(y + row_height, "panels laid flat") + "".join(out) + "</svg>"

@@ -58,10 +58,9 @@ DEFAULT_FOAM_MM: Final = {
     "puzzle": (4.0, 4.0),
     "strips": (4.0, 4.0),
 }
-"""Default foam [mm] beside panels, and above and below them.
+"""Default foam [mm] for each kind of panels: beside them, and above and below them.
 
-12 mm under a back that a wire cuts are too few (measured): wires came to 9.95 mm of pedestals, of which they
-keep 10.
+14 mm for elastic panels: with 12 mm, wires came to 9.95 mm of pedestals (measured), but have to keep 10 mm.
 """
 MIN_FOAM_MM: Final = 3.0
 """Minimum foam [mm] around panels of walls and strips, into which their surfaces are extended."""
@@ -73,7 +72,7 @@ ElementName = Annotated[
     str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,17}$", description="letter first, at most 18 characters")
 ]
 MIN_TOLERANCE_MM: Final = 0.05
-"""Minimum tolerance [mm] of panels for the bent wire."""
+"""Minimum tolerance [mm] of elastic panels."""
 
 
 class PlaneFile(Strict):
@@ -182,18 +181,18 @@ class PanelsFile(Strict):
 
     @model_validator(mode="after")
     def _one_kind(self) -> "PanelsFile":
-        if len(self._given) != 1:
+        if len(self._stated_kinds) != 1:
             raise ValueError(f"give exactly one kind of panels, {', '.join(get_args(Kind))}")
         return self
 
     @property
-    def _given(self) -> list[Kind]:
+    def _stated_kinds(self) -> list[Kind]:
         return [kind for kind in get_args(Kind) if getattr(self, kind) is not None]
 
     @property
     def kind(self) -> Kind:
         """Kind of the panels."""
-        return self._given[0]
+        return self._stated_kinds[0]
 
 
 class GroupsFile(Strict):
@@ -381,7 +380,7 @@ class JobTemplate:
 
     Attributes:
         when: Panels that it is for.
-        file: Name for messages.
+        file: Name of the template in messages: its file, or its field in the element file.
         data: Data as in a problem file, with its cell inlined and absolute file names.
     """
 
@@ -395,9 +394,9 @@ class SawTemplate(JobTemplate):
     """A template for raw blocks.
 
     Attributes:
-        bow: Bow that it mounts.
-        margin: Foam [m] to the ends of the wire and to the beam.
-        clearance: Clearance [m] of its settings.
+        bow: Bow that its first arm mounts.
+        margin: Minimum distance [m] of the foam from the ends of the wire and from the beam.
+        clearance: Minimum clearance [m] between bodies, from its settings.
     """
 
     bow: BowSize
@@ -413,8 +412,8 @@ class Element:
         file: Content of the file.
         templates: Job templates.
         stock: Offcuts of earlier elements.
-        saw: Template for raw blocks.
-        notes: Notes of the files that its surface was read from.
+        saw: Template for the problems of raw blocks; None if there are none.
+        notes: Notes about the files that its surface was read from.
     """
 
     file: ElementFile
@@ -490,12 +489,12 @@ class StripsElement(Element):
 
 
 def read_element(path: Path) -> ElasticElement | HexagonElement | WallElement | StripsElement:
-    """Read the element of a file.
+    """Read an element file and the files that it names.
 
     Raises:
         TandemError: ``problem.field`` for each wrong field, with its line; issues of mesh files and guides;
-            ``part.patch``; ``element.surface``; ``element.stock``; ``part.offset`` if the thickness folds
-            over; ``element.jobs`` for templates that state what panels provide.
+            ``part.patch``; ``element.surface``; ``element.stock``; ``part.offset`` if the surface that is
+            offset by the thickness folds over; ``element.jobs`` for templates that state what panels provide.
     """
     document = strict_yaml.read(path)
     spec, issues = validate(ElementFile, document.data, document, ())
@@ -509,11 +508,14 @@ def read_element(path: Path) -> ElasticElement | HexagonElement | WallElement | 
     except TandemError as error:
         issues += error.issues
     raw = spec.raw_blocks
-    listed = [(f"blocks.{i}.foam", block) for i, block in enumerate(spec.blocks)]
-    listed += [(f"raw_blocks.sizes.{i}.foam", block) for i, block in enumerate(raw.sizes if raw else ())]
-    for field, block in listed:
+    blocks_by_field = [(f"blocks.{i}.foam", block) for i, block in enumerate(spec.blocks)]
+    blocks_by_field += [
+        (f"raw_blocks.sizes.{i}.foam", block) for i, block in enumerate(raw.sizes if raw else ())
+    ]
+    for field, block in blocks_by_field:
         try:
-            _ = None if block.foam is None else foam(block.foam)
+            if block.foam is not None:
+                foam(block.foam)  # raises if it is unknown
         except TandemError as error:
             issues += [dataclasses.replace(i, field=field) for i in error.issues]
     stock: tuple[Offcut, ...] = ()
@@ -534,10 +536,10 @@ def read_element(path: Path) -> ElasticElement | HexagonElement | WallElement | 
             issues += error.issues
     if issues:
         raise TandemError(issues)
-    walls = spec.panels.boxes or spec.panels.puzzle
-    if walls is not None and spec.surface.ruled is not None:
+    wall_options = spec.panels.boxes or spec.panels.puzzle
+    if wall_options is not None and spec.surface.ruled is not None:
         wall, notes = _read_wall(spec.surface.ruled, folder)
-        return WallElement(spec, tuple(templates), stock, saw, walls, wall, notes=notes)
+        return WallElement(spec, tuple(templates), stock, saw, wall_options, wall, notes=notes)
     strips = spec.panels.strips
     if strips is not None:
         patch, mesh_notes = build_patch(spec.surface, folder, "surface", MAX_LENGTH_M)
@@ -545,17 +547,17 @@ def read_element(path: Path) -> ElasticElement | HexagonElement | WallElement | 
     mesh, _, mesh_notes = build_surface(spec.surface, folder, "surface", MAX_LENGTH_M)
     check_size(mesh, "surface", MAX_LENGTH_M)
     plane = spec.surface.plane
-    stated = (None, None) if plane is None else (np.array(plane.normal), np.array(plane.along))
+    stated_axes = (None, None) if plane is None else (np.array(plane.normal), np.array(plane.along))
     elastic, hexagons = spec.panels.elastic, spec.panels.hexagons
     if hexagons is not None:
-        view = surface_axes(mesh, *stated)
+        view = surface_axes(mesh, *stated_axes)
         return HexagonElement(
             spec, tuple(templates), stock, saw, hexagons, mesh, view, notes=(*mesh_notes, *seam_issues(mesh))
         )
     if elastic is None:
         raise ValueError("panels of no kind")
     _require_wire_size(mesh, wires)
-    element_surface = to_element_frame(mesh, spec.thickness_mm * MM, *stated)
+    element_surface = to_element_frame(mesh, spec.thickness_mm * MM, *stated_axes)
     cells = elastic.cells or _default_cells(element_surface)
     rules = _elastic_rules(spec, elastic, wires)
     return ElasticElement(
@@ -573,24 +575,26 @@ def read_element(path: Path) -> ElasticElement | HexagonElement | WallElement | 
 
 
 def _read_wall(spec: RuledFile, folder: Path) -> tuple[RuledWall, tuple[Issue, ...]]:
+    """Read a wall, and notes about its files. Raises ``element.surface`` if it is closed or has an edge."""
     ruled, notes = build_ruled(spec, folder, "surface.ruled")
     gap = np.linalg.norm([ruled.start[-1] - ruled.start[0], ruled.end[-1] - ruled.end[0]], axis=1).max()
     if ruled.closed or gap < CLOSED_TOLERANCE_M:
         raise _wall_error("the wall is closed: its last ruling equals its first one; give it in two halves")
     if ruled.corner[1:-1].any():
         k = 1 + int(np.argmax(ruled.corner[1:-1]))
-        at = ", ".join(f"{v / MM:.0f}" for v in 0.5 * (ruled.start[k] + ruled.end[k]))
+        position = ", ".join(f"{v / MM:.0f}" for v in 0.5 * (ruled.start[k] + ruled.end[k]))
         raise _wall_error(
-            f"the wall has an edge near ({at}) mm; give the parts on both sides as separate elements"
+            f"the wall has an edge near ({position}) mm; give the parts on both sides as separate elements"
         )
     return build_wall(ruled, NODE_STEP_M), tuple(notes)
 
 
-def _wall_error(what: str) -> TandemError:
-    return issue_error("element.surface", what, field="surface.ruled")
+def _wall_error(message: str) -> TandemError:
+    return issue_error("element.surface", message, field="surface.ruled")
 
 
 def _elastic_rules(spec: ElementFile, elastic: ElasticFile, wires: tuple[WireFile, ...]) -> ElasticRules:
+    """Convert the requirements on elastic panels to SI units."""
     return ElasticRules(
         tuple(
             CutWire(
@@ -612,7 +616,7 @@ def _elastic_rules(spec: ElementFile, elastic: ElasticFile, wires: tuple[WireFil
 
 
 def _require_wire_size(mesh: TriangleMesh, wires: tuple[WireFile, ...]) -> None:
-    """Raise ``element.surface`` for an element that is much smaller than all wires."""
+    """Raise ``element.surface`` if all wires are much longer than the element: a unit is probably wrong."""
     size = np.ptp(mesh.vertices, axis=0)
     shortest, longest = min(wire.length_mm for wire in wires) * MM, float(size.max())
     if shortest <= MAX_WIRE_RATIO * longest:
@@ -629,12 +633,14 @@ def _require_wire_size(mesh: TriangleMesh, wires: tuple[WireFile, ...]) -> None:
 
 
 def _default_cells(surface: ElementSurface) -> tuple[int, int]:
+    """Return the number of nearly square cells along x and y."""
     fraction = surface.size / surface.size.max()
-    nx, ny = (max(1, int(np.round(DEFAULT_CELLS * s))) for s in fraction)
+    nx, ny = (max(1, int(np.round(DEFAULT_CELLS * f))) for f in fraction)
     return nx, ny
 
 
 def _read_template(job: JobFile, folder: Path, field: str) -> JobTemplate:
+    """Read a job template, and add its grippers to those of its cell."""
     name, _, data = _read_rest(job.problem, folder, field, ("size_mm",), "panel")
     rack = [gripper.model_dump(mode="json", exclude_none=True) for gripper in job.grippers]
     if rack and isinstance(data["cell"], dict):
@@ -645,8 +651,11 @@ def _read_template(job: JobFile, folder: Path, field: str) -> JobTemplate:
 def _read_saw_template(cut: CutBlocksFile, kerf_mm: float, folder: Path) -> SawTemplate:
     """Read the template for raw blocks.
 
-    Its one operation gets the ``kerf_mm`` of the nesting as its slot width; as the maximum, if it states its
-    power.
+    The kerf [mm] of the nesting is written to its only operation: as ``kerf_mm``, or as the upper end of
+    ``kerf_range_mm`` if the operation states its power.
+
+    Raises:
+        TandemError: ``element.jobs`` if it does not have exactly one such operation, or its arm has no bow.
     """
     stock = ("size_mm", "place", "roll_pitch_deg", "support", "oversize_mm", "held_by", "grip", "gripper")
     name, file, data = _read_rest(cut.problem, folder, "cut_blocks", stock, "piece of a block")
@@ -654,7 +663,7 @@ def _read_saw_template(cut: CutBlocksFile, kerf_mm: float, folder: Path) -> SawT
     operation = operations[0] if len(operations) == 1 and isinstance(operations[0], dict) else {}
     provided = ("cuts", "kerf_mm", "kerf_range_mm")
     hint = "remove the others; state its power_w, or nothing about its slot"
-    wrong = f"must have one operation with the process straight_wire, without {', '.join(provided)}"
+    problem_text = f"must have one operation with the process straight_wire, without {', '.join(provided)}"
     if operation.get("process") == "straight_wire" and not any(key in operation for key in provided):
         bow = _mounted_bow(operation, data["cell"])
         if bow is not None:
@@ -662,24 +671,27 @@ def _read_saw_template(cut: CutBlocksFile, kerf_mm: float, folder: Path) -> SawT
             slot = {"kerf_range_mm": [min_slot, kerf_mm]} if "power_w" in operation else {"kerf_mm": kerf_mm}
             margin = float(operation.get("margin_mm", Straight.model_fields["margin_mm"].default)) * MM
             settings = data.get("settings")
-            stated = settings.get("clearance_mm") if isinstance(settings, dict) else None
-            usual = SettingsFile.model_fields["clearance_mm"].default
-            clear = float(stated if isinstance(stated, int | float) else usual) * MM
-            whole = {**data, "operations": [{**operation, **slot}]}
-            return SawTemplate(WhenFile(), name, whole, bow, margin, clear)
-        wrong, hint = "mounts no bow on the first of its arms", "give that arm a tool of the kind bow"
-    raise issue_error("element.jobs", f"{name} {wrong}", file=file, field="cut_blocks", hint=hint)
+            stated_clearance = settings.get("clearance_mm") if isinstance(settings, dict) else None
+            default = SettingsFile.model_fields["clearance_mm"].default
+            clearance = float(stated_clearance if isinstance(stated_clearance, int | float) else default) * MM
+            completed = {**data, "operations": [{**operation, **slot}]}
+            return SawTemplate(WhenFile(), name, completed, bow, margin, clearance)
+        problem_text, hint = "mounts no bow on the first of its arms", "give that arm a tool of the kind bow"
+    raise issue_error("element.jobs", f"{name} {problem_text}", file=file, field="cut_blocks", hint=hint)
 
 
 def _mounted_bow(operation: Mapping[str, Any], cell: object) -> BowSize | None:
-    """Return the bow on the first arm of an operation; None if it has none."""
+    """Return the bow on the first arm of an operation; None if that arm has another tool or is unknown.
+
+    The tool is that of the operation's setup, if stated, else that of the cell.
+    """
     arms, setup = operation.get("arms"), operation.get("setup")
     name = arms[0] if isinstance(arms, list) and arms else None
-    listed = cell.get("arms") if isinstance(cell, dict) else None
-    of_arms = [arm for arm in listed or () if isinstance(arm, dict) and arm.get("name") == name]
-    changed = setup.get("tools") if isinstance(setup, dict) else None
-    tool = (changed if isinstance(changed, dict) else {}).get(
-        name, of_arms[0].get("tool") if of_arms else None
+    arms_of_cell = cell.get("arms") if isinstance(cell, dict) else None
+    matching_arms = [arm for arm in arms_of_cell or () if isinstance(arm, dict) and arm.get("name") == name]
+    setup_tools = setup.get("tools") if isinstance(setup, dict) else None
+    tool = (setup_tools if isinstance(setup_tools, dict) else {}).get(
+        name, matching_arms[0].get("tool") if matching_arms else None
     )
     try:
         bow = BowFile.model_validate(tool, strict=False)
@@ -691,29 +703,33 @@ def _mounted_bow(operation: Mapping[str, Any], cell: object) -> BowSize | None:
 def _read_rest(
     problem: str | Mapping[str, Any], folder: Path, field: str, of_stock: tuple[str, ...], who: str
 ) -> tuple[str, str | None, dict[str, Any]]:
-    """Read a template: a problem file without the part and without what ``who`` provides of its stock.
+    """Read a template: a problem file without its part and without some keys of its stock.
+
+    ``problem`` is a file name relative to ``folder``, or the content. The keys ``of_stock`` must not be
+    given, because they are added for each ``who``, a panel or piece. Raises ``element.jobs`` if they are
+    given, or other keys are missing.
 
     Returns:
-        Name for messages, file if it is one, and data.
+        Name for messages, path if it is a file, and data.
     """
     name, file = field, None
-    given: Mapping[str, Any]
+    template: Mapping[str, Any]
     if isinstance(problem, str):
         name, file = problem, str(folder / problem)
-        folder, given = (folder / problem).parent, strict_yaml.read(folder / problem).data
+        folder, template = (folder / problem).parent, strict_yaml.read(folder / problem).data
     else:
-        given = problem
-    stock = given.get("stock") or {}
-    provided = [key for key in ("part", "sheet") if key in given]
+        template = problem
+    stock = template.get("stock") or {}
+    provided = [key for key in ("part", "sheet") if key in template]
     if isinstance(stock, dict):
         provided += [f"stock.{key}" for key in of_stock if key in stock]
     if provided:
-        what = f"{name} has {', '.join(provided)}, which is added for each {who}"
-        raise issue_error("element.jobs", what, file=file, field=field, hint="remove it from the template")
-    missing = [key for key in ("cell", "operations") if key not in given]
-    if missing or not isinstance(stock, dict) or not isinstance(given.get("operations"), list):
-        what = f"{name} is not a template: it must have a cell, a list of operations, and a mapping as stock"
+        text = f"{name} has {', '.join(provided)}, which is added for each {who}"
+        raise issue_error("element.jobs", text, file=file, field=field, hint="remove it from the template")
+    missing = [key for key in ("cell", "operations") if key not in template]
+    if missing or not isinstance(stock, dict) or not isinstance(template.get("operations"), list):
+        text = f"{name} is not a template: it must have a cell, a list of operations, and a mapping as stock"
         raise issue_error(
-            "element.jobs", what, file=file, field=field, hint="write the rest of a problem file"
+            "element.jobs", text, file=file, field=field, hint="write the rest of a problem file"
         )
-    return name, file, resolve_files(given, folder)
+    return name, file, resolve_files(template, folder)

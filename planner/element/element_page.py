@@ -1,8 +1,8 @@
 """``element.html``: an element and its panels as one offline page, with results of a batch if there is one.
 
 `run_page.py` has the sections of results. The page shows drawings of all panels with ids, blocks and their
-cuts, totals with an estimate of robot hours, sizes, and the issues of the element. It is made of the data in
-``element.json`` alone, whatever the kind of panels.
+cuts, totals with an estimate of robot hours, sizes, and the issues of the element. Its only input is
+``element.json``, whatever the kind of panels.
 """
 
 import base64
@@ -51,7 +51,7 @@ from planner.report.markup import (
 
 
 def element_page(run: ElementRun, blocks: str | None = None) -> str:
-    """Return the page as HTML; ``blocks``: the cut drawings of raw blocks, an SVG."""
+    """Return the page as HTML; ``blocks`` is the text of the SVG with the cut drawings of raw blocks."""
     data = run.data
     name, count = str(data["name"]), len(run.panels)
     verdicts: list[tuple[str, str]] = []
@@ -60,8 +60,8 @@ def element_page(run: ElementRun, blocks: str | None = None) -> str:
         over = sum(joint.is_over_limit for joint in run.joints)
         verdicts.append(("ok" if proven == count else "bad", f"{proven} of {count} panels proven"))
         if run.measured:
-            words = f"{over} of {len(run.measured)} measured joints over the limit"
-            verdicts.append(("bad" if over else "ok", words))
+            text = f"{over} of {len(run.measured)} measured joints over the limit"
+            verdicts.append(("bad" if over else "ok", text))
     else:
         verdicts.append(("", f"{count} panels, none planned yet"))
     seen = (
@@ -71,10 +71,10 @@ def element_page(run: ElementRun, blocks: str | None = None) -> str:
     )
     sections = [PageSection("drawing", "Panels", seen)]
     if any("front_mm" in panel.panel for panel in run.panels):
-        by = "groups" if data.get("grouped") else "rows"
-        words = f"Fronts at one scale, by {by}. Up is up in the element, for tilted panels."
-        flat_drawing = Folded(f"{count} panels, by {by}", Drawing(draw_flat(run)))
-        sections.append(PageSection("flat", "Panels laid flat", (Paragraph(words, "soft"), flat_drawing)))
+        grouping = "groups" if data.get("grouped") else "rows"
+        text = f"Fronts at one scale, by {grouping}. Up is up in the element, for tilted panels."
+        flat_drawing = Folded(f"{count} panels, by {grouping}", Drawing(draw_flat(run)))
+        sections.append(PageSection("flat", "Panels laid flat", (Paragraph(text, "soft"), flat_drawing)))
     sections.append(PageSection("assembly", "Assembly", assembly_section(data, _colours(run))))
     sections.append(PageSection("told", "Issues", _issues_section(run)))
     sections.append(
@@ -96,7 +96,7 @@ def element_page(run: ElementRun, blocks: str | None = None) -> str:
     )
 
 
-_IN_LINE: Final = 4  # ids
+_IDS_PER_LINE: Final = 4
 _BASIS: Final = (
     "Hours to cut are the cut lengths at the feeds of the jobs, for each arm. Approaches, "
     "retreats, loading and mounting are additional."
@@ -104,7 +104,10 @@ _BASIS: Final = (
 
 
 def _colours(run: ElementRun) -> Callable[[Mapping[str, Any]], str]:
-    """Return the colours of panels: by state if a batch is known, else by group, if any."""
+    """Return a function from a panel of ``element.json`` to the CSS variable of its colour.
+
+    Colours are states if there are results of a batch, else groups, if any.
+    """
     states = {panel.name: state_of(panel) for panel in run.panels}
 
     def fill(panel: Mapping[str, Any]) -> str:
@@ -116,22 +119,24 @@ def _colours(run: ElementRun) -> Callable[[Mapping[str, Any]], str]:
 
 
 def _legend(run: ElementRun) -> str:
-    words = "Seen from the front."
+    """Return what the marks and colours of the drawing mean, as far as they occur in it."""
+    text = "Seen from the front."
     if run.data.get("grouped"):
-        words += " Letters are groups" + (".", ", as are colours.")[not run.planned]
+        text += " Letters are groups" + ("." if run.planned else ", as are colours.")
     if any("wire_along" in panel.panel for panel in run.panels):
-        words += " A thin line in a panel shows the direction of its wire."
+        text += " A thin line in a panel shows the direction of its wire."
     if any(panel.panel.get("concave") == "yes" for panel in run.panels):
-        words += " Dashed: concave."
+        text += " Dashed: concave."
     if run.planned:
-        words += (
+        text += (
             " Green: proven; red: refused or not proven; grey: not planned. Joints over the limit are drawn "
             "thick and red, measured ones dark."
         )
-    return words
+    return text
 
 
 def _tiles(run: ElementRun) -> Iterator[Tile]:
+    """Yield the tiles at the top of the page: raw blocks, and before planning the estimated cutting time."""
     data = run.data
     nest = data.get("blocks")
     if nest:
@@ -150,7 +155,7 @@ def _panel_data(run: ElementRun) -> list[Mapping[str, Any]]:
 
 
 def _cutting_minutes(jobs: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Return the cutting time of each arm [min], over panels or jobs of raw blocks."""
+    """Return the cutting time [min] of each arm, summed over panels or jobs of raw blocks."""
     out: dict[str, float] = {}
     for job in jobs:
         for arm, minutes in job.get("cut_min", {}).items():
@@ -159,7 +164,7 @@ def _cutting_minutes(jobs: Sequence[Mapping[str, Any]]) -> dict[str, float]:
 
 
 def _issues_section(run: ElementRun) -> tuple[Block, ...]:
-    """Return the issues of the division and of the cut element."""
+    """Return the section with the issues of the division and of the planned element."""
     cut = run.issues() if run.planned else ()
     issues = [*run.data.get("issues", ()), *(issue.to_dict() for issue in cut)]
     if not issues:
@@ -179,6 +184,7 @@ def _issues_section(run: ElementRun) -> tuple[Block, ...]:
 
 
 def _totals(run: ElementRun) -> Iterator[tuple[Phrase, Phrase]]:
+    """Yield the name and value of each total, as far as the data of the element state it."""
     data = run.data
     panels = _panel_data(run)
     volume = sum(float(panel.get("volume_l") or 0.0) for panel in panels)
@@ -189,21 +195,24 @@ def _totals(run: ElementRun) -> Iterator[tuple[Phrase, Phrase]]:
         for panel in panels:
             groups.setdefault(id_letters(str(panel["id"])), []).append(panel)
         for letter, members in groups.items():
-            heavy = sum(float(panel["weight_kg"] or 0.0) for panel in members)
-            yield f"group {letter}", f"{len(members)} panels" + (f", {heavy:.1f} kg" if heavy else "")
+            weight = sum(float(panel["weight_kg"] or 0.0) for panel in members)
+            yield f"group {letter}", f"{len(members)} panels" + (f", {weight:.1f} kg" if weight else "")
     if strips := data.get("strips"):
         widths, across = strips["widths_mm"], strips["across"]
-        tried = (f"across {p}: {n['panels']} in {n['strips']} strips" for p, n in strips["tried"].items())
+        tried = (
+            f"across {axis}: {counts['panels']} in {counts['strips']} strips"
+            for axis, counts in strips["tried"].items()
+        )
         size = f"{min(widths):.0f} to {max(widths):.0f} mm wide"
         yield "ruled strips", f"{len(widths)} across {across}, {size}; panels {', '.join(tried)}"
     if weights:
         yield "weight", f"{sum(weights):.1f} kg, the heaviest {max(weights):.2f} kg"
     if run.joints:
-        yield "joints", f"{len(run.joints)}, {1e-3 * sum(j.length for j in run.joints) / MM:.1f} m"
-    if held := data.get("dowels"):
-        size = f"{held['diameter_mm']:g} x {2.0 * held['depth_mm']:g} mm"
-        words = f"{len(held['dowels'])} of {size}; positions and directions in dowels.csv"
-        without = len(held["without"])
+        yield "joints", f"{len(run.joints)}, {1e-3 * sum(joint.length for joint in run.joints) / MM:.1f} m"
+    if dowels := data.get("dowels"):
+        size = f"{dowels['diameter_mm']:g} x {2.0 * dowels['depth_mm']:g} mm"
+        words = f"{len(dowels['dowels'])} of {size}; positions and directions in dowels.csv"
+        without = len(dowels["without"])
         yield "dowels", words + (f"; {without} joints have none" if without else "")
     if nest := data.get("blocks"):
         sizes: dict[str, int] = {}
@@ -212,11 +221,11 @@ def _totals(run: ElementRun) -> Iterator[tuple[Phrase, Phrase]]:
             kind = f"{size}, offcut" if block["left_over"] else size
             sizes[kind] = sizes.get(kind, 0) + 1
         yield "raw blocks", "; ".join(f"{count} of {size} mm" for size, count in sizes.items())
-        why = {"bound": "the minimum", "two-stage": "the minimum for strips"}
-        because = why.get(nest["least_because"] or "", "")
-        yield "minimum by areas of boxes", f"{nest['least']}" + (f"; {because}" if because else "")
-        shares = 100.0 * nest["yield_volume"], 100.0 * nest["yield_boxes"]
-        yield "foam", f"{shares[0]:.0f} % are panels, {shares[1]:.0f} % their blocks"
+        proof_texts = {"bound": "the minimum", "two-stage": "the minimum for strips"}
+        proof_text = proof_texts.get(nest["least_because"] or "", "")
+        yield "minimum by areas of boxes", f"{nest['least']}" + (f"; {proof_text}" if proof_text else "")
+        percentages = 100.0 * nest["yield_volume"], 100.0 * nest["yield_boxes"]
+        yield "foam", f"{percentages[0]:.0f} % are panels, {percentages[1]:.0f} % their blocks"
     wires: dict[str, int] = {}
     for panel in panels:
         if "wire" in panel:
@@ -224,35 +233,40 @@ def _totals(run: ElementRun) -> Iterator[tuple[Phrase, Phrase]]:
     for wire, count in wires.items():
         yield f"wire {wire}", f"for {count} panels"
     for arm, minutes in _cutting_minutes(panels).items():
-        each = minutes / len(panels)
-        yield f"to cut, arm {arm}", f"about {minutes / 60.0:.1f} h, {each:.1f} min a panel: an estimate"
+        mean_minutes = minutes / len(panels)
+        yield (
+            f"to cut, arm {arm}",
+            f"about {minutes / 60.0:.1f} h, {mean_minutes:.1f} min a panel: an estimate",
+        )
     jobs = [panel for panel in (*panels, *(saw.job for saw in run.saw)) if panel.get("stops")]
     if metres := sum(float(panel["cut_m"]) for panel in jobs):
         yield "wire through foam", f"{metres:.0f} m"
     if jobs:
         stops = sum(int(panel["stops"]) for panel in jobs)
         text = f"{stops} in {len(jobs)} jobs: to bring foam, turn it or change tools"
-        mounted = f"; {len(wires)} to mount a wire, if all panels of one wire follow one another"
-        yield "stops of the operator", text + (mounted if wires else "")
+        mounting_text = f"; {len(wires)} to mount a wire, if all panels of one wire follow one another"
+        yield "stops of the operator", text + (mounting_text if wires else "")
     for arm, minutes in _cutting_minutes([panel.job for panel in run.saw]).items():
         words = f"about {minutes / 60.0:.1f} h in {len(run.saw)} jobs: an estimate"
         yield f"to cut raw blocks, arm {arm}", words
 
 
 def _sizes_section(run: ElementRun) -> tuple[GridBlock, ...]:
+    """Return histograms of areas, edges, blocks, angles and deviations of all panels."""
     rings = [front_of(panel.panel) for panel in run.panels]
     areas, edges = [], []
     for ring in rings:
-        after = np.roll(ring, -1, axis=0)
-        areas.append(0.5 * abs(float((ring[:, 0] * after[:, 1] - ring[:, 1] * after[:, 0]).sum())))
-        edges.append(np.linalg.norm(after - ring, axis=1))
-    blocks = np.array([[float(p.panel[f"block_{axis}_mm"]) for axis in "xyz"] for p in run.panels])
+        following = np.roll(ring, -1, axis=0)
+        # shoelace formula
+        areas.append(0.5 * abs(float((ring[:, 0] * following[:, 1] - ring[:, 1] * following[:, 0]).sum())))
+        edges.append(np.linalg.norm(following - ring, axis=1))
+    blocks = np.array([[float(panel.panel[f"block_{axis}_mm"]) for axis in "xyz"] for panel in run.panels])
     figures = [
         FigureBlock("Panels, in front", histogram(np.array(areas) * 1e-6, "area [m²]")),
         FigureBlock("Their edges", histogram(np.concatenate(edges), "edge [mm]")),
         FigureBlock("Their blocks", histogram(blocks.prod(axis=1) * 1e-9, "volume [m³]")),
     ]
-    angles = [float(j["angle_deg"]) for j in run.data.get("joints", ()) if "angle_deg" in j]
+    angles = [float(joint["angle_deg"]) for joint in run.data.get("joints", ()) if "angle_deg" in joint]
     for panel_data in (panel.panel for panel in run.panels):
         kinks = zip(panel_data.get("kinks_deg", ()), panel_data["neighbours"], strict=False)
         angles += [float(kink) for kink, beyond in kinks if beyond is not None and beyond > panel_data["id"]]
@@ -274,18 +288,19 @@ def _sizes_section(run: ElementRun) -> tuple[GridBlock, ...]:
 
 
 def _has_back_gaps(run: ElementRun) -> bool:
-    """Whether the backs of neighbours have gaps at corners, as those of quads do."""
+    """Whether any panel has a gap to the backs of its neighbours at a corner, as quads do."""
     return any(float(panel.panel.get("backs_apart_mm", 0.0)) > 0.0 for panel in run.panels)
 
 
 def _blocks_section(run: ElementRun, drawing: str | None) -> tuple[Block, ...]:
+    """Return the section on raw blocks: table, panels that are cut alone, jobs, and ``drawing`` (an SVG)."""
     nest = run.data.get("blocks")
     if not nest:
         return (Paragraph("The element states no raw blocks (raw_blocks), so nothing is nested."),)
     rows = [
         (
             block["id"],
-            _size(block["size_mm"]) + (f", {block['left_over']}" * bool(block["left_over"])),
+            _size(block["size_mm"]) + (f", {block['left_over']}" if block["left_over"] else ""),
             len(block["panels"]),
             _wrap_ids([panel["id"] for panel in block["panels"]]),
             len(block["cuts"]) + sum(panel["level_cut"] for panel in block["panels"]),
@@ -314,20 +329,23 @@ def _blocks_section(run: ElementRun, drawing: str | None) -> tuple[Block, ...]:
 
 
 def _cut_alone(blocks: Sequence[Mapping[str, Any]]) -> Iterator[Block]:
-    """Yield which panels are cut together, and why the others are not."""
-    whole = sum(len(job.get("panels", ())) for block in blocks for job in block.get("jobs", ()))
-    why: dict[str, list[str]] = {}
+    """Yield how many panels are cut together with others, and a table of those cut alone with the reasons.
+
+    ``blocks`` are those of ``element.json``. Nothing is yielded if it states neither.
+    """
+    count = sum(len(job.get("panels", ())) for block in blocks for job in block.get("jobs", ()))
+    names_by_reason: dict[str, list[str]] = {}
     for panel_data in (panel for block in blocks for panel in block["panels"] if "alone" in panel):
-        why.setdefault(str(panel_data["alone"]), []).append(str(panel_data["id"]))
-    if not whole and not why:
+        names_by_reason.setdefault(str(panel_data["alone"]), []).append(str(panel_data["id"]))
+    if not count and not names_by_reason:
         return
-    rows = sum(bool(job.get("panels")) for block in blocks for job in block.get("jobs", ()))
+    jobs = sum(bool(job.get("panels")) for block in blocks for job in block.get("jobs", ()))
     yield Paragraph(
-        f"{whole} panels are cut together with others, in {rows} jobs: faces in one pass, then the operator "
+        f"{count} panels are cut together with others, in {jobs} jobs: faces in one pass, then the operator "
         "puts the block on edge, and the wire goes around each panel, the uppermost first."
     )
-    if why:
-        rows_by_reason = tuple((" ".join(names), reason) for reason, names in why.items())
+    if names_by_reason:
+        rows_by_reason = tuple((" ".join(names), reason) for reason, names in names_by_reason.items())
         yield Wide(make_table(("cut alone", "why"), rows_by_reason))
 
 
@@ -339,7 +357,7 @@ def _saw_summary(run: ElementRun) -> str:
 
 
 def _saw_table(run: ElementRun) -> TableBlock:
-    """Return the jobs of raw blocks: what each cuts, and its results."""
+    """Return the table of the jobs of raw blocks: what each cuts, and its results."""
     arms = tuple(run.saw_seconds())
     heads = ["job", "block", "what it cuts"]
     heads += ["state", *(f"{arm} min" for arm in arms), "why not"] if run.planned else ["to cut min"]
@@ -355,16 +373,16 @@ def _saw_table(run: ElementRun) -> TableBlock:
 
 
 def _result_cells(job: PanelRun | SawRun, arms: Sequence[str]) -> list[Phrase]:
-    """Return state, minutes of each arm, and why it is not proven."""
+    """Return the cells of a job's row: its state, minutes of each arm, and why it is not proven."""
     kind = {"proven": "ok", "refused": "bad", "open": "off"}[state_of(job)]
-    minutes = [round(job.seconds[a] / MINUTE_S, 2) if a in job.seconds else None for a in arms]
-    why = "" if job.proven else MutedPhrase(f"{job.code} {job.message}".strip())
-    return [TagPhrase(kind, "proven" if job.proven else job.state), *minutes, why]
+    minutes = [round(job.seconds[arm] / MINUTE_S, 2) if arm in job.seconds else None for arm in arms]
+    reason = "" if job.proven else MutedPhrase(f"{job.code} {job.message}".strip())
+    return [TagPhrase(kind, "proven" if job.proven else job.state), *minutes, reason]
 
 
 def _wrap_ids(names: Sequence[str]) -> str:
-    """Return ids in lines of at least four, however narrow the column."""
-    return " ".join("\u00a0".join(names[k : k + _IN_LINE]) for k in range(0, len(names), _IN_LINE))
+    """Join ids so that the browser breaks lines only after every `_IDS_PER_LINE` ids."""
+    return " ".join("\u00a0".join(names[k : k + _IDS_PER_LINE]) for k in range(0, len(names), _IDS_PER_LINE))
 
 
 def _size(sides: Sequence[float]) -> str:
@@ -372,27 +390,29 @@ def _size(sides: Sequence[float]) -> str:
 
 
 def _panel_table(run: ElementRun) -> TableBlock:
+    """Return the table of all panels. Columns that the kind of panels does not state are left out."""
     cut_from = {
         item["id"]: block["id"]
         for block in (run.data.get("blocks") or {}).get("blocks", ())
         for item in block["panels"]
     }
     arms = tuple(run.arm_seconds())
-    wired = any("wire" in panel.panel for panel in run.panels)
-    grouped, timed = bool(run.data.get("grouped")), any(item.get("cut_min") for item in _panel_data(run))
+    has_wires = any("wire" in panel.panel for panel in run.panels)
+    grouped = bool(run.data.get("grouped"))
+    timed = any(item.get("cut_min") for item in _panel_data(run))
     heads = ["panel", *["group"] * grouped, "size mm", "edges", "weight kg", "block mm", "raw block", "job"]
     heads += ["deviation mm"]
     has_back_gaps = _has_back_gaps(run)
-    heads += ["gap of backs mm"] * has_back_gaps + ["wire"] * wired
+    heads += ["gap of backs mm"] * has_back_gaps + ["wire"] * has_wires
     heads += ["state", *(f"{arm} min" for arm in arms), "why not"] if run.planned else ["to cut min"] * timed
     rows = []
     for panel in run.panels:
         panel_data = panel.panel
-        wide, tall = np.ptp(upright_front(panel_data), axis=0).tolist()
+        width, height = np.ptp(upright_front(panel_data), axis=0).tolist()
         row: list[Phrase] = [
             panel.name,
             *[id_letters(panel.name)] * grouped,
-            _size([round(wide), round(tall)]),
+            _size([round(width), round(height)]),
             len(panel_data["outline_mm"]),
             round(float(panel_data["weight_kg"]), 2) if panel_data.get("weight_kg") else None,
             _size([panel_data[f"block_{axis}_mm"] for axis in "xyz"]),
@@ -402,7 +422,7 @@ def _panel_table(run: ElementRun) -> TableBlock:
         ]
         if has_back_gaps:
             row.append(round(float(panel_data["backs_apart_mm"]), 2))
-        if wired:
+        if has_wires:
             row.append(f"{panel_data['wire']}, along {panel_data['wire_along']}")
         if run.planned:
             row += _result_cells(panel, arms)

@@ -58,7 +58,7 @@ AREA_TOLERANCE: Final = 1e-6
 HEIGHT_STEP_M: Final = 1e-3
 """Height or distance difference [m] below which panels are numbered around the shell."""
 MAX_TRIED_COUNT: Final = 1000
-"""Maximum number of panels of a refused shell for which changes are tried; each repeats the division."""
+"""Maximum number of panels of a refused shell for which changes are tried. Each trial divides it again."""
 COUNT_FACTORS: Final = (1.05, 1.25, 1.5, 1.8)
 """Factors on the count by area that are tried if blocks are too small, because panels are not all alike."""
 SMALLER_LIMIT_FACTOR: Final = 0.7
@@ -76,8 +76,8 @@ Source: J. Pal (1921).
 class HexagonPanel:
     """A panel in its block.
 
-    The block frame has z along the normal of the panel, x along its box, y rather upward, and its origin at
-    the centre of the bottom face.
+    The block frame has z along the normal of the panel, x along the longer side of its box, y with a positive
+    component along `BLOCK_UP`, and its origin at the centre of the bottom face.
 
     Attributes:
         name: Id.
@@ -89,8 +89,8 @@ class HexagonPanel:
         top: Outline of the front (C, 3) [m] in the block frame.
         beyond: Ids of the panels beyond the sides, from corner i to i + 1; empty on the rim.
         level: Whether each side (C,) is on the ground.
-        deviation: Distance [m] from the front to the surface.
-        tilt: Tilt [rad] of the steepest edge from face to face.
+        deviation: Maximum distance [m] from the front to the surface.
+        tilt: Tilt [rad] of the most tilted edge from face to face.
         concave: Whether the outline is concave.
     """
 
@@ -117,7 +117,7 @@ class HexagonPanel:
 
 
 def divide_hexagons(element: HexagonElement) -> tuple[HexagonPanel, ...]:
-    """Compute all panels of a shell, by their ids.
+    """Compute all panels of a shell, in the order of their ids.
 
     Raises:
         TandemError: ``element.surface`` if the surface has no room for adjacent panels or no rim on the
@@ -143,7 +143,7 @@ def divide_hexagons(element: HexagonElement) -> tuple[HexagonPanel, ...]:
 
 
 def _require_area(element: HexagonElement) -> None:
-    """Refuse more panels than the area of the surface, in front or at the back, has room for.
+    """Raise ``element.shape`` if the larger of both faces has too little area for the requested panels.
 
     A convex panel with minimum width w in every direction has at least the area ``MIN_AREA_RATIO`` w^2.
     """
@@ -156,7 +156,7 @@ def _require_area(element: HexagonElement) -> None:
     if area >= MIN_AREA_RATIO * width**2 * options.count:
         return
     max_count = int(area / width**2)
-    what = (
+    text = (
         f"{options.count} panels do not fit on {area:.4g} m2: one would have "
         f"{area / options.count / MM**2:.0f} mm2, too little for a width of {options.least_width_mm:g} mm"
     )
@@ -165,11 +165,12 @@ def _require_area(element: HexagonElement) -> None:
     if max_count >= MIN_COUNT:
         hint = f"give count: {max_count} at most, or " + hint.removeprefix("give ")
     raise issue_error(
-        "element.shape", what, field="panels.hexagons.count", value=options.count, limit=max_count, hint=hint
+        "element.shape", text, field="panels.hexagons.count", value=options.count, limit=max_count, hint=hint
     )
 
 
 def _create_shell(element: HexagonElement) -> PanelShell:
+    """Divide the surface. Raises ``element.surface`` if no pattern fits or no rim is on the stated ground."""
     options, thickness = element.options, element.file.thickness_mm * MM
     ground = None if options.ground_mm is None else options.ground_mm * MM
     try:
@@ -188,55 +189,68 @@ def _create_shell(element: HexagonElement) -> PanelShell:
         raise issue_error("element.surface", str(error), field="panels.hexagons.count", hint=hint) from error
     if ground is not None and not any(panel.level.any() for panel in shell.panels):
         low = float(element.surface.vertices[:, 2].min()) / MM
-        what = f"no rim stands at the height of ground_mm, {options.ground_mm:g} mm"
+        message = f"no rim stands at the height of ground_mm, {options.ground_mm:g} mm"
         hint = f"the lowest point of the surface is at {low:.3f} mm; give that, or remove ground_mm"
-        raise issue_error("element.surface", what, field="panels.hexagons.ground_mm", hint=hint)
+        raise issue_error("element.surface", message, field="panels.hexagons.ground_mm", hint=hint)
     return shell
 
 
 def _name_panels(element: HexagonElement, shell: PanelShell, rows: IntArray) -> tuple[list[str], IntArray]:
-    """Return the id of each panel, from the ``rows`` that they are in, and the panels in the order of ids."""
+    """Return the id of each panel from its row (N,), and the indices (N,) of panels in the order of ids."""
     panels = shell.panels
-    middle = np.array([panel.top.mean(axis=0) for panel in panels])
-    view_positions = (middle - middle.mean(axis=0)) @ element.view
+    centres = np.array([panel.top.mean(axis=0) for panel in panels])
+    view_positions = (centres - centres.mean(axis=0)) @ element.view
     is_lying = abs(float(element.view[2, 2])) > np.cos(45.0 * DEG)
     along = (
         (np.arctan2(view_positions[:, 1], view_positions[:, 0]) - FIRST_ANGLE_RAD) % (2.0 * np.pi)
         if is_lying
         else view_positions[:, 0]
     )
-    letter = by = rows
+    group = rank = rows
     if (groups := element.file.groups) is not None:
-        letter = np.argsort(np.argsort(along)) * groups.parts // len(panels)
+        # rank along the shell, divided into equal parts
+        group = np.argsort(np.argsort(along)) * groups.parts // len(panels)
         if groups.numbering == "height":
-            by = np.round(middle[:, 2] / HEIGHT_STEP_M).astype(np.int64)
+            rank = np.round(centres[:, 2] / HEIGHT_STEP_M).astype(np.int64)
         elif groups.numbering == "ground":
-            by = np.round(_distance_from_first(panels, middle, rows == 0) / HEIGHT_STEP_M).astype(np.int64)
-    order = np.lexsort((along, by, letter))
+            rank = np.round(_distance_from_first(panels, centres, rows == 0) / HEIGHT_STEP_M).astype(np.int64)
+    order = np.lexsort((along, rank, group))
     names = [""] * len(panels)
-    for k, name in zip(order.tolist(), row_names(letter[order].tolist()), strict=True):
+    for k, name in zip(order.tolist(), row_names(group[order].tolist()), strict=True):
         names[k] = name
     return names, order
 
 
-def _distance_from_first(panels: Sequence[ThickPanel], middle: FloatArray, first: BoolArray) -> FloatArray:
-    """Return the distance (N,) [m] of panels from the nearest ``first`` one, from centre to centre."""
-    pairs = [(k, b) for k, panel in enumerate(panels) for b in panel.across.tolist() if b != RIM]
+def _distance_from_first(panels: Sequence[ThickPanel], centres: FloatArray, first: BoolArray) -> FloatArray:
+    """Return the distance (N,) [m] over the shell of each panel from the nearest panel of the first row.
+
+    Distances are summed over ``centres`` (N, 3) [m] of neighbours. Panels that no neighbours connect get 0.
+    ``first`` (N,) is whether a panel is in the first row.
+    """
+    pairs = [
+        (k, neighbour)
+        for k, panel in enumerate(panels)
+        for neighbour in panel.across.tolist()
+        if neighbour != RIM
+    ]
     first_of_pair, second_of_pair = np.array(pairs).T
-    lengths = np.linalg.norm(middle[first_of_pair] - middle[second_of_pair], axis=1)
-    graph = csr_array((lengths, (first_of_pair, second_of_pair)), shape=(len(panels), len(panels)))
+    distances = np.linalg.norm(centres[first_of_pair] - centres[second_of_pair], axis=1)
+    graph = csr_array((distances, (first_of_pair, second_of_pair)), shape=(len(panels), len(panels)))
     distance = dijkstra(graph, indices=np.flatnonzero(first), min_only=True)
     return np.where(np.isfinite(distance), distance, 0.0)  # pieces connected by a corner only
 
 
 def _rows(panels: Sequence[ThickPanel]) -> IntArray:
-    """Return the row (N,) of each panel, counted from 0."""
-    rim = np.array([(panel.across == RIM).any() for panel in panels])
+    """Return the row (N,) of each panel, counted from 0.
+
+    The first row stands on the ground if any panel does, else it consists of the low panels on the rim.
+    """
+    is_rim = np.array([(panel.across == RIM).any() for panel in panels])
     lowest = np.array([panel.top[:, 2].min() for panel in panels])
-    flat = [shapely.Polygon(panel.top @ _plane_axes(panel.normal)).area for panel in panels]
+    areas = [shapely.Polygon(panel.top @ _plane_axes(panel.normal)).area for panel in panels]
     first = np.array([panel.level.any() for panel in panels])
-    low = rim & (lowest < lowest[rim].min() + FIRST_ROW_HEIGHT_FRACTION * np.sqrt(np.mean(flat)))
-    return assembly_rows([panel.across for panel in panels], first if first.any() else low, lowest)
+    is_low = is_rim & (lowest < lowest[is_rim].min() + FIRST_ROW_HEIGHT_FRACTION * np.sqrt(np.mean(areas)))
+    return assembly_rows([panel.across for panel in panels], first if first.any() else is_low, lowest)
 
 
 def _plane_axes(normal: FloatArray) -> FloatArray:
@@ -248,7 +262,7 @@ def _plane_axes(normal: FloatArray) -> FloatArray:
 
 @dataclasses.dataclass(frozen=True)
 class _BlockPlacement:
-    """Block of a panel: its kind, None if none holds it, ``size`` (3,) [m] and ``pose`` (4, 4)."""
+    """Block of a panel: index of its kind (None if none holds it), ``size`` (3,) [m] and ``pose`` (4, 4)."""
 
     block: int | None
     size: FloatArray
@@ -256,25 +270,28 @@ class _BlockPlacement:
 
 
 def _place_in_block(element: HexagonElement, panel: ThickPanel) -> _BlockPlacement:
-    """Return the smallest block that holds a panel, in the rotation with the smallest area."""
-    thick = element.file.thickness_mm * MM
+    """Place a panel in the smallest block that holds it, in the orientation of smallest area."""
+    thickness = element.file.thickness_mm * MM
     plane = _plane_axes(panel.normal)
     directions, extent = hull_boxes(np.concatenate([panel.bottom, panel.top]) @ plane)
-    tall = extent[:, 1] > extent[:, 0] * (1.0 + AREA_TOLERANCE)
-    directions = np.where(tall[:, None], np.stack([-directions[:, 1], directions[:, 0]], axis=1), directions)
-    size = np.where(tall[:, None], extent[:, ::-1], extent) + 2.0 * element.file.sides
+    # the longer side of each box is along x
+    is_tall = extent[:, 1] > extent[:, 0] * (1.0 + AREA_TOLERANCE)
+    directions = np.where(
+        is_tall[:, None], np.stack([-directions[:, 1], directions[:, 0]], axis=1), directions
+    )
+    size = np.where(is_tall[:, None], extent[:, ::-1], extent) + 2.0 * element.file.sides
     area = size.prod(axis=1)
     blocks = [np.array(block.size_mm) * MM for block in element.file.blocks]
     block_index: int | None = None
-    chosen = area <= area.min() * (1.0 + AREA_TOLERANCE)
+    is_candidate = area <= area.min() * (1.0 + AREA_TOLERANCE)
     for number in sorted(range(len(blocks)), key=lambda i: (float(blocks[i].prod()), i)):
         block = blocks[number]
-        room = np.array([max(block[:2]), min(block[:2])]) + FIT_TOLERANCE_M
-        fits = (size <= room).all(axis=1)
-        if thick <= block[2] + FIT_TOLERANCE_M and fits.any():
-            block_index, chosen = number, fits & (area <= area[fits].min() * (1.0 + AREA_TOLERANCE))
+        space = np.array([max(block[:2]), min(block[:2])]) + FIT_TOLERANCE_M
+        fits = (size <= space).all(axis=1)
+        if thickness <= block[2] + FIT_TOLERANCE_M and fits.any():
+            block_index, is_candidate = number, fits & (area <= area[fits].min() * (1.0 + AREA_TOLERANCE))
             break
-    best = int(np.flatnonzero(chosen)[0])
+    best = int(np.flatnonzero(is_candidate)[0])
     x = plane @ directions[best]
     y = np.cross(panel.normal, x)
     x, y = (x, y) if y @ BLOCK_UP > 0.0 else (-x, -y)
@@ -282,12 +299,13 @@ def _place_in_block(element: HexagonElement, panel: ThickPanel) -> _BlockPlaceme
     local = np.concatenate([panel.bottom, panel.top]) @ axes
     middle = 0.5 * (local.min(axis=0) + local.max(axis=0))
     origin = axes @ np.array([middle[0], middle[1], float((panel.bottom @ panel.normal).mean())])
-    return _BlockPlacement(block_index, np.array([*size[best], thick]), from_parts(axes, origin))
+    return _BlockPlacement(block_index, np.array([*size[best], thickness]), from_parts(axes, origin))
 
 
 def _create_panel(
     shell: PanelShell, placements: Sequence[_BlockPlacement], names: Sequence[str], rows: IntArray, k: int
 ) -> HexagonPanel:
+    """Create the panel ``k`` of a shell, in the frame of its block."""
     panel, placement, check = shell.panels[k], placements[k], shell.check
     bottom, top = (transform(inverse(placement.pose), ring) for ring in (panel.bottom, panel.top))
     # snap to both planes, which are exact within a billionth of a metre
@@ -300,7 +318,7 @@ def _create_panel(
         placement.pose,
         bottom,
         top,
-        tuple("" if b == RIM else names[b] for b in panel.across.tolist()),
+        tuple("" if neighbour == RIM else names[neighbour] for neighbour in panel.across.tolist()),
         panel.level.astype(np.bool_),
         float(check.off_surface[k]),
         float(check.tilt[k]),
@@ -315,11 +333,11 @@ class _ShapeLimit:
     Attributes:
         code: Issue code.
         field: Field of the file.
-        what: Fault in words.
-        got: Values (N,).
-        limit: Limit.
-        unit: Unit.
-        is_minimum: Whether the limit is a minimum.
+        what: What panels beyond the limit do, as the predicate of a message.
+        got: Values (N,) of the panels.
+        limit: Limit, in the same unit.
+        unit: Unit in messages.
+        is_minimum: Whether the limit is a minimum, else it is a maximum.
         slack: Tolerance of the comparison.
     """
 
@@ -334,12 +352,13 @@ class _ShapeLimit:
 
     @property
     def over(self) -> BoolArray:
-        """Panels (N,) beyond the limit."""
+        """Whether each panel (N,) is beyond the limit."""
         low, high = self.limit - self.slack, self.limit + self.slack
         return np.asarray(self.got < low if self.is_minimum else self.got > high)
 
 
 def _limits(element: HexagonElement, check: PanelMeasurements) -> list[_ShapeLimit]:
+    """Return all limits of shapes with the measured values of the panels."""
     options, field, shape = element.options, "panels.hexagons", "element.shape"
     gap = np.maximum(check.off_plane, check.off_side)
     return [
@@ -401,31 +420,32 @@ def _limits(element: HexagonElement, check: PanelMeasurements) -> list[_ShapeLim
 
 
 def _shape_faults(element: HexagonElement, shell: PanelShell, names: Sequence[str]) -> list[Issue]:
-    """Return why panels are infeasible: one issue for each limit with all its panels, the worst first."""
+    """Return why panels are infeasible: one issue for each exceeded limit, with the worst panel first."""
     issues = []
     for limit in _limits(element, shell.check):
         over = np.flatnonzero(limit.over)
         if not len(over):
             continue
         order = over[np.argsort(limit.got[over] if limit.is_minimum else -limit.got[over], kind="stable")]
-        worst = int(order[0])
-        what = (
+        worst_k = int(order[0])
+        message = (
             f"{len(over)} of {len(names)} panels {limit.what}, the worst is "
-            f"{_panel_location(shell, names, worst)} with {limit.got[worst]:.4g} {limit.unit}, allowed "
+            f"{_panel_location(shell, names, worst_k)} with {limit.got[worst_k]:.4g} {limit.unit}, allowed "
             f"{'at least ' if limit.is_minimum else ''}{limit.limit:g}"
         )
         if len(over) > 1:
-            what += f"; the others: {', '.join(names[k] for k in order[1:].tolist())}"
+            message += f"; the others: {', '.join(names[k] for k in order[1:].tolist())}"
         if bent := int((shell.check.bend[over] < 0.0).sum()):
-            what += f"; {bent} of them are where the surface bends both ways"
-        value = float(limit.got[worst])
+            message += f"; {bent} of them are where the surface bends both ways"
+        value = float(limit.got[worst_k])
         issues.append(
-            Issue(limit.code, what, field=limit.field, value=value, limit=limit.limit, unit=limit.unit)
+            Issue(limit.code, message, field=limit.field, value=value, limit=limit.limit, unit=limit.unit)
         )
     return issues
 
 
 def _panel_location(shell: PanelShell, names: Sequence[str], k: int) -> str:
+    """Return the id of the panel ``k`` and its centre in the element frame, for messages."""
     x, y, z = (shell.panels[k].top.mean(axis=0) / MM).tolist()
     return f"{names[k]} near ({x:.0f}, {y:.0f}, {z:.0f}) mm"
 
@@ -433,26 +453,28 @@ def _panel_location(shell: PanelShell, names: Sequence[str], k: int) -> str:
 def _too_large(
     element: HexagonElement, shell: PanelShell, placed: Sequence[_BlockPlacement], names: Sequence[str]
 ) -> list[Issue]:
-    """Return the issue of panels that no block holds, with the block that would hold all."""
-    over = [k for k, placement in enumerate(placed) if placement.block is None]
-    if not over:
+    """Return one issue that lists the panels that no block holds, with a block that would hold all panels."""
+    unplaced = [k for k, placement in enumerate(placed) if placement.block is None]
+    if not unplaced:
         return []
-    worst = max(over, key=lambda k: (float(placed[k].size[0]), k))
+    worst_index = max(unplaced, key=lambda k: (float(placed[k].size[0]), k))
     sizes = np.array([placement.size for placement in placed])
-    thick = element.file.thickness_mm
-    got = " x ".join(f"{v / MM:.1f}" for v in placed[worst].size.tolist())
+    thickness = element.file.thickness_mm
+    got = " x ".join(f"{v / MM:.1f}" for v in placed[worst_index].size.tolist())
     max_thickness = max(block.size_mm[2] for block in element.file.blocks)
-    what = (
-        f"no block holds {len(over)} of {len(names)} panels with foam beside them: "
-        f"{_panel_location(shell, names, worst)} needs {got} mm"
+    reason = (
+        f"no block holds {len(unplaced)} of {len(names)} panels with foam beside them: "
+        f"{_panel_location(shell, names, worst_index)} needs {got} mm"
     )
-    if len(over) > 1:
-        what += f"; the others: {', '.join(names[k] for k in over if k != worst)}"
-    if max_thickness < thick:
-        what += f"; the thickest block is {max_thickness:g} mm, the panels are {thick:g} mm"
-    needed = " x ".join(f"{v:g}" for v in [*np.ceil(sizes.max(axis=0)[:2] / MM + 1e-6).tolist(), thick])
+    if len(unplaced) > 1:
+        reason += f"; the others: {', '.join(names[k] for k in unplaced if k != worst_index)}"
+    if max_thickness < thickness:
+        reason += f"; the thickest block is {max_thickness:g} mm, the panels are {thickness:g} mm"
+    needed = " x ".join(f"{v:g}" for v in [*np.ceil(sizes.max(axis=0)[:2] / MM + 1e-6).tolist(), thickness])
     hint = f"a block of {needed} mm would hold all"
-    return [Issue("element.block", what, field="blocks", value=len(over), limit=0, unit="panels", hint=hint)]
+    return [
+        Issue("element.block", reason, field="blocks", value=len(unplaced), limit=0, unit="panels", hint=hint)
+    ]
 
 
 def _advice(
@@ -461,17 +483,20 @@ def _advice(
     check: PanelMeasurements,
     placed: Sequence[_BlockPlacement],
 ) -> str:
-    """Return the first tried change of the file that removes all refusals.
+    """Return as a hint the first change of the file with which all panels can be made.
 
-    ``placed``: panels in their blocks, if all keep the limits of their shapes.
+    If no change helps, the hint lists those that were tried in vain. ``issues`` are the refusals, ``placed``
+    the blocks of the panels; it is empty if shapes exceed their limits.
     """
     if element.options.count > MAX_TRIED_COUNT:
         return ""
     tried = []
     bent = bool((check.bend < 0.0).any())
-    changed = _smaller_panel_changes(element, placed) if placed else _shape_changes(element, issues, bent)
-    for changes, thickness in changed:
-        change_texts = [f"{name}: {v if isinstance(v, str) else f'{v:g}'}" for name, v in changes.items()]
+    candidates = _smaller_panel_changes(element, placed) if placed else _shape_changes(element, issues, bent)
+    for changes, thickness in candidates:
+        change_texts = [
+            f"{name}: {value if isinstance(value, str) else f'{value:g}'}" for name, value in changes.items()
+        ]
         if thickness is not None:
             change_texts.append(f"thickness_mm: {thickness:g}")
         options = element.options.model_copy(update=changes)
@@ -487,54 +512,56 @@ def _advice(
 
 
 def _required_count_factor(element: HexagonElement, placed: Sequence[_BlockPlacement]) -> float:
-    """Return the factor on the number of panels after which blocks hold each, if all shrink alike.
+    """Return the factor on the number of panels with which blocks hold each, if all panels shrink equally.
 
-    Infinite if the foam beside a panel takes whole blocks. Thickness is not considered.
+    Only blocks that are thick enough count, or the thickest ones if none is. Infinite if the foam beside a
+    panel takes whole blocks.
     """
     max_thickness = max(block.size_mm[2] for block in element.file.blocks)
     min_thickness = min(element.file.thickness_mm, max_thickness)
-    rooms = np.sort([block.size_mm[:2] for block in element.file.blocks if block.size_mm[2] >= min_thickness])
+    plans = np.sort([block.size_mm[:2] for block in element.file.blocks if block.size_mm[2] >= min_thickness])
     foam = 2.0 * element.file.sides
-    room = rooms[:, ::-1] * MM + FIT_TOLERANCE_M - foam
-    room = room[(room > 0.0).all(axis=1)]
-    if not len(room):
+    space = plans[:, ::-1] * MM + FIT_TOLERANCE_M - foam
+    space = space[(space > 0.0).all(axis=1)]
+    if not len(space):
         return np.inf
     size = np.array([placement.size[:2] for placement in placed]) - foam
-    return float((size[:, None] / room).max(axis=2).min(axis=1).max()) ** 2
+    return float((size[:, None] / space).max(axis=2).min(axis=1).max()) ** 2
 
 
 def _count_by_area(element: HexagonElement, placed: Sequence[_BlockPlacement]) -> str:
-    """Return the advice on the required count if no tried count was sufficient."""
-    times = _required_count_factor(element, placed)
-    count = np.ceil(times * element.options.count)
+    """Return the advice if no tried count was sufficient: the count that is required by area, if allowed."""
+    factor = _required_count_factor(element, placed)
+    count = np.ceil(factor * element.options.count)
     if count > MAX_COUNT:
-        why = (
-            "foam beside panels takes all of them" if np.isinf(times) else f"{MAX_COUNT} at most are divided"
+        reason = (
+            "foam beside panels takes all of them" if np.isinf(factor) else f"{MAX_COUNT} at most are divided"
         )
-        return f"no count makes panels that fit these blocks, because {why}: give larger blocks"
+        return f"no count makes panels that fit these blocks, because {reason}: give larger blocks"
     if count > MAX_TRIED_COUNT:
-        less = " and ".join(f"{name}: {v:g}" for name, v in _scaled_limits(element.options, count).items())
-        return f"by area, these blocks require about count: {count:.0f}, with {less}, which was not tried"
+        limits = " and ".join(f"{name}: {v:g}" for name, v in _scaled_limits(element.options, count).items())
+        return f"by area, these blocks require about count: {count:.0f}, with {limits}, which was not tried"
     return "give larger blocks"
 
 
 def _smaller_panel_changes(
     element: HexagonElement, placed: Sequence[_BlockPlacement]
 ) -> Iterator[tuple[dict[str, Any], float | None]]:
-    """Yield changes to try if blocks do not hold all panels, the smallest first.
+    """Yield changes to try if blocks do not hold all panels, the smallest change first.
 
-    The changes are the thickness [mm] of the thickest block, and more panels by the factor that they are too
-    large; then also smaller minimum edge and width.
+    Each change consists of fields of ``hexagons`` and a thickness [mm] or None. The first one reduces the
+    thickness to that of the thickest block. The next ones have more, and thus smaller panels, the last one
+    also a smaller minimum edge and width.
     """
     options = element.options
     max_thickness = max(block.size_mm[2] for block in element.file.blocks)
     thickness = max_thickness if max_thickness < element.file.thickness_mm else None
-    times = _required_count_factor(element, placed)
+    area_factor = _required_count_factor(element, placed)
     if thickness is not None:
         yield {}, thickness
-    if times <= 1.0:
+    if area_factor <= 1.0:
         return
-    counts = [np.ceil(factor * times * options.count) for factor in COUNT_FACTORS]
+    counts = [np.ceil(factor * area_factor * options.count) for factor in COUNT_FACTORS]
     counts = [int(count) for count in counts if count <= MAX_TRIED_COUNT]
     for count in counts:
         yield {"count": count}, thickness
@@ -543,7 +570,7 @@ def _smaller_panel_changes(
 
 
 def _scaled_limits(options: HexagonsFile, count: float) -> dict[str, float]:
-    """Return minimum edge and width [mm] scaled to the size of ``count`` panels."""
+    """Return minimum edge and width [mm] of the file, reduced to the size of ``count`` panels."""
     factor = SMALLER_LIMIT_FACTOR * np.sqrt(options.count / count)
     names = ("least_edge_mm", "least_width_mm")
     return {name: float(max(np.floor(factor * getattr(options, name)), 1.0)) for name in names}
@@ -552,34 +579,36 @@ def _scaled_limits(options: HexagonsFile, count: float) -> dict[str, float]:
 def _shape_changes(
     element: HexagonElement, issues: Sequence[Issue], bent: bool
 ) -> Iterator[tuple[dict[str, Any], float | None]]:
-    """Yield changes to try if panels exceed the limits of their shapes, the smallest first.
+    """Yield changes to try if panels exceed the limits of their shapes, the smallest change first.
 
-    Each has fields of ``hexagons`` and a thickness [mm]. ``bent``: panels lie where the surface bends both
-    ways.
+    Each change consists of fields of ``hexagons`` and a thickness [mm] or None. ``bent`` is whether panels
+    lie where the surface bends both ways.
     """
-    options, thick = element.options, element.file.thickness_mm
+    options, thickness = element.options, element.file.thickness_mm
     if bent:
         yield {"shape": "quad" if options.shape == "hexagon" else "hexagon"}, None
     if options.rim == "upright":
         yield {"rim": "square"}, None
-    limits = {
-        str(i.field).rsplit(".", 1)[-1]: float(i.value or 0.0) for i in issues if i.field != "panels.hexagons"
+    worst = {
+        str(issue.field).rsplit(".", 1)[-1]: float(issue.value or 0.0)
+        for issue in issues
+        if issue.field != "panels.hexagons"
     }
-    if len(limits) == len(issues):
+    if len(worst) == len(issues):  # all exceeded limits are in the file: relax them to the worst values
         for factor in (1.0, 0.7):
             allowed = {
                 name: float(np.ceil(value) if name == "off_surface_mm" else np.floor(factor * value))
-                for name, value in limits.items()
+                for name, value in worst.items()
             }
             if min(allowed.values()) >= 1.0:
                 yield allowed, None
     for factor in (0.75, 1.5):
         yield {"count": max(round(factor * options.count), MIN_COUNT)}, None
-    yield {}, float(np.floor(0.7 * thick))
+    yield {}, float(np.floor(0.7 * thickness))
 
 
 def _is_feasible(element: HexagonElement) -> bool:
-    """Whether a shell is feasible."""
+    """Whether a shell can be created, keeps all limits of shapes, and fits blocks."""
     try:
         shell = _create_shell(element)
     except TandemError:

@@ -18,27 +18,25 @@ from planner.reading import strict_yaml
 SIZE_STEP_MM: Final = 0.1
 """Step to which sizes of blocks are rounded up [mm]."""
 DIGITS: Final = 9
-"""Decimals of lengths in mm: neighbours agree to a millionth of a millimetre through both of their poses."""
+"""Decimals of lengths in mm, so that neighbours in their own frames agree to a millionth of a millimetre."""
 POSE_DIGITS: Final = 13
-"""Decimals of the axes of poses, for agreement of neighbours to a millionth of a millimetre."""
+"""Decimals of the axes of poses, so that neighbours agree to a millionth of a millimetre."""
 
 
 def elastic_ids(panels: tuple[ElasticPanel, ...]) -> tuple[str, ...]:
-    """Return ids A01, A02 ...
-
-    B01 ...: a letter for each row of panels, from the lowest, and numbers along it.
+    """Return the ids of elastic panels: A01, A02 ... in the lowest row of the grid, B01 ... in the next one.
 
     Panels of a row start on the same grid line. The ids follow from cells alone, so they do not change if the
     surface moves a little.
     """
     rows = sorted({panel.rectangle[2] for panel in panels})
-    return row_names([rows.index(panel.rectangle[2]) for panel in panels])  # by rows already
+    return row_names([rows.index(panel.rectangle[2]) for panel in panels])  # sorted by rows
 
 
 def row_names(rows: Sequence[int]) -> tuple[str, ...]:
-    """Return ids of panels by their rows, counted from 0.
+    """Return the id of each panel: letters for its row, and its number in that row.
 
-    A letter, or two, for each row, and numbers in the order of the panels.
+    ``rows`` are the rows of the panels, counted from 0. A row has one letter, or two from row 26 on.
     """
     digits = max(2, len(str(max(np.bincount(rows)))))
     count: dict[int, int] = {}
@@ -63,7 +61,7 @@ class BlockPanel(Protocol):
 
 
 def block_mm(panel: BlockPanel) -> tuple[float, float, float]:
-    """Return the size of the block of a panel [mm], rounded up."""
+    """Return the size [mm] of the block of a panel, rounded up to `SIZE_STEP_MM`."""
     x, y, z = np.ceil(np.round(panel.size / MM / SIZE_STEP_MM, 6)) * SIZE_STEP_MM
     return round(float(x), 3), round(float(y), 3), round(float(z), 3)
 
@@ -79,14 +77,14 @@ def choose_templates(
     chosen, issues = [], []
     for panel, name in zip(panels, names, strict=True):
         size = block_mm(panel)
-        matching = [t for t in element.templates if t.when.matches(size)]
+        matching = [template for template in element.templates if template.when.matches(size)]
         chosen += matching[:1]
         if len(matching) != 1:
             text = " x ".join(f"{v:g}" for v in size)
-            which = " and ".join(t.file for t in matching) or "no job"
-            what = f"panel {name} with its block of {text} mm is matched by {which}, exactly one must match"
+            by = " and ".join(template.file for template in matching) or "no job"
+            message = f"panel {name} with its block of {text} mm is matched by {by}, exactly one must match"
             hint = "make the ranges of when (from, below) contiguous"
-            issues.append(Issue("element.jobs", what, field="jobs", hint=hint))
+            issues.append(Issue("element.jobs", message, field="jobs", hint=hint))
     if issues:
         first = dataclasses.replace(issues[0], count=len(issues))
         raise TandemError(first)
@@ -109,9 +107,7 @@ def cut_figures(
     """
     minutes: dict[str, float] = {}
     metres = 0.0
-    operations = [
-        operation_data for operation_data in template.data["operations"] if isinstance(operation_data, dict)
-    ]
+    operations = [item for item in template.data["operations"] if isinstance(item, dict)]
     for operation in operations:
         feed, arms, length = operation.get("feed_mm_s"), operation.get("arms"), length_of(operation)
         metres += 1e-3 * length
@@ -119,7 +115,7 @@ def cut_figures(
             for arm in arms:
                 minutes[str(arm)] = minutes.get(str(arm), 0.0) + length / feed / 60.0
     return {
-        "cut_min": {arm: round(operation_data, 3) for arm, operation_data in minutes.items()},
+        "cut_min": {arm: round(arm_minutes, 3) for arm, arm_minutes in minutes.items()},
         "cut_m": round(metres, 4),
         "stops": stops or 1 + sum(map(_is_stop, operations[1:])),
     }
@@ -131,15 +127,15 @@ def _is_stop(operation: Mapping[str, Any]) -> bool:
 
 
 def ruled_cut_length(problem_data: Mapping[str, Any], operation: Mapping[str, Any]) -> float:
-    """Return the length [mm] that the wire cuts along ruled surfaces of a problem in an operation.
+    """Return the length [mm] of the cuts of an operation along ruled surfaces of its problem.
 
-    It is the mean over both guides of each surface.
+    The length of a cut is the mean length of both guides of its surface.
     """
     shapes = {surface["name"]: surface for surface in problem_data["part"].get("ruled", ())}
-    named = [shapes[cut["surface"]] for cut in operation.get("cuts", ()) if cut.get("surface") in shapes]
+    surfaces = [shapes[cut["surface"]] for cut in operation.get("cuts", ()) if cut.get("surface") in shapes]
     return sum(
         float(lengths(np.diff(np.array(surface[side]["polyline_mm"]), axis=0)).sum()) / 2.0
-        for surface in named
+        for surface in surfaces
         for side in ("start", "end")
     )
 
@@ -147,7 +143,7 @@ def ruled_cut_length(problem_data: Mapping[str, Any], operation: Mapping[str, An
 def panel_problem(
     element: Element, panel: BlockPanel, name: str, template: JobTemplate, shape: dict[str, Any]
 ) -> dict[str, Any]:
-    """Return the problem of a panel as in a file: the template with the block of the panel and its shape."""
+    """Return the data of a panel's problem file: the template with its block, and ``shape`` as the part."""
     spec = element.file
     stock: dict[str, Any] = {"size_mm": list(block_mm(panel))}
     return fill_template(template, f"{spec.name}_{name}", stock, spec.blocks[panel.block].foam, shape)
@@ -161,9 +157,9 @@ def fill_template(
     Args:
         template: Template.
         name: Name of the problem.
-        stock: First keys of its stock.
+        stock: Keys of its stock that the template does not state, as its size.
         foam: Foam, unless the template states one.
-        shape: Part in the block frame.
+        shape: Part in the block frame, as data.
     """
     data = copy.deepcopy(template.data)
     stock = {**stock, **(data.pop("stock", None) or {})}
@@ -177,30 +173,30 @@ def fill_template(
 
 
 def problem_text(element: Element, name: str, data: dict[str, Any]) -> str:
-    """Return the problem of a panel as text."""
+    """Return the problem file of a panel as text."""
     return f"# Panel {name} of {element.file.name}, written by tandem element.\n" + strict_yaml.dump(data)
 
 
-def ruled_surface(name: str, start: FloatArray, end: FloatArray, **more: bool) -> dict[str, Any]:
-    """Return a ruled surface between points (N, 3) [m], one to one, as in the part of a problem file."""
+def ruled_surface(name: str, start: FloatArray, end: FloatArray, **flags: bool) -> dict[str, Any]:
+    """Return a ruled surface of a problem's part: rulings join paired points (N, 3) [m] of two guides."""
 
     def guide(points: FloatArray) -> dict[str, Any]:
         return {"polyline_mm": [[round(v, DIGITS) + 0.0 for v in row] for row in (points / MM).tolist()]}
 
-    return {"name": name, **more, "match": "parameter", "start": guide(start), "end": guide(end)}
+    return {"name": name, **flags, "match": "parameter", "start": guide(start), "end": guide(end)}
 
 
 def pose_to_mm(pose: FloatArray) -> list[list[float]]:
-    """Return a pose (4, 4) [m] as data in mm."""
+    """Return a pose (4, 4) [m] as rows of numbers, with the position in mm."""
     out = pose.copy()
     out[:3, 3] /= MM
     out[:3, :3] = np.round(out[:3, :3], POSE_DIGITS)
     out[:3, 3] = np.round(out[:3, 3], DIGITS)
-    return [[v + 0.0 for v in line] for line in out.tolist()]
+    return [[v + 0.0 for v in row] for row in out.tolist()]
 
 
 def block_pose(panel: Mapping[str, Any]) -> FloatArray:
-    """Return the pose (4, 4) [m] of the block of a panel of ``element.json``."""
+    """Return the pose (4, 4) [m] of the block of a panel in ``element.json``."""
     pose = np.array(panel["block_pose"], dtype=np.float64)
     pose[:3, 3] *= MM
     return pose
@@ -209,7 +205,7 @@ def block_pose(panel: Mapping[str, Any]) -> FloatArray:
 def panel_files(
     element: ElasticElement, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]
 ) -> dict[str, str]:
-    """Return problem files and meshes by their paths in the folder.
+    """Return the problem files and meshes of elastic panels, as texts by their paths in the folder.
 
     Wire and sweep are added if a template omits them.
 
@@ -233,16 +229,16 @@ def panel_files(
     return files
 
 
-def _obj_text(mesh: TriangleMesh, what: str) -> str:
-    """Return a mesh in the block frame, in millimetres."""
-    lines = [f"# {what}, in the frame of its block, mm", *obj_lines(mesh.vertices / MM, mesh.faces)]
+def _obj_text(mesh: TriangleMesh, title: str) -> str:
+    """Return a mesh [m] in the block frame as an OBJ file [mm]."""
+    lines = [f"# {title}, in the frame of its block, mm", *obj_lines(mesh.vertices / MM, mesh.faces)]
     return "\n".join(lines) + "\n"
 
 
 def obj_lines(points: FloatArray, faces: IntArray, first: int = 1) -> list[str]:
     """Return points (V, 3) [mm] and triangles (F, 3) as lines of an OBJ file.
 
-    ``first`` is the number of the first point.
+    ``first`` is the number that the first point has in the file.
     """
     lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in points.tolist()]
     return lines + [f"f {a} {b} {c}" for a, b, c in (faces + first).tolist()]

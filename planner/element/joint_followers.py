@@ -1,8 +1,9 @@
 """Reduction of the step at a joint between two bent wires: one panel follows the other.
 
-Its target is offset from the surface at the joint by as much as the faces of the other are, and fades back to
-the surface beside the joint. A wire that ends at a joint can end at any prescribed position, so such a panel
-can match nearly any edge of one whose wire lies along the joint. The neighbour is unchanged.
+The target of the following panel is offset from the surface at the joint by as much as the faces of the other
+panel. The offset fades to zero away from the joint. A wire that ends at a joint can end at any prescribed
+position, so such a panel can match nearly any edge of one whose wire lies along the joint. The neighbour is
+unchanged.
 """
 
 import dataclasses
@@ -19,13 +20,13 @@ FADE_DISTANCE_M: Final = 0.12
 
 @dataclasses.dataclass(frozen=True)
 class FollowedOffset:
-    """Offset that a panel follows on the line ``at`` [m] of an ``axis``.
+    """Offset from the surface that a panel follows at a joint.
 
     Attributes:
-        axis: Axis across the line.
-        at: Position of the line [m].
+        axis: Axis of the element across the joint.
+        at: Position of the joint on that axis [m].
         along: Positions (K,) [m] on the other axis, ascending.
-        offsets: Distance (2, K) [m] of front and back from the surface there.
+        offsets: Signed distance (2, K) [m] of front and back of the followed panel from the surface there.
     """
 
     axis: int
@@ -42,23 +43,23 @@ class FollowedOffset:
 
 
 def _smooth_step(distance: FloatArray) -> FloatArray:
-    """Return a smooth step s = 3 x^2 - 2 x^3 with x = 1 - d / d_0, 0 from `FADE_DISTANCE_M` d_0 on."""
-    left = np.clip(1.0 - distance / FADE_DISTANCE_M, 0.0, 1.0)
-    return np.asarray(left * left * (3.0 - 2.0 * left))
+    """Return s = 3 x^2 - 2 x^3 with x = 1 - d / d_0: 1 at d = 0, and 0 from d_0 = `FADE_DISTANCE_M` on."""
+    x = np.clip(1.0 - distance / FADE_DISTANCE_M, 0.0, 1.0)
+    return np.asarray(x * x * (3.0 - 2.0 * x))
 
 
 def followed_offset(joint: ElasticJoint, neighbour: int, panel: ElasticPanel) -> FollowedOffset:
-    """Return what the other panel of a joint follows.
+    """Return the offset of a panel at a joint, for the other panel of the joint to follow.
 
     Args:
         joint: Joint.
-        neighbour: Which panel of the joint ``panel`` is, 0 or 1.
+        neighbour: Index, 0 or 1, of ``panel`` in ``joint.panels``.
         panel: Panel to follow.
     """
-    rows = joint.rows[:, neighbour]
-    positions = panel.rim_positions[rows]
+    rim_indices = joint.rows[:, neighbour]
+    positions = panel.rim_positions[rim_indices]
     order = np.argsort(positions[:, 1 - joint.axis])
     at = float(positions[0, joint.axis])
     return FollowedOffset(
-        joint.axis, at, positions[order, 1 - joint.axis], panel.rim_deviation[:, rows[order]]
+        joint.axis, at, positions[order, 1 - joint.axis], panel.rim_deviation[:, rim_indices[order]]
     )

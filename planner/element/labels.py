@@ -22,11 +22,11 @@ LABEL_GRID: Final = (2, 4)
 """Number of columns and rows of labels on a sheet."""
 FONT_SIZE_MM: Final = 7.0
 """Font size [mm] whose capitals are 5 mm high."""
-_ID: Final = 13.0  # mm: size of type of the id
-_WIDE: Final = 0.68  # largest mean width of a letter in sizes of type
-_EDGE: Final = 4.0  # mm: free along the edges of a label, for printers
-_AIR: Final = 1.2  # mm between words, and from words to the outline
-_OUTLINES: Final = (36.0, 30.0, 24.0, 18.0, 13.0, 9.0)  # mm: sizes that are tried
+_ID_SIZE: Final = 13.0  # mm: maximum font size of the id
+_LETTER_WIDTH: Final = 0.68  # largest mean width of a letter as a fraction of the font size
+_MARGIN: Final = 4.0  # mm: free along the edges of a label, for printers
+_GAP: Final = 1.2  # mm between texts, and from texts to the outline
+_OUTLINE_SIZES: Final = (36.0, 30.0, 24.0, 18.0, 13.0, 9.0)  # mm: tried lengths of the longer side
 _OUTWARD_OFFSETS_MM: Final = (0.0, 2.0, 4.0, 6.0, 9.0, 12.0, 16.0, 20.0)  # mm: tried outward offsets of texts
 _SIDEWAYS_OFFSETS_MM: Final = (
     0.0,
@@ -39,7 +39,7 @@ _SIDEWAYS_OFFSETS_MM: Final = (
     15.0,
     -15.0,
 )  # mm: tried offsets along their edge
-_LEADER: Final = 1.0  # mm: texts moved farther get a leader line to their edge
+_MAX_WITHOUT_LEADER: Final = 1.0  # mm: texts moved farther get a leader line to their edge
 
 _Box = tuple[float, float, float, float]
 """Left, top, right, bottom [mm]."""
@@ -48,35 +48,41 @@ _Box = tuple[float, float, float, float]
 def label_sheets(data: Mapping[str, Any]) -> str:
     """Draw the labels of all panels of an element (``element.json``), in the order of their ids."""
     panels = data["panels"]
-    wide, tall = SHEET_MM[0] / LABEL_GRID[0], SHEET_MM[1] / LABEL_GRID[1]
-    a_sheet = LABEL_GRID[0] * LABEL_GRID[1]
-    high = SHEET_MM[1] * -(-len(panels) // a_sheet)
+    width, height = SHEET_MM[0] / LABEL_GRID[0], SHEET_MM[1] / LABEL_GRID[1]
+    labels_per_sheet = LABEL_GRID[0] * LABEL_GRID[1]
+    total_height = SHEET_MM[1] * -(-len(panels) // labels_per_sheet)
     out = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{SHEET_MM[0]:g}mm" height="{high:g}mm" '
-        f'viewBox="0 0 {SHEET_MM[0]:g} {high:g}" font-family="sans-serif" fill="#000000">',
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{SHEET_MM[0]:g}mm" height="{total_height:g}mm" '
+        f'viewBox="0 0 {SHEET_MM[0]:g} {total_height:g}" font-family="sans-serif" fill="#000000">',
         f"<title>{escape(str(data['name']))}: labels, 1:1, sheets of A4</title>",
-        f'<rect width="{SHEET_MM[0]:g}" height="{high:g}" fill="#ffffff"/>',
+        f'<rect width="{SHEET_MM[0]:g}" height="{total_height:g}" fill="#ffffff"/>',
     ]
     for k, panel in enumerate(panels):
         row, column = divmod(k, LABEL_GRID[0])
         out.append(
-            f'<g id="{escape(str(panel["id"]))}" transform="translate({column * wide:g} {row * tall:g})">'
+            f'<g id="{escape(str(panel["id"]))}" transform="translate({column * width:g} {row * height:g})">'
         )
         out.append(
-            f'<rect width="{wide:g}" height="{tall:g}" fill="none" stroke="#999999" stroke-width="0.2"/>'
+            f'<rect width="{width:g}" height="{height:g}" fill="none" stroke="#999999" stroke-width="0.2"/>'
         )
-        out += [*_draw_label(panel, wide, tall), "</g>"]
+        out += [*_draw_label(panel, width, height), "</g>"]
     return "\n".join([*out, "</svg>"]) + "\n"
 
 
 def _draw_label(panel: Mapping[str, Any], wide: float, tall: float) -> Iterator[str]:
+    """Yield the SVG elements of a label of wide x tall [mm]: id, outline, ids beyond, and an arrow up."""
     name = str(panel["id"])
-    size = min(_ID, 0.5 * wide / (_WIDE * len(name)))
-    taken = [_box(_EDGE + 0.5 * _WIDE * len(name) * size, _EDGE + 0.5 * size, len(name), size)]
+    size = min(_ID_SIZE, 0.5 * wide / (_LETTER_WIDTH * len(name)))
+    taken = [_box(_MARGIN + 0.5 * _LETTER_WIDTH * len(name) * size, _MARGIN + 0.5 * size, len(name), size)]
     taken.append(
-        _box(_EDGE + 0.5 * _WIDE * 5 * FONT_SIZE_MM, tall - _EDGE - 0.5 * FONT_SIZE_MM, 5, FONT_SIZE_MM)
+        _box(
+            _MARGIN + 0.5 * _LETTER_WIDTH * 5 * FONT_SIZE_MM,
+            tall - _MARGIN - 0.5 * FONT_SIZE_MM,
+            5,
+            FONT_SIZE_MM,
+        )
     )
-    inside = (_EDGE, _EDGE, wide - _EDGE, tall - _EDGE)
+    inside = (_MARGIN, _MARGIN, wide - _MARGIN, tall - _MARGIN)
     ring, placed = _layout(panel, taken, inside)
     yield _text(taken[0], name, size, ' font-weight="700"')
     yield _text(taken[1], "front", FONT_SIZE_MM)
@@ -90,26 +96,27 @@ def _draw_label(panel: Mapping[str, Any], wide: float, tall: float) -> Iterator[
         else:
             middle, box = 0.5 * (a + b), placed[i]
             nearest = np.clip(middle, box[:2], box[2:])
-            if np.linalg.norm(nearest - middle) > _AIR + _LEADER:
+            if np.linalg.norm(nearest - middle) > _GAP + _MAX_WITHOUT_LEADER:
                 yield _line(middle, nearest, 0.25)
             yield _text(box, beyond, FONT_SIZE_MM)
     x, y = inner_point(ring)
-    long = min(7.0, 0.22 * float(np.ptp(ring[:, 1])))
+    half = min(7.0, 0.22 * float(np.ptp(ring[:, 1])))
     yield (
-        f'<path d="M{x:.2f} {y + long:.2f}V{y - long:.2f}M{x - 0.5 * long:.2f} {y - 0.4 * long:.2f}L{x:.2f} '
-        f'{y - long:.2f}L{x + 0.5 * long:.2f} {y - 0.4 * long:.2f}" fill="none" stroke="#000000" '
+        f'<path d="M{x:.2f} {y + half:.2f}V{y - half:.2f}M{x - 0.5 * half:.2f} {y - 0.4 * half:.2f}L{x:.2f} '
+        f'{y - half:.2f}L{x + 0.5 * half:.2f} {y - 0.4 * half:.2f}" fill="none" stroke="#000000" '
         'stroke-width="0.9"/>'
     )
 
 
 def _layout(panel: Mapping[str, Any], taken: list[_Box], inside: _Box) -> tuple[FloatArray, dict[int, _Box]]:
-    """Return the outline (C, 2) [mm] on a label, and the boxes of the texts at its edges.
+    """Return the outline (C, 2) [mm] on a label, and the boxes of the texts at its edges by their indices.
 
-    The largest outline whose texts do not overlap is chosen.
+    The largest outline whose texts do not overlap is chosen. ``taken`` are the boxes of other texts,
+    ``inside`` is the area for all.
     """
     front = upright_front(panel) * [1.0, -1.0]
     middle = np.array([0.5 * (inside[0] + inside[2]) + 6.0, 0.5 * (inside[1] + inside[3])])
-    for size in _OUTLINES:
+    for size in _OUTLINE_SIZES:
         ring = front * (size / float(np.ptp(front, axis=0).max())) + middle
         boxes = _place_texts(panel, ring, taken, inside)
         if len(boxes) == sum(beyond is not None for beyond in panel["neighbours"]):
@@ -122,7 +129,10 @@ def _layout(panel: Mapping[str, Any], taken: list[_Box], inside: _Box) -> tuple[
 def _place_texts(
     panel: Mapping[str, Any], ring: FloatArray, taken: list[_Box], inside: _Box
 ) -> dict[int, _Box]:
-    """Return the boxes of the texts at edges; edges without space are left out."""
+    """Return the box of the text at each edge with a neighbour, by edge; edges without space are left out.
+
+    Texts start outside the middle of their edge and are moved outward and along it until they are free.
+    """
     shape = shapely.Polygon(ring).buffer(0.0)
     shapely.prepare(shape)
     used = list(taken)
@@ -132,11 +142,13 @@ def _place_texts(
             continue
         a, b = ring[i], ring[(i + 1) % len(ring)]
         direction = (b - a) / max(float(np.linalg.norm(b - a)), 1e-9)
-        out = np.array([-direction[1], direction[0]])  # counterclockwise seen with y up, so clockwise here
-        half = 0.5 * _WIDE * len(beyond) * FONT_SIZE_MM, 0.5 * FONT_SIZE_MM
-        first = 0.5 * (a + b) + out * (_AIR + abs(out[0]) * half[0] + abs(out[1]) * half[1])
+        normal = np.array([-direction[1], direction[0]])  # counterclockwise seen with y up, so clockwise here
+        half = 0.5 * _LETTER_WIDTH * len(beyond) * FONT_SIZE_MM, 0.5 * FONT_SIZE_MM
+        centre = 0.5 * (a + b) + normal * (_GAP + abs(normal[0]) * half[0] + abs(normal[1]) * half[1])
         for offset in _OUTWARD_OFFSETS_MM:
-            positions = [(first + offset * out + side * direction).tolist() for side in _SIDEWAYS_OFFSETS_MM]
+            positions = [
+                (centre + offset * normal + along * direction).tolist() for along in _SIDEWAYS_OFFSETS_MM
+            ]
             boxes = [_box(x, y, len(beyond), FONT_SIZE_MM) for x, y in positions]
             free = (
                 box
@@ -151,24 +163,26 @@ def _place_texts(
 
 
 def _box(x: float, y: float, letters: int, size: float) -> _Box:
-    half = 0.5 * _WIDE * letters * size
-    return x - half, y - 0.5 * size, x + half, y + 0.5 * size
+    """Return the box of a text around its centre, for a number of letters and a font size [mm]."""
+    half_width = 0.5 * _LETTER_WIDTH * letters * size
+    return x - half_width, y - 0.5 * size, x + half_width, y + 0.5 * size
 
 
 def _is_free(box: _Box, used: list[_Box], inside: _Box) -> bool:
+    """Whether a box is inside the area and overlaps no used box."""
     left, top, right, bottom = box
     if left < inside[0] or top < inside[1] or right > inside[2] or bottom > inside[3]:
         return False
     return all(
-        left > other[2] + _AIR or right < other[0] - _AIR or top > other[3] or bottom < other[1]
+        left > other[2] + _GAP or right < other[0] - _GAP or top > other[3] or bottom < other[1]
         for other in used
     )
 
 
-def _text(box: _Box, words: str, size: float, more: str = "") -> str:
+def _text(box: _Box, text: str, size: float, style: str = "") -> str:
     x, y = 0.5 * (box[0] + box[2]), 0.5 * (box[1] + box[3]) + 0.36 * size
     attributes = f'x="{x:.2f}" y="{y:.2f}" font-size="{size:.2f}"'
-    return f'<text {attributes} text-anchor="middle"{more}>{escape(words)}</text>'
+    return f'<text {attributes} text-anchor="middle"{style}>{escape(text)}</text>'
 
 
 def _line(a: FloatArray, b: FloatArray, width: float) -> str:

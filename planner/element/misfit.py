@@ -1,4 +1,4 @@
-"""Deviation of sections of a surface from the closest bent wire: a table over all intervals of cut lines.
+"""Misfit of sections of a surface: distance from the closest bent wire, for all intervals between cut lines.
 
 Sections lie on the cut lines and halfway between them. Each interval of each section that a wire reaches is
 fitted separately, with the weight of the wire, and with weighted ends so that panels meet where their wires
@@ -17,20 +17,20 @@ from planner.processes.hotwire.plan.elastica.fit import CurveFit, fit_curves
 SECTION_POINTS = 21
 """Number of points of an interval in a fit."""
 SECTIONS_PER_CELL = 2
-"""Number of sections per cell: on its line and in its middle."""
+"""Number of sections per cell: on its lower cut line and in its middle."""
 MISFIT_STEP_M = 1e-5
 """Step [m] to which misfits are rounded, so that tiny motions of the surface do not change the division."""
-_FITS_AT_ONCE = 2000
+_FITS_AT_ONCE = 2000  # in one batch
 
 
 def section_positions(lines: FloatArray, parts: int = SECTIONS_PER_CELL) -> FloatArray:
-    """Return the positions of the lines (n + 1,) and of ``parts`` - 1 between each two of them."""
+    """Return the lines (n + 1,) [m] with ``parts`` - 1 even positions between two lines: (parts n + 1,)."""
     count = len(lines) - 1
     return np.asarray(np.interp(np.arange(parts * count + 1) / parts, np.arange(count + 1), lines))
 
 
 def end_weights(count: int, points: int, weight: float) -> FloatArray:
-    """Return weights (count, points) of a fit, with the ends ``weight`` times the others."""
+    """Return the weights (count, points) of points in fits: ``weight`` for both ends, 1 for the others."""
     weights = np.ones((count, points))
     weights[:, [0, -1]] = weight
     return weights
@@ -44,19 +44,19 @@ def compute_misfits(
     end_weight: float,
     holds: Callable[[CurveFit], BoolArray] | None = None,
 ) -> FloatArray:
-    """Compute the misfits of all intervals of sections. The element lies with z up.
+    """Compute the misfits of all intervals of sections. Gravity acts along -z of the element.
 
     Args:
-        profile: Sections.
+        profile: Sections (K).
         lines: Cut lines (n + 1,) [m].
         required: Intervals (n, K, n) to compute.
         cut: Wire.
-        end_weight: Weight of the ends of an interval.
-        holds: Returns (B,) whether the wire is held in each fit.
+        end_weight: Weight of the ends of an interval, relative to its other points.
+        holds: Returns whether the wire is held in each fit (B,); None to skip that check.
 
     Returns:
         Misfits (n, K, n) [m]: [w - 1, k, i] is that of section k from line i to line i + w. Infinite if the
-            interval is longer than the wire, not required, beyond the last line, or not held.
+            interval is too long for the wire, not required, beyond the last line, or not held.
     """
     length, outside, load = cut.length, cut.outside, cut.wire.load_over_stiffness
     cells, count = len(lines) - 1, len(profile.at)
@@ -66,15 +66,15 @@ def compute_misfits(
     fractions = np.linspace(0.0, 1.0, SECTION_POINTS)
     for k in range(count):
         position, height, arc = profile.position[k], profile.height[k], profile.length[k]
-        at = np.interp(lines, position, arc)
+        line_arc = np.interp(lines, position, arc)
         for i in range(cells):
-            last = int(np.searchsorted(at, at[i] + length - outside + 1e-9, side="right")) - 1
+            last = int(np.searchsorted(line_arc, line_arc[i] + length - outside + 1e-9, side="right")) - 1
             ends = np.arange(i + 1, last + 1)
             ends = ends[required[ends - i - 1, k, i]]
             if not len(ends):
                 continue
-            inside = at[i] + (at[ends] - at[i])[:, None] * fractions
-            x = np.interp(inside, arc, position)
+            arc_positions = line_arc[i] + (line_arc[ends] - line_arc[i])[:, None] * fractions
+            x = np.interp(arc_positions, arc, position)
             curves.append(np.stack([x, np.interp(x, position, height)], axis=-1))
             indices += [(int(end) - i - 1, k, i) for end in ends]
     if not indices:
@@ -83,53 +83,53 @@ def compute_misfits(
     batches = []
     for start in range(0, len(targets), _FITS_AT_ONCE):
         batch_targets = targets[start : start + _FITS_AT_ONCE]
-        batch = len(batch_targets)
+        batch_size = len(batch_targets)
         fit = fit_curves(
             batch_targets,
-            np.full(batch, length),
-            np.tile([0.0, -load], (batch, 1)),
-            end_weights(batch, SECTION_POINTS, end_weight),
+            np.full(batch_size, length),
+            np.tile([0.0, -load], (batch_size, 1)),
+            end_weights(batch_size, SECTION_POINTS, end_weight),
         )
-        good = np.isfinite(fit.largest)
+        is_feasible = np.isfinite(fit.largest)
         if holds is not None:
-            good &= holds(fit)
-        batches.append(np.where(good, fit.largest, np.inf))
-    largest = np.concatenate(batches)
-    rounded = np.where(np.isfinite(largest), np.round(largest / MISFIT_STEP_M) * MISFIT_STEP_M, np.inf)
+            is_feasible &= holds(fit)
+        batches.append(np.where(is_feasible, fit.largest, np.inf))
+    misfits = np.concatenate(batches)
+    rounded = np.where(np.isfinite(misfits), np.round(misfits / MISFIT_STEP_M) * MISFIT_STEP_M, np.inf)
     table[tuple(np.array(indices).T)] = rounded
     return table
 
 
 def worst_misfits(table: FloatArray, across: int) -> FloatArray:
-    """Return the largest misfits (n, m, n, m) of rectangles from a table (n, 2 m + 1, n) of sections.
+    """Return the largest misfits (n, m, n, m) [m] of rectangles from a table (n, 2 m + 1, n) of sections.
 
-    [w - 1, h - 1, i, j] is the maximum over the sections of cells j to j + h of the ``across`` = m cells on
-    the other axis; infinite beyond the grid.
+    [w - 1, h - 1, i, j] is the maximum over the sections of cells j to j + h - 1 of the ``across`` = m cells
+    on the other axis, edges included. It is infinite beyond the grid.
     """
     cells = table.shape[0]
     out = np.full((cells, across, cells, across), np.inf)
-    first = np.arange(across) * SECTIONS_PER_CELL
+    first_sections = np.arange(across) * SECTIONS_PER_CELL
     # running maximum over the height h: each step adds the sections of one more cell
-    so_far = table[:, first, :]  # (n, m, n): by w, j, i
+    running_max = table[:, first_sections, :]  # (n, m, n): by w, j, i
     for h in range(1, across + 1):
-        fits = across - h + 1
-        so_far = so_far[:, :fits]
+        count = across - h + 1
+        running_max = running_max[:, :count]
         for step in range(SECTIONS_PER_CELL):
-            row = first[:fits] + (h - 1) * SECTIONS_PER_CELL + step + 1
-            so_far = np.maximum(so_far, table[:, row, :])
-        out[:, h - 1, :, :fits] = so_far.transpose(0, 2, 1)
+            sections = first_sections[:count] + (h - 1) * SECTIONS_PER_CELL + step + 1
+            running_max = np.maximum(running_max, table[:, sections, :])
+        out[:, h - 1, :, :count] = running_max.transpose(0, 2, 1)
     return out
 
 
 def required_sections(rectangles: BoolArray) -> BoolArray:
-    """Return the intervals (n, 2 m + 1, n) of sections that rectangles (n, m, n, m) need.
+    """Return which intervals (n, 2 m + 1, n) of sections are in any of the given rectangles (n, m, n, m).
 
-    Inverse of `worst_misfits`.
+    `worst_misfits` of these rectangles needs only these intervals; the indices are the same.
     """
     cells, across = rectangles.shape[:2]
     out = np.zeros((cells, SECTIONS_PER_CELL * across + 1, cells), dtype=np.bool_)
     for h in range(1, across + 1):
         for j in range(across - h + 1):
-            rows = slice(SECTIONS_PER_CELL * j, SECTIONS_PER_CELL * (j + h) + 1)
-            out[:, rows] |= rectangles[:, h - 1, :, j][:, None]
+            sections = slice(SECTIONS_PER_CELL * j, SECTIONS_PER_CELL * (j + h) + 1)
+            out[:, sections] |= rectangles[:, h - 1, :, j][:, None]
     return out

@@ -14,18 +14,22 @@ from planner.geometry.units import MM
 from planner.issues import Issue
 
 REPLACEMENT_FOLDER: Final = "again"
-"""Folder of the single-panel problems of panels that rows cut, for replacement of broken ones."""
+"""Folder of single-panel problems of panels that are cut together in rows, to replace broken ones."""
 PROBLEMS: Final = ("panels", "blocks", REPLACEMENT_FOLDER)
-"""Folders of problems. No id is in two of them."""
+"""Folders of problem files. Ids are unique across all of them."""
 
 
 def nested_folder(
     element: Element, panels: Sequence[block_nesting.PanelBlock]
 ) -> tuple[dict[str, str], tuple[Issue, ...], dict[str, Any]]:
-    """Return files by name, issues, and data; empty if the element states no raw blocks.
+    """Nest the blocks of panels in raw blocks, and write the result.
+
+    Returns:
+        Texts of files by name, issues, and data of ``element.json``; all empty without raw blocks in the
+            file.
 
     Raises:
-        TandemError: ``element.raw_block``.
+        TandemError: ``element.raw_block`` if a block fits no raw block.
     """
     file, name = element.file.raw_blocks, element.file.name
     if file is None:
@@ -36,7 +40,9 @@ def nested_folder(
         raw.append(block_nesting.RawBlock(length, width, thickness, size_spec.foam))
     bow = None if file.bow is None else BowSize(file.bow.span_mm * MM, file.bow.throat_mm * MM)
     kerf = file.kerf_mm * MM
-    saw, cut, kept = element.saw, element.file.cut_blocks, file.keep_mm * MM
+    saw = element.saw
+    cut = element.file.cut_blocks
+    kept = file.keep_mm * MM
     together = (
         None
         if saw is None or cut is None or not cut.together
@@ -48,13 +54,13 @@ def nested_folder(
     jobs: dict[str, list[dict[str, Any]]] = {}
     issues = block_nesting.reach_issues(nesting, panels, sawing)
     if saw is not None and cut is not None:
-        problems, jobs, of_jobs = saw_files(element, saw, nesting, panels)
-        issues += of_jobs
+        problems, jobs, job_issues = saw_files(element, saw, nesting, panels)
+        issues += job_issues
         for block in nesting.blocks:
             block_jobs = jobs[block.name]
-            files, more = row_files(element, saw, block, len(block_jobs), cut.stand_mm * MM)
+            files, jobs_of_rows = row_files(element, saw, block, len(block_jobs), cut.stand_mm * MM)
             problems |= files
-            block_jobs += more
+            block_jobs += jobs_of_rows
     names = {block: [job["id"] for job in block_jobs] for block, block_jobs in jobs.items()}
     files = {
         "blocks.csv": block_nesting.blocks_csv(nesting, panels, names, together is not None),
@@ -87,10 +93,10 @@ def _data(
     panels: Sequence[block_nesting.PanelBlock],
     sawing: block_nesting.SawOptions,
 ) -> dict[str, Any]:
-    """Return blocks with the positions of their panels and their cuts in order [mm].
+    """Return the data of ``element.json``: blocks with the positions of their panels and their cuts [mm].
 
-    A cut has the corner (x, y) of the part it goes through, its length, and the position of its slot along
-    the axis.
+    A cut has the axis across it, the corner (x, y) of the part that it goes through, its length, and the
+    position of its slot on that axis.
     """
 
     def mm(value: float) -> float:
@@ -139,6 +145,6 @@ def _data(
 
 
 def _alone_reason(block: block_nesting.NestedBlock, part: BlockPart) -> dict[str, str]:
-    """Return why a panel is cut alone, if others are cut together."""
-    why = block.alone.get(block.panel(part.box))
-    return {} if why is None else {"alone": why}
+    """Return the reason why a panel is cut alone, as data; empty if it is not."""
+    reason = block.alone.get(block.panel(part.box))
+    return {} if reason is None else {"alone": reason}

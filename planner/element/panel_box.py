@@ -16,18 +16,21 @@ from planner.element.surface import ElementSurface, cut_profiles
 from planner.geometry.arrays import BoolArray, FloatArray, unit
 
 MIN_EDGE_M: Final = 1e-9
-"""Minimum length [m] of hull edges that have a direction."""
+"""Minimum length [m] of hull edges whose direction is used; shorter ones are rounding errors."""
 NODE_STEP_M: Final = 0.042
-"""Maximum distance [m] of the nodes at which boxes are measured: less than a tenth of a wave of a wall."""
+"""Maximum distance [m] of the nodes at which boxes are measured.
+
+Chosen: less than a tenth of the length of a wave in a wall.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
 class GridNodes:
-    """Points (N, M, 3) [m] of front and back on an even grid of the element plane.
+    """Points (N, M, 3) [m] of front and back over an even grid in the element plane.
 
     Attributes:
         front: Points of the front.
-        back: Points of the back.
+        back: Points of the back, along the normals of the front.
         per_cell: Number of steps per cell along x and y.
     """
 
@@ -36,14 +39,14 @@ class GridNodes:
     per_cell: tuple[int, int]
 
     def under(self, rectangle: tuple[int, int, int, int]) -> FloatArray:
-        """Return the nodes (K, 3) of the front over the cells x0, x1, y0, y1."""
+        """Return the nodes (K, 3) of the front over a rectangle (x0, x1, y0, y1) of cells."""
         x0, x1, y0, y1 = rectangle
         i, j = self.per_cell
         return self.front[x0 * i : x1 * i + 1, y0 * j : y1 * j + 1].reshape(-1, 3)
 
 
 def grid_nodes(surface: ElementSurface, nx: int, ny: int) -> GridNodes:
-    """Return the nodes of a grid of nx by ny cells. Raises ``TandemError`` as ``profiles``."""
+    """Return the nodes of a grid of nx by ny cells. Raises ``TandemError`` as `cut_profiles`."""
     i, j = (max(2, int(np.ceil(surface.size[k] / n / NODE_STEP_M))) for k, n in enumerate((nx, ny)))
     x = np.linspace(0.0, surface.size[0], nx * i + 1)
     y = np.linspace(0.0, surface.size[1], ny * j + 1)
@@ -78,9 +81,10 @@ def plane_normals(points: FloatArray) -> FloatArray:
 
 
 def box_sizes(nodes: GridNodes, required: BoolArray, along: int) -> FloatArray:
-    """Return sizes (nx, ny, nx, ny, 3) [m] of the boxes of rectangles, along the wire, across it and up.
+    """Return sizes (nx, ny, nx, ny, 3) [m] of the boxes of rectangles: along the wire, across it, and up.
 
-    Index [w - 1, h - 1, x, y]; infinite for rectangles that are not ``required`` (nx, ny, nx, ny).
+    [w - 1, h - 1, x, y] is the box of the panel over w by h cells from cell (x, y) on; infinite if that
+    rectangle is not ``required`` (nx, ny, nx, ny). ``along`` is 0 for a wire along x, 1 along y.
     """
     i, j = nodes.per_cell
     out = np.full((*required.shape, 3), np.inf)
@@ -99,12 +103,12 @@ def box_sizes(nodes: GridNodes, required: BoolArray, along: int) -> FloatArray:
 
 
 def hull_boxes(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return rectangles around points (K, 2) with a side on an edge of their hull.
+    """Return the rectangles around points (K, 2) [m] that have a side on an edge of their convex hull.
 
-    The smallest and the narrowest rectangle are among them.
+    The rectangles of smallest area and of smallest width are among them.
 
     Returns:
-        Directions (E, 2) of the edges, and sizes (E, 2) [m] along them and to their left.
+        Directions (E, 2) of the edges, and sizes (E, 2) [m] along and perpendicular to them.
 
     Source: H. Freeman, R. Shapira, Comm. ACM 18, 1975.
     """

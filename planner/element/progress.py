@@ -4,8 +4,8 @@
 element is divided again. A row has the id of the panel, its state, and the size of its block when it was
 marked, which identifies panels that had another shape then.
 
-A job of a raw block may be marked as well. One that cuts panels together represents all of these; one that
-cuts the block apart has a row of its own, with the size of its part.
+A job of a raw block can be marked as well. If it cuts panels together, its mark sets the rows of these
+panels. If it cuts the block apart, it has a row of its own, with the size of its part.
 """
 
 import csv
@@ -30,9 +30,9 @@ PanelState = Literal["cut", "glued", "broken"]
 """State of a panel. Panels without a row are open."""
 PROGRESS_FILE: Final = "progress.csv"
 _COLUMNS: Final = ("id", "state", "block_mm")
-_MAX_NAMED_PANELS: Final = 8  # panels of a block still to be cut
+_MAX_NAMED_PANELS: Final = 8  # of the panels of a block that are still to be cut
 _OPEN: Final = "open"
-_OF_JOB: Final[Mapping[str, tuple[str, ...]]] = {
+_CHANGED_BY_JOB: Final[Mapping[str, tuple[str, ...]]] = {
     "cut": (_OPEN,),
     "glued": (_OPEN, "cut"),
     "broken": (_OPEN, "cut"),
@@ -46,8 +46,8 @@ class ElementProgress:
     """Progress of an element.
 
     Attributes:
-        data: Data of the element.
-        rows: State and block [mm] of panels, by id.
+        data: Content of ``element.json``.
+        rows: State and size of the block [mm] as text, by id of a panel or job.
     """
 
     data: Mapping[str, Any]
@@ -58,20 +58,20 @@ class ElementProgress:
         return self.rows[name][0] if name in self.rows else None
 
     def to_cut(self, names: Sequence[str]) -> list[str]:
-        """Return those names that have no row."""
+        """Return those of the panels or jobs that are open, and so have no row."""
         return [name for name in names if name not in self.rows]
 
     def job_state(self, job: Mapping[str, Any]) -> Literal["cut"] | None:
         """Return ``cut`` if a job of a raw block is done, None if it is open.
 
-        A job of panels is done when none of them has to be cut.
+        A job that cuts panels together is done when none of them is open.
         """
         names = job.get("panels", (str(job["id"]),))
         return None if self.to_cut(list(names)) else "cut"
 
 
 def read_progress(out: Path) -> ElementProgress:
-    """Read the element in ``out`` and its progress.
+    """Read ``element.json`` and ``progress.csv`` in the folder ``out``; without a list, all panels are open.
 
     Raises:
         TandemError: ``element.mark`` if there is no element or the list is invalid.
@@ -83,20 +83,20 @@ def read_progress(out: Path) -> ElementProgress:
     data = json.loads(path.read_text("utf-8"))
     path = out / PROGRESS_FILE
     rows: dict[str, tuple[PanelState, str]] = {}
-    given = path.read_text("utf-8-sig", errors="replace") if is_file(path) else ""
-    for line, row in enumerate(csv.DictReader(io.StringIO(given, newline="")), 2):
+    text = path.read_text("utf-8-sig", errors="replace") if is_file(path) else ""
+    for line, row in enumerate(csv.DictReader(io.StringIO(text, newline="")), 2):
         if tuple(row) != _COLUMNS or row["state"] not in get_args(PanelState):
-            what = f"got {row}, allowed columns {', '.join(_COLUMNS)} and states "
-            what += ", ".join(get_args(PanelState))
+            message = f"got {row}, allowed columns {', '.join(_COLUMNS)} and states "
+            message += ", ".join(get_args(PanelState))
             hint = "correct that line, or remove it: its panel then counts as open"
-            raise issue_error("element.mark", what, file=str(path), line=line, hint=hint)
+            raise issue_error("element.mark", message, file=str(path), line=line, hint=hint)
         state: PanelState = row["state"]  # type: ignore[assignment]
         rows[row["id"]] = state, row["block_mm"]
     return ElementProgress(data, rows)
 
 
 def block_jobs(data: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """Return the jobs of raw blocks by id, each with its ``block``, in the order in which a block is cut."""
+    """Return the jobs of raw blocks by id, in cutting order, each with the id of its block as ``block``."""
     return {
         str(job["id"]): {**job, "block": str(block["id"])}
         for block in (data.get("blocks") or {}).get("blocks", ())
@@ -105,34 +105,37 @@ def block_jobs(data: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
 
 
 def mark(progress: ElementProgress, name: str, state: PanelState | Literal["open"]) -> ElementProgress:
-    """Return the progress with one panel, or the panels of a job, in another state.
+    """Return the progress after a panel or job is marked.
 
-    ``open`` removes a mark. The mark of a job changes only panels that are less advanced.
+    ``open`` removes a mark. The mark of a job that cuts panels together changes those of its panels that are
+    in a state of `_CHANGED_BY_JOB`.
 
     Raises:
         TandemError: ``element.mark`` for an unknown id, or a state that a job cannot have.
     """
     rows = dict(progress.rows)
-    panels = {str(panel_id["id"]): panel_id for panel_id in progress.data["panels"]}
+    panels = {str(panel["id"]): panel for panel in progress.data["panels"]}
     jobs = block_jobs(progress.data)
     job = jobs.get(name)
     if name not in panels and job is None and (state != _OPEN or name not in rows):
-        known = list(panels)
-        what = (
-            f"got panel {name!r}, {progress.data['name']} has {len(known)} panels from {known[0]} to "
-            f"{known[-1]}"
+        known_ids = list(panels)
+        message = (
+            f"got panel {name!r}, {progress.data['name']} has {len(known_ids)} panels from {known_ids[0]} to "
+            f"{known_ids[-1]}"
         )
-        what += f" and {len(jobs)} jobs of raw blocks" if jobs else ""
-        raise issue_error("element.mark", what, field="panel", hint="see the ids in element.html")
+        message += f" and {len(jobs)} jobs of raw blocks" if jobs else ""
+        raise issue_error("element.mark", message, field="panel", hint="see the ids in element.html")
     if job is not None and "panels" in job:
         rows.pop(name, None)  # in an earlier division it cut the block apart
         panel_ids = [
-            panel_id for panel_id in job["panels"] if (progress.state(panel_id) or _OPEN) in _OF_JOB[state]
+            panel_id
+            for panel_id in job["panels"]
+            if (progress.state(panel_id) or _OPEN) in _CHANGED_BY_JOB[state]
         ]
     elif job is not None and state not in ("cut", _OPEN):
-        what = f"got {state} for {name}, a job that cuts block {job['block']} apart; allowed: cut and open"
+        message = f"got {state} for {name}, a job that cuts block {job['block']} apart; allowed: cut and open"
         hint = "mark the panels that are cut from it"
-        raise issue_error("element.mark", what, field="state", hint=hint)
+        raise issue_error("element.mark", message, field="state", hint=hint)
     else:
         panel_ids = [name]
     for panel_id in panel_ids:
@@ -154,29 +157,31 @@ def progress_csv(progress: ElementProgress) -> str:
 
 
 def progress_issues(progress: ElementProgress) -> tuple[Issue, ...]:
-    """Return ``element.mark`` for marks of panels that no longer exist or have another size."""
+    """Return ``element.mark`` for marks of panels or jobs that no longer exist or have another size."""
     blocks = {name: _part_mm(job) for name, job in block_jobs(progress.data).items()}
     blocks |= {str(panel["id"]): _block_mm(panel) for panel in progress.data["panels"]}
-    gone = sorted(progress.rows.keys() - blocks.keys())
-    other = [name for name, (_, size) in progress.rows.items() if blocks.get(name, size) != size]
+    unknown = sorted(progress.rows.keys() - blocks.keys())
+    resized = [name for name, (_, size) in progress.rows.items() if blocks.get(name, size) != size]
     out = []
     for names, phrase in (
-        (gone, "are not in the element"),
-        (sorted(other), "have blocks of another size now"),
+        (unknown, "are not in the element"),
+        (sorted(resized), "have blocks of another size now"),
     ):
         if names:
-            what = f"{len(names)} panels or jobs that are marked {phrase}: {', '.join(names)}"
+            message = f"{len(names)} panels or jobs that are marked {phrase}: {', '.join(names)}"
             hint = "the element was divided again: check these panels, then mark them again or mark them "
             hint += "open to remove their marks"
-            out.append(Issue("element.mark", what, Severity.WARNING, file=PROGRESS_FILE, hint=hint))
+            out.append(Issue("element.mark", message, Severity.WARNING, file=PROGRESS_FILE, hint=hint))
     return tuple(out)
 
 
 def _block_mm(panel: Mapping[str, Any]) -> str:
+    """Return the size of a panel's block as text."""
     return " x ".join(f"{float(panel[f'block_{axis}_mm']):g}" for axis in "xyz")
 
 
 def _part_mm(job: Mapping[str, Any]) -> str:
+    """Return the size of the part of a raw block that a job cuts, as text."""
     return " x ".join(f"{float(v):g}" for v in job["size_mm"])
 
 
@@ -188,75 +193,85 @@ def progress_lines(progress: ElementProgress, out: Path) -> Iterator[str]:
     """
     names = [str(panel["id"]) for panel in progress.data["panels"]]
     count = {state: sum(progress.state(name) == state for name in names) for state in get_args(PanelState)}
-    left = progress.to_cut(names)
+    open_panels = progress.to_cut(names)
     yield (
         f"{progress.data['name']}: of {len(names)} panels {count['glued']} are glued, {count['cut']} cut, "
-        f"{count['broken']} broken, {len(left)} to be cut"
+        f"{count['broken']} broken, {len(open_panels)} to be cut"
     )
-    yield from _next_cut(progress, left)
+    yield from _next_cut(progress, open_panels)
     order = [str(panel["id"]) for panel in panels_in_order(progress.data)]
-    waiting = next((k for k, name in enumerate(order) if progress.state(name) != "glued"), None)
-    if waiting is not None:
-        state = progress.state(order[waiting])
-        ready = "it is cut" if state == "cut" else f"it is {state or 'not cut yet'}"
-        yield f"next to be glued: {order[waiting]}, {waiting + 1} of {len(order)} in order; {ready}"
+    k_next = next((k for k, name in enumerate(order) if progress.state(name) != "glued"), None)
+    if k_next is not None:
+        state = progress.state(order[k_next])
+        words = "it is cut" if state == "cut" else f"it is {state or 'not cut yet'}"
+        yield f"next to be glued: {order[k_next]}, {k_next + 1} of {len(order)} in order; {words}"
     yield from _replacement_lines(progress, out)
 
 
-def _next_cut(progress: ElementProgress, left: Sequence[str]) -> Iterator[str]:
-    """The first block that is begun and not done, else the first with panels to cut.
+def _next_cut(progress: ElementProgress, open_panels: Sequence[str]) -> Iterator[str]:
+    """Yield the line that states what to cut next; no line if ``open_panels`` is empty.
 
-    Without blocks, the first panel.
+    It is the first block that is begun and not done, else the first one with open panels. Without raw blocks,
+    it is the first open panel.
     """
     nest = progress.data.get("blocks")
-    if not left:
+    if not open_panels:
         return
     if not nest:
-        yield f"next to be cut: {left[0]}"
+        yield f"next to be cut: {open_panels[0]}"
         return
-    blocks = [(block, [str(panel_id["id"]) for panel_id in block["panels"]]) for block in nest["blocks"]]
+    blocks = [(block, [str(panel["id"]) for panel in block["panels"]]) for block in nest["blocks"]]
     begun = [
-        b
-        for b in blocks
-        if len(progress.to_cut(b[1])) < len(b[1]) or any(_separating_jobs(progress, b[0])[1])
+        (block, ids)
+        for block, ids in blocks
+        if len(progress.to_cut(ids)) < len(ids) or any(_separating_jobs(progress, block)[1])
     ]
-    block, block_data = next(b for b in (*begun, *blocks) if progress.to_cut(b[1]))
-    rest = progress.to_cut(block_data)
-    first, text_parts = _job_next(progress, block, rest)
-    of = f"left over {block['left_over']}" if block["left_over"] else "a raw block"
+    block, panel_ids = next((block, ids) for block, ids in (*begun, *blocks) if progress.to_cut(ids))
+    rest = progress.to_cut(panel_ids)
+    first, job_text = _job_next(progress, block, rest)
+    source = f"left over {block['left_over']}" if block["left_over"] else "a raw block"
     size = " x ".join(f"{v:g}" for v in block["size_mm"])
-    more = [panel_id for panel_id in rest if panel_id not in first]
-    named = more[: max(_MAX_NAMED_PANELS - len(first), 1)]
-    after = f", then {', '.join(named)}" if named else ""
-    after += f" and {len(more) - len(named)} more" if len(more) > len(named) else ""
+    others = [panel_id for panel_id in rest if panel_id not in first]
+    named_panels = others[: max(_MAX_NAMED_PANELS - len(first), 1)]
+    then = f", then {', '.join(named_panels)}" if named_panels else ""
+    then += f" and {len(others) - len(named_panels)} more" if len(others) > len(named_panels) else ""
     together = f"{', '.join(first)}{' together' if len(first) > 1 else ''}"
-    yield f"next to be cut: {together}{after} of block {block['id']} ({of} of {size} mm){text_parts}"
+    yield f"next to be cut: {together}{then} of block {block['id']} ({source} of {size} mm){job_text}"
 
 
 def _job_next(
     progress: ElementProgress, block: Mapping[str, Any], rest: Sequence[str]
 ) -> tuple[list[str], str]:
-    """The panels of a block that one job cuts next, and which jobs of the block come before."""
+    """Return the panels of a block that are cut next, and the text that names their job and those before it.
+
+    ``rest`` are the open panels of the block, in the order in which they are cut.
+    """
     row = next((job for job in block.get("jobs", ()) if rest[0] in job.get("panels", ())), None)
-    left, done = _separating_jobs(progress, block)
-    whole = len(rest) == len(block["panels"])  # else marks of single panels tell that it is cut apart
-    suffix = f"; before that, what cuts it apart: {', '.join(left)}" if left and (done or whole) else ""
+    open_jobs, done = _separating_jobs(progress, block)
+    # if some panels are cut already, the block was cut apart, even if its jobs are not marked
+    is_whole = len(rest) == len(block["panels"])
+    suffix = (
+        f"; before that, what cuts it apart: {', '.join(open_jobs)}"
+        if open_jobs and (done or is_whole)
+        else ""
+    )
     if row is None:
         return [rest[0]], suffix
     return [panel_id for panel_id in rest if panel_id in row["panels"]], f", by job {row['id']}{suffix}"
 
 
 def _separating_jobs(progress: ElementProgress, block: Mapping[str, Any]) -> tuple[list[str], list[str]]:
-    """Return the jobs that cut a block apart: those that are open, and those that are done."""
+    """Return the ids of the jobs that cut a block apart: the open ones, and those that are done."""
     names = [str(job["id"]) for job in block.get("jobs", ()) if "panels" not in job]
     return progress.to_cut(names), [name for name in names if name in progress.rows]
 
 
 def _replacement_lines(progress: ElementProgress, out: Path) -> Iterator[str]:
-    """Yield for each broken panel, in the order of ids, a source for its replacement.
+    """Yield a line for each broken panel, in the order of ids, that states the foam for its replacement.
 
-    The source is the smallest offcut that its block fits and that no other panel takes, of blocks that are
-    cut or still to be cut; otherwise a new raw block.
+    It is the smallest offcut that holds the panel's block and that no other broken panel takes, preferably
+    one that exists already, else one of a block that is still to be cut. If there is none, it is a new raw
+    block.
     """
     broken = [panel for panel in progress.data["panels"] if progress.state(str(panel["id"])) == "broken"]
     nest = progress.data.get("blocks")
@@ -264,43 +279,51 @@ def _replacement_lines(progress: ElementProgress, out: Path) -> Iterator[str]:
         for panel in broken:
             yield f"{panel['id']} again: from another block of {panel['raw_block_mm']} mm"
         return
-    pieces = list(stock_list.read_offcuts(out / "stock.csv")) if broken else []
-    of = {item["id"]: block for block in nest["blocks"] for item in block["panels"]}
-    more = float(nest["oversize_mm"]) * MM
-    rows = {name for job in block_jobs(progress.data).values() for name in job.get("panels", ())}
+    offcuts = list(stock_list.read_offcuts(out / "stock.csv")) if broken else []
+    block_by_panel = {item["id"]: block for block in nest["blocks"] for item in block["panels"]}
+    oversize = float(nest["oversize_mm"]) * MM
+    panels_in_rows = {name for job in block_jobs(progress.data).values() for name in job.get("panels", ())}
     uncut = [
         block["id"] for block in nest["blocks"] if progress.to_cut([item["id"] for item in block["panels"]])
     ]
 
-    def later(piece: Offcut) -> str:
-        """Return the block that must be cut before this offcut exists."""
+    def uncut_block(piece: Offcut) -> str:
+        """Return the id of the block that must be cut before this offcut exists; empty if it exists."""
         earlier_blocks = (name for name in uncut if piece.name.startswith(f"{progress.data['name']}-{name}-"))
         return next(earlier_blocks, "")
 
     for panel in broken:
-        block = of[panel["id"]]
+        block = block_by_panel[panel["id"]]
         x, y, z = (float(panel[f"block_{axis}_mm"]) * MM for axis in "xyz")
-        box = NestBox(x + more, y + more, z)
-        fit = [
+        box = NestBox(x + oversize, y + oversize, z)
+        fitting = [
             item
-            for item in pieces
+            for item in offcuts
             if item.foam == block["foam"] and box_fits(box, _as_block(item), nest["turned"])
         ]
-        prefix = f"{panel['id']} again, {(x + more) / MM:g} x {(y + more) / MM:g} x {z / MM:g} mm: from "
-        if fit:
+        prefix = (
+            f"{panel['id']} again, {(x + oversize) / MM:g} x {(y + oversize) / MM:g} x {z / MM:g} mm: from "
+        )
+        if fitting:
             best = min(
-                fit,
-                key=lambda item: (bool(later(item)), item.length * item.width * item.thickness, item.name),
+                fitting,
+                key=lambda item: (
+                    bool(uncut_block(item)),
+                    item.length * item.width * item.thickness,
+                    item.name,
+                ),
             )
-            pieces.remove(best)
+            offcuts.remove(best)
             size = " x ".join(f"{round(v / MM, 1):g}" for v in (best.length, best.width, best.thickness))
-            when = f", once {later(best)} is cut" if later(best) else ""
-            source = f"offcut {best.name} ({size} mm){when}"
+            condition = f", once {uncut_block(best)} is cut" if uncut_block(best) else ""
+            source = f"offcut {best.name} ({size} mm){condition}"
         else:
             size = " x ".join(f"{v:g}" for v in block["size_mm"])
             source = f"a raw block of {size} mm, as {block['id']}: no offcut is large enough"
-        alone = f"; alone, {REPLACEMENT_FOLDER}/{panel['id']}.yaml" if panel["id"] in rows else ""
-        yield f"{prefix}{source}{alone}"
+        problem_text = (
+            f"; alone, {REPLACEMENT_FOLDER}/{panel['id']}.yaml" if panel["id"] in panels_in_rows else ""
+        )
+        yield f"{prefix}{source}{problem_text}"
 
 
 def _as_block(piece: Offcut) -> NestBlock:

@@ -1,14 +1,14 @@
 """The kind ``puzzle``: a ruled wall in pieces with round lobes that interlock.
 
-Cells are equal fractions of the rulings and of the length of the wall. Each has a lobe to the next cell of
-its row and one to the next row, so inner pieces have two, and two of their neighbours' in them; a piece takes
-its cell and its lobes. A lobe is an arc about a point outside of the edge, with fillets at its neck that the
+Cells are equal fractions of the rulings and of the length of the wall. A piece is a cell with a lobe into the
+next cell of its row and one into the next row. So an inner piece has two lobes and two recesses for those of
+its neighbours. A lobe is an arc about a point outside of the edge, with fillets at its neck that the
 wire can follow, so no inner corner is sharper than half a slot.
 
 **One insertion direction.** Rows are assembled from the first one on, each from its first piece on. A piece
 is inserted from the front along its own middle normal. The lobes that it shares with pieces already in place
 are cut along that direction, so they slide. Straight parts of a side turn from it to the common direction of
-all four pieces at a corner; `Piece.interference` is the interference that results.
+all four pieces at a corner; `WallPiece.interference` is the interference that results.
 """
 
 import dataclasses
@@ -23,11 +23,11 @@ from planner.geometry.arrays import FloatArray, dots, unit
 from planner.geometry.ruled_wall import RuledWall
 
 CENTRE_RATIO: Final = 0.7
-"""Distance of the centre of a lobe outside of the edge, in radii."""
+"""Distance of the centre of a lobe outside of its edge, in radii."""
 FILLET_RATIO: Final = 0.12
-"""Radius of the fillets at its neck, in radii of the lobe."""
+"""Radius of the fillets at the neck of a lobe, in radii of the lobe."""
 ARC_STEP_RAD: Final = np.deg2rad(6.0)
-"""Maximum angle [rad] between points of an arc."""
+"""Maximum angle [rad] between neighbouring points of an arc."""
 MIN_FOAM_RATIO: Final = 0.5
 """Minimum foam between two lobes, and beside one, in radii."""
 MAX_ROWS: Final = 100
@@ -35,14 +35,15 @@ MAX_ROWS: Final = 100
 
 
 def lobe_reach(radius: float) -> float:
-    """Return how far a lobe extends [m]."""
+    """Return how far [m] a lobe of a radius [m] extends beyond its edge."""
     return (1.0 + CENTRE_RATIO) * radius
 
 
 def largest_lobe(length: float, width: float) -> float:
-    """Return the largest radius of lobes that fit a cell of that size [m], with those of its neighbours."""
+    """Return the largest radius [m] of lobes for cells of a length and width [m]."""
     side = min(length, width) / (2.0 * (1.0 + MIN_FOAM_RATIO))
-    # two arcs at right angles: distance of their centres less two radii
+    # lobes into the cell from two adjacent sides need a distance of (2 + MIN_FOAM_RATIO) radii between their
+    # centres: with r as the radius, (a - c r)^2 + (b - c r)^2 = ((2 + m) r)^2, c = CENTRE_RATIO
     a, b = 0.5 * length, 0.5 * width
     square = 2.0 * CENTRE_RATIO**2 - (2.0 + MIN_FOAM_RATIO) ** 2
     half = CENTRE_RATIO * (a + b)
@@ -50,19 +51,20 @@ def largest_lobe(length: float, width: float) -> float:
 
 
 def lobe_outline(radius: float) -> FloatArray:
-    """Return a lobe (K, 2) [m] on an edge along x, from its start on the edge to its end."""
+    """Return the outline (K, 2) [m] of a lobe toward +y on an edge along x, from its start to its end."""
     fillet = FILLET_RATIO * radius
     centre = np.array([0.0, CENTRE_RATIO * radius])
     side = np.sqrt((radius + fillet) ** 2 - (centre[1] - fillet) ** 2)
-    turn = float(np.arctan2(centre[1] - fillet, side))  # of the line from the fillet's centre to the lobe's
+    # direction from the centre of the first fillet to that of the lobe
+    to_centre = float(np.arctan2(centre[1] - fillet, side))
 
     def arc(middle: Sequence[float] | FloatArray, size: float, start: float, end: float) -> FloatArray:
         angle = np.linspace(start, end, int(np.ceil(abs(end - start) / ARC_STEP_RAD)) + 1)
         return np.asarray(middle) + size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
-    first = arc([-side, fillet], fillet, -0.5 * np.pi, turn)
-    whole = arc(centre, radius, np.pi + turn, -turn)
-    return np.concatenate([first, whole[1:-1], first[::-1] * [-1.0, 1.0]])
+    first = arc([-side, fillet], fillet, -0.5 * np.pi, to_centre)
+    round_part = arc(centre, radius, np.pi + to_centre, -to_centre)
+    return np.concatenate([first, round_part[1:-1], first[::-1] * [-1.0, 1.0]])
 
 
 def divide_puzzle(
@@ -72,13 +74,15 @@ def divide_puzzle(
     radius: float,
     cells: tuple[int, int] | None,
 ) -> tuple[WallPiece, ...] | None:
-    """Divide the wall into pieces with lobes of a ``radius`` [m] that all fit a block, row by row, or None.
+    """Divide the wall into pieces with lobes of a ``radius`` [m] that all fit a block, or return None.
 
-    ``cells`` across and along the wall; without them the fewest, first across, then along.
+    ``cells`` are the numbers of cells across and along the wall. Without them, the number across is the
+    fewest by width, and the number along the wall is the fewest with which all pieces fit. Pieces are ordered
+    by rows.
     """
     across, along = cells or (fewest_strips(wall, rooms, lobe_reach(radius)), 0)
-    tried = [along] if cells else range(1, MAX_ROWS + 1)
-    for rows in tried:
+    row_counts = [along] if cells else range(1, MAX_ROWS + 1)
+    for rows in row_counts:
         pieces = puzzle_pieces(wall, thickness, radius, across, rows)
         points = (np.concatenate(piece_outline(wall, piece, thickness)) for piece in pieces)
         boxes = (
@@ -92,7 +96,12 @@ def divide_puzzle(
 
 @dataclasses.dataclass(frozen=True)
 class _CellSide:
-    """A side of a cell: positions (K, 2) on the wall and directions (K, 3) from back to front there."""
+    """A side of a cell.
+
+    Attributes:
+        positions: Points (K, 2) of the side as wall parameters (u, t).
+        leads: Directions (K, 3) from back to front in which the side is cut there.
+    """
 
     positions: FloatArray
     leads: FloatArray
@@ -101,25 +110,28 @@ class _CellSide:
 def puzzle_pieces(
     wall: RuledWall, thickness: float, radius: float, across: int, rows: int
 ) -> tuple[WallPiece, ...]:
-    """Create all pieces of a wall in cells, row by row, whether a block holds them or not."""
+    """Create the pieces of a wall in ``rows`` x ``across`` cells, row by row. Blocks are not considered."""
     u, t = np.linspace(0.0, wall.nodes[-1], rows + 1), np.linspace(0.0, 1.0, across + 1)
     directions = wall.normals(*np.meshgrid(0.5 * (u[1:] + u[:-1]), 0.5 * (t[1:] + t[:-1]), indexing="ij"))
-    # at a corner all directions are those of the pieces of the row that is inserted last
+    # a corner takes the mean direction of the pieces beside it in the row that is inserted last
     last = directions[np.minimum(np.arange(rows + 1), rows - 1)]
     corner = unit(np.concatenate([last[:, :1], last], axis=1) + np.concatenate([last, last[:, -1:]], axis=1))
     ends = np.stack(np.meshgrid(u, t, indexing="ij"), axis=-1)
 
     def side(first: tuple[int, int], axis: int) -> _CellSide:
         """Create the side from a corner to the next one, along the wall (0) or along its ruling (1)."""
-        then = first[0] + (axis == 0), first[1] + (axis == 1)
-        inner = 0 < first[1 - axis] < (rows, across)[1 - axis]
-        direction = directions[first] if inner else None
-        return _create_side(wall, (ends[first], ends[then]), (corner[first], corner[then]), direction, radius)
+        second = first[0] + (axis == 0), first[1] + (axis == 1)
+        is_inner = 0 < first[1 - axis] < (rows, across)[1 - axis]
+        direction = directions[first] if is_inner else None
+        return _create_side(
+            wall, (ends[first], ends[second]), (corner[first], corner[second]), direction, radius
+        )
 
     upright = {(i, k): side((i, k), 0) for i in range(rows) for k in range(across + 1)}
     level = {(i, k): side((i, k), 1) for i in range(rows + 1) for k in range(across)}
     out = []
     for i, k in np.ndindex(rows, across):
+        # the last two sides are run through backwards, and the end of a side is the start of the next one
         ring = (upright[i, k], level[i + 1, k], upright[i, k + 1], level[i, k])
         oriented = [
             (cell_side.positions[::s][:-1], cell_side.leads[::s][:-1])
@@ -154,31 +166,33 @@ def _create_side(
     direction: FloatArray | None,
     radius: float,
 ) -> _CellSide:
-    """Create a side between positions, with a lobe in its middle towards the next cell.
+    """Create the side between two corners, with a lobe in its middle into the next cell.
 
-    The lobe is cut along ``direction``. A side on the rim (None) is straight.
+    ``ends`` are the wall parameters (2,) of the corners, ``corners`` the directions (3,) from back to front
+    there. The lobe is cut along ``direction`` (3,); without one, the side is on the rim and straight.
     """
     axis = int(ends[0][0] == ends[1][0])
     low, high = float(ends[0][axis]), float(ends[1][axis])
-    run = wall.nodes_between(low, high) if axis == 0 else np.array([low, high])
-    straight = np.tile(ends[0], (len(run), 1))
-    straight[:, axis] = run
-    fraction = ((run - low) / (high - low))[:, None]
+    positions = wall.nodes_between(low, high) if axis == 0 else np.array([low, high])
+    straight = np.tile(ends[0], (len(positions), 1))
+    straight[:, axis] = positions
+    fraction = ((positions - low) / (high - low))[:, None]
     if direction is None:
         return _CellSide(straight, unit((1.0 - fraction) * corners[0] + fraction * corners[1]))
     middle = 0.5 * (ends[0] + ends[1])
     along = [v[0] for v in wall.tangents(*middle[:, None])]
     x = unit(along[axis])
     y = unit(along[1 - axis] - (along[1 - axis] @ x) * x)
+    # the lobe is drawn in the tangent plane, and mapped to wall parameters by the inverse of the derivatives
     flat = np.array([[v @ x for v in along], [v @ y for v in along]])
-    round_ = middle + np.linalg.solve(flat, lobe_outline(radius).T).T
-    is_before, is_after = run < round_[0, axis], run > round_[-1, axis]
-    fraction = (run[is_before] - low) / (round_[0, axis] - low)
-    first = (1.0 - fraction[:, None]) * corners[0] + fraction[:, None] * direction
-    fraction = (run[is_after] - round_[-1, axis]) / (high - round_[-1, axis])
-    then = (1.0 - fraction[:, None]) * direction + fraction[:, None] * corners[1]
-    leads = np.concatenate([first, np.tile(direction, (len(round_), 1)), then])
-    return _CellSide(np.concatenate([straight[is_before], round_, straight[is_after]]), unit(leads))
+    lobe = middle + np.linalg.solve(flat, lobe_outline(radius).T).T
+    is_before, is_after = positions < lobe[0, axis], positions > lobe[-1, axis]
+    fraction = (positions[is_before] - low) / (lobe[0, axis] - low)
+    first_leads = (1.0 - fraction[:, None]) * corners[0] + fraction[:, None] * direction
+    fraction = (positions[is_after] - lobe[-1, axis]) / (high - lobe[-1, axis])
+    last_leads = (1.0 - fraction[:, None]) * direction + fraction[:, None] * corners[1]
+    leads = np.concatenate([first_leads, np.tile(direction, (len(lobe), 1)), last_leads])
+    return _CellSide(np.concatenate([straight[is_before], lobe, straight[is_after]]), unit(leads))
 
 
 def _interference(wall: RuledWall, thickness: float, side: _CellSide, direction: FloatArray) -> float:
@@ -187,6 +201,6 @@ def _interference(wall: RuledWall, thickness: float, side: _CellSide, direction:
     It is the thickness times the largest slope, across the side, of its ruling relative to that direction.
     """
     points = wall.points(*side.positions.T)
-    out = unit(np.cross(np.gradient(points, axis=0), direction))
+    side_normals = unit(np.cross(np.gradient(points, axis=0), direction))
     slope = side.leads / dots(side.leads, np.broadcast_to(direction, side.leads.shape))[:, None] - direction
-    return float(thickness * np.abs(dots(out, slope)).max())
+    return float(thickness * np.abs(dots(side_normals, slope)).max())

@@ -10,9 +10,10 @@ from planner.report.rhino_file import Rgb, RhinoMesh, rhino_bytes
 
 
 def panels_3dm(data: Mapping[str, Any], bodies: str) -> bytes:
-    """Return the panels of an element as closed meshes in a 3DM file.
+    """Return the content of a 3DM file with the panels of an element as closed meshes.
 
-    They are named by their ids, on a layer for each group, or each row or strip without groups.
+    Meshes are named by the ids of panels. Each group has a layer, or each row or strip if there are no
+    groups.
 
     Args:
         data: Content of ``element.json``.
@@ -25,6 +26,7 @@ def panels_3dm(data: Mapping[str, Any], bodies: str) -> bytes:
 
 
 def _shapes(data: Mapping[str, Any], bodies: str) -> Iterator[RhinoMesh]:
+    """Yield the mesh of each panel with its layer, colour and properties."""
     kind = "group" if data.get("grouped") else "row"
     rows = [id_letters(str(panel.get("place", panel["id"]))) for panel in data["panels"]]
     colours = {row: _rgb(PALETTE[k % len(PALETTE)]) for k, row in enumerate(sorted(set(rows)))}
@@ -33,16 +35,16 @@ def _shapes(data: Mapping[str, Any], bodies: str) -> Iterator[RhinoMesh]:
     meshes = obj_objects(bodies)
     for panel, row in zip(data["panels"], rows, strict=True):
         name = str(panel["id"])
-        text = {
+        properties = {
             "id": name,
             kind: row,
             "block": str(blocks.get(name, "")),
             "raw_block_mm": str(panel["raw_block_mm"]),
             "neighbours": " ".join(neighbour or "-" for neighbour in panel["neighbours"]),
         }
-        text = {key: value for key, value in text.items() if value}
+        properties = {key: value for key, value in properties.items() if value}
         mesh = meshes[name]
-        yield RhinoMesh(f"panels::{kind} {row}", mesh.vertices, mesh.faces, colours[row], name, text)
+        yield RhinoMesh(f"panels::{kind} {row}", mesh.vertices, mesh.faces, colours[row], name, properties)
 
 
 def _rgb(hexadecimal: str) -> Rgb:

@@ -1,9 +1,9 @@
-"""Fronts of planar panels cut from a slab together, as the programs cut them, against their planes.
+"""Fronts of planar panels that are cut from a slab together: deviation of the cuts from their planes.
 
 One cut takes a whole row to its thickness. The side of the slot is stated in the problem of the row, and a
 proven program follows it. The simulated part is oriented by the foam that is left, so the side is read from
-the part: a slot on the side of the panel removes as much more of it as it is wide. Backs are those of the raw
-block.
+the part. A slot on the side of the panel makes the panel thinner by the width of the slot. Backs are those of
+the raw block, so they are not measured.
 """
 
 import dataclasses
@@ -23,11 +23,11 @@ from planner.geometry.arrays import transform
 
 @dataclasses.dataclass(frozen=True)
 class CutFront(PanelCutFace):
-    """The front of a planar panel."""
+    """The front of a planar panel, whose nominal points are on its plane."""
 
 
 def cut_front(run: Path, panel: Mapping[str, Any], thickness: float) -> tuple[CutFront, ...]:
-    """Return the front of a panel ``thickness`` [m] as its row in ``run`` is cut; empty if it is not cut."""
+    """Return a panel's front, ``thickness`` [m] above its back, as its row's job in ``run`` cuts it."""
     cut = panel_objects(run, panel)[1].get(f"cut_{FRONTS}") if "cut_in" in panel else None
     if cut is None:
         return ()
@@ -37,9 +37,9 @@ def cut_front(run: Path, panel: Mapping[str, Any], thickness: float) -> tuple[Cu
     if not len(panel_part.points):
         return ()
     up = np.array([0.0, 0.0, 1.0])
-    below = panel_part.normals @ up < 0.0
-    slot = slot_width(run / job_of(panel), FRONTS) if below.any() else 0.0
-    foam_points = panel_part.points + slot * np.where(below[:, None], panel_part.normals, 0.0)
+    is_slot_in_panel = panel_part.normals @ up < 0.0
+    slot = slot_width(run / job_of(panel), FRONTS) if is_slot_in_panel.any() else 0.0
+    foam_points = panel_part.points + slot * np.where(is_slot_in_panel[:, None], panel_part.normals, 0.0)
     nominal = foam_points.copy()
     nominal[:, 2] = thickness
     pose = block_pose(panel)

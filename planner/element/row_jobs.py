@@ -1,4 +1,4 @@
-"""Rows of panels as ordinary problem files: all of their faces in one pass each, then around each panel.
+"""Problem files of rows of panels: one pass for all fronts, one for all backs, then a cut around each panel.
 
 Faces are cut while the row lies flat: fronts as one surface from end to end of the row, then backs, with
 straight runs between panels. For a slab, whose back is that of the block, one plane cuts it to its thickness.
@@ -30,18 +30,18 @@ from planner.geometry.units import MM
 from planner.reading import strict_yaml
 
 FACES, OUTLINES = "faces", "outlines"
-"""Names of the operations."""
+"""Names of the operations of a row: the faces of all panels, and the outlines of each."""
 TIE_INSTRUCTION: Final = "Put spacers into the slots and tie the layers together before it is put on edge."
-"""Instruction if faces were cut: a thin layer has nothing below it while the row is on edge."""
+"""Instruction if faces were cut, because a thin layer has nothing below it while the row is on edge."""
 
 
 @dataclasses.dataclass(frozen=True)
 class _RowJob:
-    """A row with the poses in which it is cut.
+    """A row with the jobs, one for each pose in which it is cut.
 
     Attributes:
         row: The row.
-        flat: The job while the row lies flat.
+        flat: Part and pose while the row lies flat.
     """
 
     row: PanelRow
@@ -49,35 +49,35 @@ class _RowJob:
 
     @property
     def edge(self) -> SawJob:
-        """The job while the row is on edge."""
+        """Part and pose while the row is on edge."""
         return dataclasses.replace(self.flat, axis=self.row.axis, up=1)
 
     @property
     def first(self) -> SawJob:
-        """The job in the pose in which the row is cut first."""
+        """Part and pose in which the row is cut first."""
         return self.flat if self.row.faces else self.edge
 
 
 def _combined_face(name: str, parts: Sequence[FloatArray]) -> dict[str, Any]:
-    """Return faces of panels as one surface, with a straight run from each to the next.
+    """Return faces of panels as one ruled surface of a problem, with a straight run from each to the next.
 
-    Its corners are those of the runs.
+    ``parts`` are the rulings (2, N, 3) [m] of the faces. The ends of the runs are corners of the surface.
     """
     start, end = np.concatenate(parts, axis=1)
-    out = ruled_surface(name, start, end, **({"flip": True} if name == BACKS else {}))
-    ends = np.concatenate([part[:, [0, -1]] for part in parts], axis=1)[:, 1:-1]
-    for side, corners in zip(("start", "end"), ends, strict=True):
+    surface = ruled_surface(name, start, end, **({"flip": True} if name == BACKS else {}))
+    inner_ends = np.concatenate([part[:, [0, -1]] for part in parts], axis=1)[:, 1:-1]
+    for side, corners in zip(("start", "end"), inner_ends, strict=True):
         if len(corners):
-            out[side]["corners_mm"] = [
+            surface[side]["corners_mm"] = [
                 [round(v, DIGITS) + 0.0 for v in row] for row in (corners / MM).tolist()
             ]
-    return out
+    return surface
 
 
 def row_files(
     element: Element, template: SawTemplate, block: NestedBlock, previous_jobs: int, stand: float
 ) -> tuple[dict[str, str], list[dict[str, Any]]]:
-    """Return problem files of the rows of a block by path, and the data of these jobs for ``element.json``.
+    """Return the problem files of a block's rows by path, and the data of these jobs for ``element.json``.
 
     Args:
         element: Element.
@@ -92,17 +92,20 @@ def row_files(
         name = job_name(block, number)
         job = _RowJob(row, SawJob(name, row.part, block.size[2], 2, (), (), 0))
         problem = _problem(element, template, block, job, stand)
-        ids, lies = " ".join(row.outlines), job.first
-        head = (
-            f"# Panels {ids} of {element.file.name}, cut together out of {block.name}: {lies.description}. "
+        ids, first = " ".join(row.outlines), job.first
+        comment = (
+            f"# Panels {ids} of {element.file.name}, cut together out of {block.name}: {first.description}. "
         )
-        files[f"blocks/{name}.yaml"] = f"{head}Written by tandem element.\n" + strict_yaml.dump(problem)
-        data.append(_data(template, row, lies))
+        files[f"blocks/{name}.yaml"] = f"{comment}Written by tandem element.\n" + strict_yaml.dump(problem)
+        data.append(_data(template, row, first))
     return files, data
 
 
 def _data(template: SawTemplate, row: PanelRow, job: SawJob) -> dict[str, Any]:
+    """Return the data of a row's job for ``element.json``."""
+
     def cut_length(_: Mapping[str, Any]) -> float:
+        """Return the total cut length [mm], midway between both ends of the wire."""
         paths = [np.concatenate([ring, ring[:, :1]], axis=1) for ring in row.outlines.values()]
         paths += [np.concatenate(parts, axis=1) for parts in row.faces.values()]
         return sum(float(lengths(np.diff(path.mean(axis=0), axis=0)).sum()) for path in paths) / MM
@@ -122,6 +125,7 @@ def _data(template: SawTemplate, row: PanelRow, job: SawJob) -> dict[str, Any]:
 def _problem(
     element: Element, template: SawTemplate, block: NestedBlock, job: _RowJob, stand: float
 ) -> dict[str, Any]:
+    """Return the problem of a row: the template with its stock, surfaces, and one or two operations."""
     row, flat, edge = job.row, job.flat, job.edge
     shapes = [_combined_face(name, parts) for name, parts in row.faces.items()]
     shapes += [ruled_surface(name, ring[0], ring[1], closed=True) for name, ring in row.outlines.items()]
@@ -132,32 +136,34 @@ def _problem(
         template, problem_name(element.file.name, flat.name), stock, block.foam, {"ruled": shapes}
     )
     (operation_data,) = out["operations"]
-    given = operation_data.get("setup") or {}
+    template_setup = operation_data.get("setup") or {}
 
     def operation(
-        name: str, setup: Mapping[str, Any], cuts: list[dict[str, Any]], **more: Any
+        name: str, setup: Mapping[str, Any], cuts: list[dict[str, Any]], **options: Any
     ) -> dict[str, Any]:
-        return {**operation_data, "name": name, "setup": setup, **more, "cuts": cuts}
+        """Return the operation of the template with a name, setup and cuts."""
+        return {**operation_data, "name": name, "setup": setup, **options, "cuts": cuts}
 
     lead = {"lead": [float(k == row.axis) for k in range(3)]}
-    round_each = [{"surface": name, **(lead if row.is_free_above(name) else {})} for name in row.outlines]
-
-    each_face = [{"surface": name} for name in row.faces]
-    whose = f"Block {block.name}: "
-    round_them = f"{whose}{edge.description}. The wire goes around {', '.join(row.outlines)}."
+    outline_cuts = [{"surface": name, **(lead if row.is_free_above(name) else {})} for name in row.outlines]
+    face_cuts = [{"surface": name} for name in row.faces]
+    block_text = f"Block {block.name}: "
+    outlines_note = f"{block_text}{edge.description}. The wire goes around {', '.join(row.outlines)}."
     if not row.faces:
-        out["operations"] = [operation(OUTLINES, {"note": round_them, **given}, round_each)]
+        out["operations"] = [operation(OUTLINES, {"note": outlines_note, **template_setup}, outline_cuts)]
         return out
     out["operations"] = [
         # what is above a slot must not drop before it is cut around
-        operation(FACES, {"note": f"{whose}{flat.description}.", **given}, each_face, spacers=True),
-        operation(OUTLINES, {**edge_stock, "note": f"{round_them} {TIE_INSTRUCTION}"}, round_each),
+        operation(
+            FACES, {"note": f"{block_text}{flat.description}.", **template_setup}, face_cuts, spacers=True
+        ),
+        operation(OUTLINES, {**edge_stock, "note": f"{outlines_note} {TIE_INSTRUCTION}"}, outline_cuts),
     ]
     return out
 
 
 def _beams(row: PanelRow, job: SawJob, stand: float) -> list[dict[str, Any]]:
-    """Return the supports of a row that lies flat, ``stand`` [m] high."""
+    """Return the supports of a row that lies flat, ``stand`` [m] high, as shapes of a problem file."""
     side = job.size[1 - row.along]
     across = max(side - 2.0 * SUPPORT_INSET_M, 0.5 * side)
     width, height = _BoxSide(1 - row.along, across), _BoxSide(2, stand, -0.5 * stand)
@@ -165,6 +171,7 @@ def _beams(row: PanelRow, job: SawJob, stand: float) -> list[dict[str, Any]]:
 
 
 def _feet(row: PanelRow, job: SawJob, stand: float) -> list[dict[str, Any]]:
+    """Return the supports of a row on edge, ``stand`` [m] high, as shapes of a problem file."""
     thick = max(job.thickness - BEAM_DISTANCE_M, 0.5 * job.thickness)
     below = -0.5 * (job.size[row.axis] + stand)
     width, height = _BoxSide(2, thick), _BoxSide(row.axis, stand, below)
@@ -190,13 +197,14 @@ class _BoxSide:
 
 
 def _range_side(axis: int, ends: SupportRange) -> _BoxSide:
-    """Return the side of a support that covers a range of an axis."""
+    """Return the extent of a support that covers a range [m] of an axis."""
     return _BoxSide(axis, ends[1] - ends[0], 0.5 * (ends[0] + ends[1]))
 
 
 def _support_box(sides: Sequence[_BoxSide]) -> dict[str, Any]:
-    """Return a support with its three sides as a shape of a problem file."""
-    size, at = [0.0] * 3, [0.0] * 3
+    """Return a support with three extents, one per axis, as a shape of a problem file."""
+    size, middle = [0.0] * 3, [0.0] * 3
     for side in sides:
-        size[side.axis], at[side.axis] = side.size, side.middle
-    return box_shape(size, at)
+        size[side.axis] = side.size
+        middle[side.axis] = side.middle
+    return box_shape(size, middle)

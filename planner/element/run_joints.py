@@ -1,4 +1,4 @@
-"""Joints of an element measured on the cuts of its programs, from the simulated parts of proven panels.
+"""Joints of an element, measured on the simulated parts that the proofs of its panels write.
 
 The parts are placed next to one another in the element frame. This module has the joints of elastic panels;
 `side_joints.py` has planar ones.
@@ -28,13 +28,13 @@ from planner.issues import TandemError, issue_error
 from planner.processes.hotwire.claims import CutsSurface, FollowsRulings
 
 FACES: Final = ("front", "back")
-"""Faces of a panel, as their meshes and cuts are named."""
+"""Names of the faces of a panel, as in its meshes and cuts."""
 _FACE_SIGNS: Final = {"front": 1.0, "back": -1.0}
-"""Whether a face points up or down in its block."""
+"""Sign of the z component of a face's outward normal in its block."""
 VERTEX_TOLERANCE_M: Final = 2e-5
 """Maximum distance [m] in the element plane of corresponding vertices of two rims."""
 MAX_DEVIATION_M: Final = 0.02
-"""Maximum distance [m] of a simulated face from the written one. Otherwise it belongs to another panel."""
+"""Maximum distance [m] of a simulated face from the written one. A larger one belongs to another panel."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,11 +42,11 @@ class PanelCutFace:
     """One face of a panel in the element frame [m].
 
     Attributes:
-        nominal: Points (V, 3) as written.
-        cut: Points (V, 3) where the wire passes.
+        nominal: Points (V, 3) of the face as written in the panel's files.
+        cut: Corresponding points (V, 3) where the foam ends after the cut.
         normals: Outward normals (V, 3).
-        rim: Vertices (R,) on its border.
-        slot: Width of the slot that lies on the side of the panel; 0 if it is outside.
+        rim: Indices (R,) of the points on its border.
+        slot: Width of the slot if it is inside the panel; 0 if it is outside.
     """
 
     nominal: FloatArray
@@ -67,9 +67,9 @@ class CutJoint:
 
     Attributes:
         panels: Ids of the panels.
-        points: Points (N, 3) [m] of the gaps.
-        steps: Steps (M,) [m], at the same points of both faces, or at those on edges of faces.
-        gaps: Gaps (N,) [m].
+        points: Points (N, 3) [m] at which gaps are measured.
+        steps: Steps (M,) [m]: distances of the faces along the normal of the surface, at common points.
+        gaps: Gaps (N,) [m]: remaining distances of the faces or sides.
     """
 
     panels: tuple[str, str]
@@ -80,26 +80,31 @@ class CutJoint:
 
 @dataclasses.dataclass(frozen=True)
 class CutPart:
-    """An object of a simulated part [m].
+    """An object of a simulated part; lengths in m.
 
     Attributes:
         points: Points (V, 3).
-        normals: Normals (V, 3) of the surrounding facets, away from the remaining foam; NaN without facets.
+        normals: Normals (V, 3), which point away from the remaining foam; NaN for points without facets.
     """
 
     points: FloatArray
     normals: FloatArray
 
     def transform(self, pose: FloatArray) -> "CutPart":
-        """Return the object in another frame, by its pose (4, 4) there."""
+        """Return the object in another frame, in which its current frame has the ``pose`` (4, 4)."""
         return CutPart(transform(pose, self.points), self.normals @ pose[:3, :3].T)
 
 
 def cut_faces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[PanelCutFace, ...]:
-    """Return the faces of a panel of ``out`` as the plan in ``run`` cuts them.
+    """Return the front and back of a panel as its plan cuts them.
 
-    The simulated part is oriented by the remaining foam, which tells its side of a face. Fronts point up in
-    the block and backs down, however they were written.
+    The facets of the simulated part point away from the remaining foam, which shows on which side of a face
+    the slot is. Outward normals point up for fronts and down for backs, however the meshes were written.
+
+    Args:
+        out: Folder of the element.
+        run: Folder of the batch.
+        panel: Panel of ``element.json``.
 
     Raises:
         TandemError: ``element.run`` if the plan is of another panel; issues of mesh files.
@@ -107,11 +112,11 @@ def cut_faces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[PanelCutF
     name = str(panel["id"])
     pose = block_pose(panel)
     path = run / name / "simulated_part.obj"
-    cut = read_part_objects(path)
+    objects = read_part_objects(path)
     faces = []
     for side in FACES:
         written = read_mesh(out / "panels" / "meshes" / f"{name}_{side}.obj", MM)
-        cut_part = cut.get(f"cut_{side}")
+        cut_part = objects.get(f"cut_{side}")
         if cut_part is None:
             continue
         max_distance = np.inf
@@ -119,25 +124,27 @@ def cut_faces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[PanelCutF
             max_distance = float(np.abs(cut_part.points - written.vertices).max())
         if max_distance > MAX_DEVIATION_M:
             raise wrong_panel_error(path, name, f"the {side} face")
-        out_of_it = vertex_normals(written)
-        out_of_it *= np.where(out_of_it[:, 2:] * _FACE_SIGNS[side] < 0.0, -1.0, 1.0)
-        left, slot = foam_left(cut_part, out_of_it, run / name, side)
+        outwards = vertex_normals(written)
+        outwards *= np.where(outwards[:, 2:] * _FACE_SIGNS[side] < 0.0, -1.0, 1.0)
+        foam_points, slot = foam_left(cut_part, outwards, run / name, side)
         rim = np.unique(np.concatenate(boundary_rings(written)))
-        normals = out_of_it @ pose[:3, :3].T
+        normals = outwards @ pose[:3, :3].T
         faces.append(
-            PanelCutFace(transform(pose, written.vertices), transform(pose, left), normals, rim, slot=slot)
+            PanelCutFace(
+                transform(pose, written.vertices), transform(pose, foam_points), normals, rim, slot=slot
+            )
         )
     return tuple(faces)
 
 
 def foam_left(part: CutPart, outwards: FloatArray, result: Path, surface: str) -> tuple[FloatArray, float]:
-    """Return where (V, 3) [m] the foam of a surface ends, and how much of the panel the slot takes [m].
+    """Return the points (V, 3) [m] at which the foam of a panel ends, and the width [m] of a slot inside it.
 
-    The slot is 0 if it is outside of the panel. It is on one side of the whole surface.
+    The slot is on one side of the whole surface. The width is 0 if it is outside of the panel.
 
     Args:
-        part: Object of the simulated part.
-        outwards: Outward normals (V, 3).
+        part: Object of the simulated part: the surface as cut.
+        outwards: Outward normals (V, 3) of the panel.
         result: Result folder of the job.
         surface: Name of the surface.
     """
@@ -149,7 +156,7 @@ def foam_left(part: CutPart, outwards: FloatArray, result: Path, surface: str) -
 
 
 def slot_width(result: Path, surface: str) -> float:
-    """Return the largest slot width [m] of the cut of a surface in a result folder."""
+    """Return the largest slot width [m] that the plan in a result folder states for a surface; 0 if none."""
     widths: list[FloatArray] = [
         claim.kerf.width
         for operation in plans.load(result).operations
@@ -160,12 +167,12 @@ def slot_width(result: Path, surface: str) -> float:
 
 
 def job_of(panel: Mapping[str, Any]) -> str:
-    """Return the job that cuts a panel: its own, or one that cuts several."""
+    """Return the id of the job that cuts a panel: its own, or one that cuts several panels together."""
     return str(panel.get("cut_in", {}).get("job", panel["id"]))
 
 
 def panel_objects(run: Path, panel: Mapping[str, Any]) -> tuple[Path, dict[str, CutPart]]:
-    """Return the simulated part that contains a panel, and its objects in the frame of the panel's block."""
+    """Return the path of a panel's simulated part, and its objects in the frame of the panel's block."""
     path = run / job_of(panel) / "simulated_part.obj"
     objects = read_part_objects(path)
     if "cut_in" not in panel:
@@ -175,14 +182,14 @@ def panel_objects(run: Path, panel: Mapping[str, Any]) -> tuple[Path, dict[str, 
 
 
 def wrong_panel_error(path: Path, name: str, what: str) -> TandemError:
-    """Create the error of a simulated part that does not belong to the panel, as ``what`` shows."""
+    """Create the error that ``what``, such as a face in a simulated part, does not belong to a panel."""
     message = f"{what} in {path} does not belong to panel {name}"
     hint = "plan the panels of this folder again: tandem batch OUT/panels -o RUN"
     return issue_error("element.run", message, file=str(path), hint=hint)
 
 
 def read_part_objects(path: Path) -> dict[str, CutPart]:
-    """Read the objects of a simulated part, by name."""
+    """Read the objects of a simulated part (OBJ, mm) by name. Objects of equal name are joined."""
     points: dict[str, list[list[float]]] = {}
     facets: dict[str, list[list[int]]] = {}
     name, first_index, count = "", 0, 0
@@ -196,15 +203,17 @@ def read_part_objects(path: Path) -> dict[str, CutPart]:
             points[name].append([float(word) * MM for word in words[1:4]])
             count += 1
         elif words[:1] == ["f"]:
-            first = len(points[name]) - (count - first_index) - first_index - 1
-            facets[name].append([int(word.split("/")[0]) + first for word in words[1:4]])
+            # file numbers count all points from 1; an object may continue an earlier one of the same name
+            offset = len(points[name]) - (count - first_index) - first_index - 1
+            facets[name].append([int(word.split("/")[0]) + offset for word in words[1:4]])
     return {name: _part(np.array(rows).reshape(-1, 3), facets[name]) for name, rows in points.items()}
 
 
-def _part(points: FloatArray, wound: Sequence[Sequence[int]]) -> CutPart:
+def _part(points: FloatArray, triangles: Sequence[Sequence[int]]) -> CutPart:
+    """Create an object from its points (V, 3) [m] and triangles."""
     normals = np.full(points.shape, np.nan)
-    if len(wound):
-        mesh = TriangleMesh(points, np.array(wound, dtype=np.int64))
+    if len(triangles):
+        mesh = TriangleMesh(points, np.array(triangles, dtype=np.int64))
         normals[np.unique(mesh.faces)] = vertex_normals(mesh)[np.unique(mesh.faces)]
     return CutPart(points, normals)
 
@@ -212,13 +221,13 @@ def _part(points: FloatArray, wound: Sequence[Sequence[int]]) -> CutPart:
 def cut_joint(
     names: tuple[str, str], first_faces: tuple[PanelCutFace, ...], second_faces: tuple[PanelCutFace, ...]
 ) -> CutJoint | None:
-    """Return the joint of two panels; None if their rims have nothing in common."""
+    """Measure the joint of two panels from their fronts and backs; None if their rims share no point."""
     points, steps, gaps = [], [], []
     for a, b in zip(first_faces, second_faces, strict=False):
         tree = cKDTree(b.nominal[b.rim, :2])  # both rims are displaced along z
-        distance, at = tree.query(a.nominal[a.rim, :2], distance_upper_bound=VERTEX_TOLERANCE_M)
+        distance, nearest = tree.query(a.nominal[a.rim, :2], distance_upper_bound=VERTEX_TOLERANCE_M)
         is_common = np.isfinite(distance)
-        first, second = a.rim[is_common], b.rim[np.asarray(at)[is_common]]
+        first, second = a.rim[is_common], b.rim[np.asarray(nearest)[is_common]]
         difference = a.cut[first] - b.cut[second]
         normal = a.normals[first]
         step = dots(difference, normal)

@@ -1,7 +1,7 @@
 """Results of an element's panels in a batch: verdicts, robot minutes and joints of the cut panels, as values.
 
-`run_page.py` shows them. **Robot minutes** are those of the motion of the programs, for each arm that a panel
-takes; loading, heating and turning are additional.
+`run_page.py` shows them. **Robot minutes** are the motion times of the programs for each arm; loading,
+heating and rotating are additional.
 """
 
 import csv
@@ -30,12 +30,12 @@ MAX_STEP_95_M: Final = 0.2e-3
 MAX_STEP_M: Final = 0.5e-3
 """Limit of step and gap [m] for every point of a joint."""
 PROVEN: Final = "verified"
-"""State in the summary of a batch of a panel whose programs are proven."""
+"""State that the summary of a batch has for a panel whose programs are proven."""
 NOT_PLANNED: Final = "not planned"
-"""State of a panel that the batch does not have."""
-_MAX_NAMED_PANELS: Final = 30  # panels that are not planned, in a message
+"""State of a panel that is not in the batch."""
+_MAX_NAMED_PANELS: Final = 30  # of the panels that are not planned, in a message
 MINUTE_S: Final = 60.0
-"""[s]"""
+"""Duration of a minute [s]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,11 +45,10 @@ class PanelRun:
     Attributes:
         panel: Data in ``element.json``.
         state: State in the summary.
-        code: Code of its issue.
-        message: Message of its issue.
-        seconds: Motion time [s] by arm.
-        faces: Faces as cut; for a planar panel its sides, and before them its front if a row is cut to its
-            thickness.
+        code: Code of its first issue; empty if there is none.
+        message: Message of that issue.
+        seconds: Motion time [s] by arm; empty if the panel is cut together with others.
+        faces: Front and back as cut. For a planar panel these are its sides, after its front if that is cut.
         sides: Sides of a planar panel as cut.
     """
 
@@ -85,8 +84,8 @@ class SawRun:
         job: Data in ``element.json``.
         block: Id of the block.
         state: State in the summary.
-        code: Code of its issue.
-        message: Message of its issue.
+        code: Code of its first issue; empty if there is none.
+        message: Message of that issue.
         seconds: Motion time [s] by arm.
     """
 
@@ -116,7 +115,7 @@ class JointRun:
         panels: Ids of the panels.
         length: Length [m].
         limit: Limit of step and gap [m] for 95 % of its points.
-        cut: Measurement, if both panels are proven.
+        cut: Measurement; None if a panel is not proven or they share no point.
     """
 
     panels: tuple[str, str]
@@ -126,7 +125,7 @@ class JointRun:
 
     @property
     def at_95(self) -> float:
-        """Larger of step and gap at 95 % of its points [m]; NaN if it is not measured."""
+        """Larger one [m] of the 95th percentiles of steps and gaps; NaN if it is not measured."""
         if self.cut is None:
             return float("nan")
         return max(float(np.percentile(v, 95.0)) for v in (self.cut.steps, self.cut.gaps))
@@ -139,12 +138,20 @@ class JointRun:
     @property
     def is_over_limit(self) -> bool:
         """Whether it is measured and exceeds a limit."""
+        # comparisons with NaN are False
         return self.at_95 > self.limit or self.largest > MAX_STEP_M
 
 
 @dataclasses.dataclass(frozen=True)
 class ElementRun:
-    """An element and a batch of its panels, with the jobs that cut its raw blocks."""
+    """An element with the results of a batch.
+
+    Attributes:
+        data: Content of ``element.json``.
+        panels: Panels with their results.
+        joints: Joints with their measurements.
+        saw: Jobs that cut raw blocks, with their results.
+    """
 
     data: Mapping[str, Any]
     panels: tuple[PanelRun, ...]
@@ -153,16 +160,17 @@ class ElementRun:
 
     @property
     def measured(self) -> tuple[JointRun, ...]:
-        """Joints whose panels are both proven."""
+        """Joints that are measured."""
         return tuple(joint for joint in self.joints if joint.cut is not None)
 
     @property
     def _all(self) -> tuple[PanelRun | SawRun, ...]:
+        """All panels and jobs of raw blocks."""
         return *self.panels, *self.saw
 
     @functools.cached_property
     def planned(self) -> bool:
-        """Whether the batch has any of its panels, or of the jobs of its raw blocks."""
+        """Whether the batch has at least one of its panels or jobs of raw blocks."""
         return any(job.state != NOT_PLANNED for job in self._all)
 
     def arm_seconds(self) -> dict[str, float]:
@@ -180,8 +188,9 @@ class ElementRun:
     def issues(self) -> tuple[Issue, ...]:
         """Return the issues of the batch.
 
-        ``element.joint`` for each joint beyond its limits, ``element.face`` for each face that is cut on its
-        wrong side and each planar front off its plane, ``element.run`` for panels without proof.
+        ``element.joint`` for each joint beyond its limits, ``element.face`` for each face whose slot is
+        inside the panel and each planar front off its plane, ``element.run`` once for all panels without a
+        proof.
         """
         out = [
             Issue(
@@ -207,6 +216,7 @@ class ElementRun:
 
 
 def _sum_seconds(jobs: Sequence[PanelRun | SawRun]) -> dict[str, float]:
+    """Return the motion time [s] of each arm, summed over jobs."""
     out: dict[str, float] = {}
     for job in jobs:
         for arm, seconds in job.seconds.items():
@@ -215,49 +225,50 @@ def _sum_seconds(jobs: Sequence[PanelRun | SawRun]) -> dict[str, float]:
 
 
 def _face_issues(panel: PanelRun) -> Iterator[Issue]:
-    """Yield ``element.face`` for a planar front off its plane, and for a face with a slot in the panel."""
+    """Yield ``element.face`` for a planar front off its plane and for a face whose slot is in the panel."""
     for face in panel.faces:
-        planar = isinstance(face, CutFront)
+        is_planar = isinstance(face, CutFront)
         deviations = np.abs(face.deviation)
         at_95 = float(np.percentile(deviations, 95.0))
         is_within = at_95 <= MAX_STEP_95_M and float(deviations.max()) <= MAX_STEP_M
-        if not face.slot and (is_within or not planar):
+        if not face.slot and (is_within or not is_planar):
             continue
-        where = f"; the slot of {face.slot / MM:.2g} mm is in the panel" if face.slot else ""
-        what, reference = ("front", "its plane") if planar else ("a face", "the face as written")
+        slot_text = f"; the slot of {face.slot / MM:.2g} mm is in the panel" if face.slot else ""
+        face_text, reference = ("front", "its plane") if is_planar else ("a face", "the face as written")
         yield Issue(
             "element.face",
             format_message(
                 "element.face",
-                face=what,
+                face=face_text,
                 panel=panel.name,
                 percentile_95_mm=at_95 / MM,
                 reference=reference,
                 max_deviation_mm=deviations.max() / MM,
-                slot_clause=where,
+                slot_clause=slot_text,
                 percentile_95_limit_mm=MAX_STEP_95_M / MM,
                 max_deviation_limit_mm=MAX_STEP_M / MM,
             ),
             Severity.WARNING,
-            field="cut_blocks" if planar else "jobs",
+            field="cut_blocks" if is_planar else "jobs",
             **measurement(at_95 / MM, MAX_STEP_95_M / MM, "mm"),
             hint=f"do not cut {job_of(panel.panel)}; divide the element again and plan "
-            f"{'its blocks' if planar else 'it'} anew"
+            f"{'its blocks' if is_planar else 'it'} anew"
             if face.slot
             else "set a smaller shape_tol_mm in cut_blocks.problem",
         )
 
 
-def _unproven_issues(what: str, jobs: Sequence[PanelRun | SawRun], hint: str) -> Iterator[Issue]:
-    left = [job for job in jobs if not job.proven]
-    if not left:
+def _unproven_issues(kind: str, jobs: Sequence[PanelRun | SawRun], hint: str) -> Iterator[Issue]:
+    """Yield one ``element.run`` that lists the jobs that are not proven, if any; ``kind`` is their plural."""
+    unproven = [job for job in jobs if not job.proven]
+    if not unproven:
         return
-    tried = [f"{job.name} ({job.code or job.state})" for job in left if job.state != NOT_PLANNED]
-    names = [job.name for job in left if job.state == NOT_PLANNED]
-    more = f" and {len(names) - _MAX_NAMED_PANELS} more" if len(names) > _MAX_NAMED_PANELS else ""
+    texts = [f"{job.name} ({job.code or job.state})" for job in unproven if job.state != NOT_PLANNED]
+    names = [job.name for job in unproven if job.state == NOT_PLANNED]
+    remainder = f" and {len(names) - _MAX_NAMED_PANELS} more" if len(names) > _MAX_NAMED_PANELS else ""
     if names:
-        tried.append(f"not planned: {', '.join(names[:_MAX_NAMED_PANELS])}{more}")
-    message = f"{len(left)} of {len(jobs)} {what} are not proven: {', '.join(tried)}"
+        texts.append(f"not planned: {', '.join(names[:_MAX_NAMED_PANELS])}{remainder}")
+    message = f"{len(unproven)} of {len(jobs)} {kind} are not proven: {', '.join(texts)}"
     yield Issue("element.run", message, Severity.WARNING, hint=hint)
 
 
@@ -265,8 +276,8 @@ def read_run(out: Path, run: Path) -> ElementRun:
     """Read the results of the batch in ``run`` for the element in ``out``.
 
     Raises:
-        TandemError: ``element.run`` if one of them is not such a folder, the element was written without
-            joints, or a plan is of another panel.
+        TandemError: ``element.run`` if a file is missing, the element has no joints or outlines, or a plan
+            belongs to another panel.
     """
     if not is_file(out / "element.json"):
         raise _missing_error(out / "element.json", "tandem element FILE -o OUT writes it")
@@ -274,23 +285,23 @@ def read_run(out: Path, run: Path) -> ElementRun:
         raise _missing_error(run / "summary.csv", "tandem batch OUT/panels -o RUN writes it")
     data = json.loads((out / "element.json").read_text("utf-8"))
     if "joints" not in data or not all("outline_mm" in panel for panel in data["panels"]):
-        what = f"{out} has no joints or outlines of its panels; puzzle pieces never have"
+        message = f"{out} has no joints or outlines of its panels; puzzle pieces never have"
         hint = (
             f"verdicts are in {run / 'summary.csv'}; divide another element again: tandem element "
             "FILE -o OUT; panels that stay need no new plan"
         )
-        raise issue_error("element.run", what, file=str(out / "element.json"), hint=hint)
+        raise issue_error("element.run", message, file=str(out / "element.json"), hint=hint)
     with (run / "summary.csv").open(newline="", encoding="utf-8") as file:
         rows = {row["name"]: row for row in csv.DictReader(file)}
     thickness = float(data.get("thickness_mm", 0.0)) * MM
     panels = tuple(
         _panel_run(out, run, panel, rows.get(job_of(panel)), thickness) for panel in data["panels"]
     )
-    known = {panel.name: panel for panel in panels}
+    panels_by_name = {panel.name: panel for panel in panels}
     limit = float(data.get("joint_mm", MAX_STEP_95_M / MM)) * MM
     joints = []
     for joint in data["joints"]:
-        first, second = (known[str(name)] for name in joint["panels"])
+        first, second = (panels_by_name[str(name)] for name in joint["panels"])
         names = first.name, second.name
         cut = None
         if first.faces and second.faces and "front_mm" in joint:
@@ -305,10 +316,15 @@ def read_run(out: Path, run: Path) -> ElementRun:
 
 
 def unplanned_run(data: Mapping[str, Any]) -> ElementRun:
-    """Return an element as divided, before any batch."""
+    """Return an element as divided, without results."""
     joints = tuple(
-        JointRun((str(j["panels"][0]), str(j["panels"][1])), float(j["length_mm"]) * MM, MAX_STEP_95_M, None)
-        for j in data.get("joints", ())
+        JointRun(
+            (str(joint["panels"][0]), str(joint["panels"][1])),
+            float(joint["length_mm"]) * MM,
+            MAX_STEP_95_M,
+            cut=None,
+        )
+        for joint in data.get("joints", ())
     )
     panels = tuple(PanelRun(panel, NOT_PLANNED) for panel in data["panels"])
     return ElementRun(data, panels, joints, tuple(_saw_runs(data, None, {})))
@@ -317,7 +333,7 @@ def unplanned_run(data: Mapping[str, Any]) -> ElementRun:
 def _saw_runs(
     data: Mapping[str, Any], run: Path | None, rows: Mapping[str, Mapping[str, str]]
 ) -> Iterator[SawRun]:
-    """Yield the jobs of raw blocks, with the ``rows`` of the summary in ``run``."""
+    """Yield the jobs of raw blocks with their ``rows`` of the summary in ``run`` (None: none is planned)."""
     for block in (data.get("blocks") or {}).get("blocks", ()):
         for job in block.get("jobs", ()):
             name, row = str(job["id"]), rows.get(str(job["id"]))
@@ -331,7 +347,7 @@ def _saw_runs(
 
 
 def _motion_seconds(result: Path) -> dict[str, float]:
-    """Return the motion time [s] of each arm in a result folder."""
+    """Return the motion time [s] of each arm, summed over the operations of a result folder."""
     seconds: dict[str, float] = {}
     for operation in plans.load(result).operations:
         for arm in operation.targets.arms:
@@ -339,31 +355,35 @@ def _motion_seconds(result: Path) -> dict[str, float]:
     return seconds
 
 
-def _missing_error(path: Path, who: str) -> TandemError:
-    return issue_error("element.run", f"{path}: no such file; {who}", file=str(path))
+def _missing_error(path: Path, remedy: str) -> TandemError:
+    return issue_error("element.run", f"{path}: no such file; {remedy}", file=str(path))
 
 
 def _panel_run(
     out: Path, run: Path, panel: Mapping[str, Any], row: Mapping[str, str] | None, thickness: float
 ) -> PanelRun:
+    """Return a panel with its results from the summary and, if it is proven, from its result folder.
+
+    ``row`` is that of the job that cuts it in the summary; None if it is not planned. ``thickness`` [m] is
+    that of planar panels.
+    """
     if row is None:
         return PanelRun(panel, NOT_PLANNED)
     code = next(iter(row["issues"].split()), "")
     if row["state"] != PROVEN:
         return PanelRun(panel, row["state"], code, row["message"])
-    seconds = (
-        {} if "cut_in" in panel else _motion_seconds(run / job_of(panel))
-    )  # of rows with those of blocks
+    # the time of a row counts with the jobs of raw blocks
+    seconds = {} if "cut_in" in panel else _motion_seconds(run / job_of(panel))
     if "front_mm" in panel:
         sides = cut_sides(out, run, panel, thickness)
-        whole = (*cut_front(run, panel, thickness), *sides)
-        return PanelRun(panel, PROVEN, code, row["message"], seconds, whole, sides)
+        front_and_sides = (*cut_front(run, panel, thickness), *sides)
+        return PanelRun(panel, PROVEN, code, row["message"], seconds, front_and_sides, sides)
     faces = cut_surfaces(out, run, panel) if "from_share" in panel else cut_faces(out, run, panel)
     return PanelRun(panel, PROVEN, code, row["message"], seconds, faces)
 
 
 def panels_csv(run: ElementRun) -> str:
-    """Return ``report.csv``: a row for each panel."""
+    """Return ``report.csv``: a row for each panel with its state, times, deviations [mm] and issue."""
     rows = []
     for panel in run.panels:
         deviations = (
@@ -397,10 +417,10 @@ def joints_csv(run: ElementRun) -> str:
     def mm(value: float) -> float | str:
         return "" if np.isnan(value) else round(value / MM, 4)
 
-    nothing = np.full(1, np.nan)
+    unmeasured = np.full(1, np.nan)
     rows = []
     for joint in run.joints:
-        steps, gaps = (nothing, nothing) if joint.cut is None else (joint.cut.steps, joint.cut.gaps)
+        steps, gaps = (unmeasured, unmeasured) if joint.cut is None else (joint.cut.steps, joint.cut.gaps)
         rows.append(
             {
                 "panel": joint.panels[0],

@@ -1,9 +1,10 @@
 """Raw blocks as ordinary problem files: a straight wire cuts each of them apart, stage by stage.
 
-A stage is a part of a block that is separate by then, with all parallel cuts through the whole of it. It lies
-flat, and the wire, level along the cut, goes down between beams that support the pieces and comes back up
-through its slot, so nothing drops. If the bow does not span a cut, the part stands on edge: the wire spans
-its thickness and goes along the cut, the uppermost cut first, so that what rests on a slot is not cut again.
+A stage is a part of a block that earlier stages have separated, with all parallel cuts through the whole of
+it. The part lies flat, and the wire, level along the cut, goes down between beams that support the pieces and
+comes back up through its slot, so nothing drops. If the bow does not span a cut, the part stands on edge: the
+wire spans its thickness and goes along the cut, the uppermost cut first, so that what rests on a slot is not
+cut again.
 """
 
 import dataclasses
@@ -28,27 +29,27 @@ from planner.issues import Issue, Severity
 from planner.reading import strict_yaml
 
 BEAM_DISTANCE_M: Final = 0.02
-"""Distance [m] between beams and the slots or rims beside them."""
+"""Distance [m] between a beam and the slots or edges of the part beside it."""
 MIN_BEAM_M: Final = 0.01
-"""Minimum width [m] of a beam. Narrower pieces have none."""
+"""Minimum width [m] of a beam. Pieces too narrow for it have none."""
 SUPPORT_INSET_M: Final = 0.06
-"""Distance [m] at which supports end within a part, along the cuts: the bow's prongs pass there."""
+"""Distance [m] of the ends of supports from those of the part along the cuts, for the bow's prongs."""
 _MAX_NAME_LENGTH: Final = 24  # letters that the name of a problem may have
 _AXES: Final = "xyz"
 
 
 @dataclasses.dataclass(frozen=True)
 class SawJob:
-    """One stage.
+    """One stage: a part of a block, its pose, and its cuts.
 
     Attributes:
         name: Id of the job.
         part: Part of the block.
         thickness: Thickness of the block [m].
-        axis: Axis across the cuts.
+        axis: Axis across the cuts; 2 for a level cut.
         cuts: Numbers of the cuts in order.
-        positions: Positions [m] of the cuts from the lower end of the part.
-        up: Side along the axis that is up when it stands on edge, 1 or -1; 0 if it lies flat.
+        positions: Positions [m] of the cuts along the axis, from the lower end of the part.
+        up: Side along the axis that is up when the part stands on edge, 1 or -1; 0 if it lies flat.
     """
 
     name: str
@@ -66,7 +67,7 @@ class SawJob:
 
     @property
     def cut_length(self) -> float:
-        """Length [m] of each cut in the foam."""
+        """Length [m] of the path of the wire through the foam in each cut."""
         if self.axis == 2:
             return max(self.size[:2])
         return self.size[1 - self.axis] if self.up else self.thickness
@@ -74,8 +75,8 @@ class SawJob:
     @property
     def roll_pitch(self) -> list[float]:
         """Roll and pitch of the part [deg], as in a problem file."""
-        turn = 90.0 * self.up
-        return [turn, 0.0] if self.axis == 1 else [0.0, -turn]
+        angle = 90.0 * self.up
+        return [angle, 0.0] if self.axis == 1 else [0.0, -angle]
 
     @property
     def description(self) -> str:
@@ -91,20 +92,20 @@ def saw_jobs(
 ) -> tuple[SawJob, ...]:
     """Return the stages of a block: parts in the order of its tree, level cuts last.
 
-    ``margin`` [m] is the foam to the ends of the wire and to the beam.
+    ``margin`` [m] is the minimum distance of the foam from the ends of the wire and from the beam.
     """
     thick = block.size[2]
 
-    def lies(stage: CutStage) -> bool:
+    def lies_flat(stage: CutStage) -> bool:
         return bow.reaches_horizontal(stage.cuts[0][1].length, thick, margin)
 
-    def together(stage: CutStage) -> bool:
-        return lies(stage) or _height_above_cuts(stage, kerf)[0] + margin <= bow.throat
+    def cut_together(stage: CutStage) -> bool:
+        return lies_flat(stage) or _height_above_cuts(stage, kerf)[0] + margin <= bow.throat
 
     jobs: list[tuple[BlockPart, int, tuple[int, ...], tuple[float, ...], int]] = []
-    for stage in block.tree.stages(together):
+    for stage in block.tree.stages(cut_together):
         axis = stage.cuts[0][1].axis
-        up = 0 if lies(stage) else _height_above_cuts(stage, kerf)[1]
+        up = 0 if lies_flat(stage) else _height_above_cuts(stage, kerf)[1]
         cuts = stage.cuts[::-1] if up > 0 else stage.cuts
         low = (stage.part.x, stage.part.y)[axis]
         positions = tuple(cut.position - low for _, cut in cuts)
@@ -120,12 +121,12 @@ def saw_jobs(
 
 
 def job_name(block: NestedBlock, number: int) -> str:
-    """Return the id of a job of a block, counted from 1."""
+    """Return the id of a job of a block; ``number`` counts from 1."""
     return block.name if number == 1 else f"{block.name}-{number}"
 
 
 def _height_above_cuts(stage: CutStage, kerf: float) -> tuple[float, int]:
-    """Return the height [m] of a part on edge above its lowest cut, and the up side for which it is least."""
+    """Return the smallest height [m] of a part on edge above its lowest cut, and which side is then up."""
     axis = stage.cuts[0][1].axis
     low, size = (stage.part.x, stage.part.length) if axis == 0 else (stage.part.y, stage.part.width)
     first, last = stage.cuts[0][1].position - low, stage.cuts[-1][1].position - low + kerf
@@ -135,7 +136,10 @@ def _height_above_cuts(stage: CutStage, kerf: float) -> tuple[float, int]:
 def saw_files(
     element: Element, template: SawTemplate, nesting: BlockNesting, panels: Sequence[PanelBlock]
 ) -> tuple[dict[str, str], dict[str, list[dict[str, Any]]], tuple[Issue, ...]]:
-    """Return problem files of all blocks by path, their data for ``element.json`` by block, and issues."""
+    """Return the problem files of all blocks by path, the data of their jobs by block, and issues.
+
+    All are empty if the element does not state raw blocks and how they are cut.
+    """
     spec, bow = element.file, template.bow
     raw, cut = spec.raw_blocks, spec.cut_blocks
     if raw is None or cut is None:
@@ -150,8 +154,8 @@ def saw_files(
         for job in saw_jobs(block, panels, kerf, bow, margin):
             name = problem_name(spec.name, job.name)
             problem = _problem(template, name, job, block, kerf, cut.stand_mm * MM)
-            head = f"# Block {block.name} of {spec.name}: {job.description}. Written by tandem element.\n"
-            files[f"blocks/{job.name}.yaml"] = head + strict_yaml.dump(problem)
+            comment = f"# Block {block.name} of {spec.name}: {job.description}. Written by tandem element.\n"
+            files[f"blocks/{job.name}.yaml"] = comment + strict_yaml.dump(problem)
             data[block.name].append(_data(job, template))
             alternatives = _required_bows(job, kerf, margin)
             if not any(bow.span >= span and bow.throat >= throat for span, throat in alternatives):
@@ -160,7 +164,7 @@ def saw_files(
 
 
 def _required_bows(job: SawJob, kerf: float, margin: float) -> tuple[tuple[float, float], ...]:
-    """Return span and throat [m] that a job requires, one pair for each alternative."""
+    """Return the alternatives (span, throat) [m] of a bow that can cut a job: lying flat, then on edge."""
     span, throat = 2.0 * margin, job.thickness + 2.0 * margin
     if job.axis == 2:
         return ((min(job.size[:2]) + span, throat),)
@@ -170,34 +174,39 @@ def _required_bows(job: SawJob, kerf: float, margin: float) -> tuple[tuple[float
 
 
 def _reach_issues(unreachable: list[tuple[str, float, float]], template: SawTemplate) -> tuple[Issue, ...]:
-    """Return ``element.cut`` for jobs that the bow of the template cannot reach, with a bow that can."""
+    """Return one ``element.cut`` for jobs (id, span, throat [m]) that the bow cannot reach, if any."""
     if not unreachable:
         return ()
     bow = template.bow
-    required = max(bow.span, *(f[1] for f in unreachable)), max(bow.throat, *(f[2] for f in unreachable))
+    required = (
+        max(bow.span, *(job[1] for job in unreachable)),
+        max(bow.throat, *(job[2] for job in unreachable)),
+    )
     names = ", ".join(name for name, _, _ in unreachable[:MAX_NAMED_CUTS])
-    more = f" and {len(unreachable) - MAX_NAMED_CUTS} more" if len(unreachable) > MAX_NAMED_CUTS else ""
-    what = (
+    remainder = f" and {len(unreachable) - MAX_NAMED_CUTS} more" if len(unreachable) > MAX_NAMED_CUTS else ""
+    message = (
         f"{len(unreachable)} jobs of raw blocks are out of reach of the bow of {template.file}, which has a "
-        f"span of {bow.span / MM:g} and a throat of {bow.throat / MM:g} mm: {names}{more}"
+        f"span of {bow.span / MM:g} and a throat of {bow.throat / MM:g} mm: {names}{remainder}"
     )
     span, throat = (np.ceil(v / MM - 1e-6) for v in required)
     hint = f"use a bow with {{span_mm: {span:.0f}, throat_mm: {throat:.0f}}}, or smaller raw blocks; "
     hint += "otherwise cut those by hand"
-    return (Issue("element.cut", what, Severity.WARNING, field="cut_blocks", hint=hint),)
+    return (Issue("element.cut", message, Severity.WARNING, field="cut_blocks", hint=hint),)
 
 
 def problem_name(element: str, job: str) -> str:
-    """Return the name of the problem of a job."""
+    """Return the name of the problem of a job, at most `_MAX_NAME_LENGTH` letters."""
     return f"{element[: _MAX_NAME_LENGTH - 1 - len(job)]}_{job.replace('-', '_')}"
 
 
 def to_mm(value: float) -> float:
-    """Return a length [m] as in files [mm]."""
+    """Return a length [m] in mm, rounded as in files."""
     return round(value / MM, 3) + 0.0
 
 
 def _data(job: SawJob, template: JobTemplate) -> dict[str, Any]:
+    """Return the data of a job for ``element.json``."""
+
     def cut_length(operation: Mapping[str, Any]) -> float:
         return len(job.cuts) * job.cut_length / MM
 
@@ -214,6 +223,7 @@ def _data(job: SawJob, template: JobTemplate) -> dict[str, Any]:
 def _problem(
     template: JobTemplate, name: str, job: SawJob, block: NestedBlock, kerf: float, stand: float
 ) -> dict[str, Any]:
+    """Return the problem of a job: the template with its stock, supports and cuts."""
     stock = {
         "size_mm": [to_mm(v) for v in job.size],
         "place": "auto",
@@ -224,6 +234,7 @@ def _problem(
         _cut_plane(job, number, position) for number, position in zip(job.cuts, job.positions, strict=True)
     ]
     out = fill_template(template, name, stock, block.foam, {"ruled": planes})
+    # lying flat, the wire goes down through a slot and comes back up through it
     back = {"leave": "back"} if job.axis < 2 and not job.up else {}
     operation = out["operations"][0]
     operation["setup"] = {"note": f"Block {block.name}: {job.description}.", **(operation.get("setup") or {})}
@@ -232,7 +243,7 @@ def _problem(
 
 
 def box_shape(size: Sequence[float], middle: Sequence[float]) -> dict[str, Any]:
-    """Return a box (3,) about its ``middle`` (3,) [m] as a shape of a problem file."""
+    """Return a box of ``size`` (3,) [m] centred at ``middle`` (3,) [m] as a shape of a problem file."""
     return {
         "kind": "box",
         "size_mm": [to_mm(v) for v in size],
@@ -243,7 +254,7 @@ def box_shape(size: Sequence[float], middle: Sequence[float]) -> dict[str, Any]:
 def _support_boxes(job: SawJob, kerf: float, stand: float) -> Iterator[tuple[list[float], list[float]]]:
     """Yield sizes and centres (3,) [m] of supports, ``stand`` [m] high, in the frame of the part.
 
-    The supports are a wall below its edge, or a beam below each piece.
+    A part on edge stands on one wall. A flat part has a beam below each piece between two cuts.
     """
     size, middle = [0.0] * 3, [0.0] * 3
     across = job.axis if job.axis < 2 else 0
@@ -266,7 +277,7 @@ def _support_boxes(job: SawJob, kerf: float, stand: float) -> Iterator[tuple[lis
 
 
 def _cut_plane(job: SawJob, number: int, position: float) -> dict[str, Any]:
-    """Return the lower face of the slot of a cut, from face to face of the part, its normal into the slot."""
+    """Return the lower face of a cut's slot as a ruled surface across the part, its normal into the slot."""
     low = [-0.5 * job.part.length, -0.5 * job.part.width, 0.0]
     high = [0.5 * job.part.length, 0.5 * job.part.width, job.thickness]
     if job.axis == 2:  # the wire spans the shorter side
@@ -279,16 +290,19 @@ def _cut_plane(job: SawJob, number: int, position: float) -> dict[str, Any]:
         (high[motion_axis], low[motion_axis]) if motion_axis == 2 else (low[motion_axis], high[motion_axis])
     )
     sides = (low[wire], high[wire])
-    # the normal is motion x wire; y x x and x x z point down
+    # the normal is (direction of motion) x (direction of the wire); y x x and x x z point down
     flipped = job.axis == 1 or (job.axis == 2 and wire == 0)
-    if flipped and motion_axis == 2:  # flip would reverse the motion too: from below, between the beams
+    if flipped and motion_axis == 2:  # flip would also reverse the motion: upward, starting between the beams
         sides, flipped = sides[::-1], False
 
-    def ruling_ends(side: float) -> dict[str, Any]:
+    def guide(side: float) -> dict[str, Any]:
+        """Return the path of one end of the wire, as a guide of the surface."""
         points = []
-        for at in (start, end):
+        for motion_position in (start, end):
             point = [0.0] * 3
-            point[job.axis], point[wire], point[motion_axis] = low[job.axis] + position, side, at
+            point[job.axis] = low[job.axis] + position
+            point[wire] = side
+            point[motion_axis] = motion_position
             points.append([to_mm(v) for v in point])
         return {"polyline_mm": points}
 
@@ -296,6 +310,6 @@ def _cut_plane(job: SawJob, number: int, position: float) -> dict[str, Any]:
         "name": f"cut{number}",
         **({"flip": True} if flipped else {}),
         "match": "parameter",
-        "start": ruling_ends(sides[0]),
-        "end": ruling_ends(sides[1]),
+        "start": guide(sides[0]),
+        "end": guide(sides[1]),
     }

@@ -1,4 +1,4 @@
-"""The list of offcuts, `stock.csv`: read, checked row by row, and written."""
+"""The list of offcuts, `stock.csv`: reading with a check of each row, and writing."""
 
 import csv
 import dataclasses
@@ -38,10 +38,11 @@ class Offcut:
 
 
 def read_offcuts(path: Path) -> tuple[Offcut, ...]:
-    """Read the offcuts of a list.
+    """Read a list of offcuts.
 
     Raises:
-        TandemError: ``element.stock`` with each wrong row and its line.
+        TandemError: ``element.stock`` if the file is missing, is not such a list or is too long, or for each
+            wrong row with its line.
     """
     name = str(path)
     if not is_file(path):
@@ -54,11 +55,11 @@ def read_offcuts(path: Path) -> tuple[Offcut, ...]:
     header = rows[0] if rows else []
     if tuple(header) != COLUMNS:
         separated = separator_hint(",".join(header) if len(header) > 1 else "".join(header))
-        what = separated or f"got the columns {', '.join(header) or 'none'}, allowed {', '.join(COLUMNS)}"
-        raise TandemError(_fault(name, 1, what, f"make the first line {','.join(COLUMNS)}"))
+        message = separated or f"got the columns {', '.join(header) or 'none'}, allowed {', '.join(COLUMNS)}"
+        raise TandemError(_fault(name, 1, message, f"make the first line {','.join(COLUMNS)}"))
     if len(rows) > MAX_ROWS + 1:
-        what = f"got {len(rows) - 1} rows, allowed {MAX_ROWS}"
-        raise TandemError(_fault(name, MAX_ROWS + 2, what, "remove the smallest pieces"))
+        message = f"got {len(rows) - 1} rows, allowed {MAX_ROWS}"
+        raise TandemError(_fault(name, MAX_ROWS + 2, message, "remove the smallest pieces"))
     pieces: list[Offcut] = []
     issues: list[Issue] = []
     for line, row in enumerate(rows[1:], 2):
@@ -76,13 +77,13 @@ def read_offcuts(path: Path) -> tuple[Offcut, ...]:
 
 
 def _piece(row: list[str], names: set[str]) -> Offcut:
-    """Read one row. Raises ``ValueError`` with fault and remedy."""
+    """Convert one row; ``names`` are the ids of earlier rows. Raises ``ValueError`` of (fault, remedy)."""
     if len(row) != len(COLUMNS):
         raise ValueError(f"got {len(row)} values, allowed {len(COLUMNS)}", "write one for each column")
     name, *sizes, foam = (cell.strip() for cell in row)
     if not name or name in names:
-        what = f"got the id {name!r} again" if name else "got no id"
-        raise ValueError(f"{what}; each piece must have its own", "give it another id")
+        message = f"got the id {name!r} again" if name else "got no id"
+        raise ValueError(f"{message}; each piece must have its own", "give it another id")
     sides = []
     for column, text in zip(COLUMNS[1:4], sizes, strict=True):
         try:
@@ -90,18 +91,18 @@ def _piece(row: list[str], names: set[str]) -> Offcut:
         except ValueError:
             value = math.nan
         if not 0.0 < value <= MAX_SIDE_MM:
-            what = f"piece {name}: got {column} {text!r}, allowed: positive numbers up to {MAX_SIDE_MM:g}"
-            raise ValueError(what, "measure the piece and correct it, or remove the row")
+            message = f"piece {name}: got {column} {text!r}, allowed: positive numbers up to {MAX_SIDE_MM:g}"
+            raise ValueError(message, "measure the piece and correct it, or remove the row")
         sides.append(value * MM)
     return Offcut(name, sides[0], sides[1], sides[2], foam or None)
 
 
-def _fault(file: str, line: int, what: str, hint: str) -> Issue:
-    return Issue("element.stock", what, file=file, line=line, field="raw_blocks.stock", hint=hint)
+def _fault(file: str, line: int, message: str, hint: str) -> Issue:
+    return Issue("element.stock", message, file=file, line=line, field="raw_blocks.stock", hint=hint)
 
 
 def offcuts_csv(pieces: Iterable[Offcut]) -> str:
-    """Return the list as a file."""
+    """Return the text of `stock.csv` for offcuts."""
     rows: list[Iterable[str]] = [COLUMNS]
     for offcut in pieces:
         sides = (f"{round(v / MM, 3):g}" for v in (offcut.length, offcut.width, offcut.thickness))

@@ -1,4 +1,4 @@
-"""The surface of an element over its plane: a frame, the possible cut lines, and the sections over them.
+"""The surface of an element over its plane: its frame, and its sections over cut lines.
 
 **Element frame**: z is the mean normal of the surface, or the axis of the file frame close to it; x and y run
 along the sides of the rectangle over which the surface lies, from its lower corner. Panels are bounded by
@@ -27,9 +27,9 @@ RIM_INSET_M: Final = 1e-5
 MIN_COVER_FRACTION: Final = 0.998
 """Minimum fraction of its rectangle that a surface must cover."""
 TOUCH_DISTANCE_M: Final = 1e-3
-"""Maximum distance [m] of a rim that runs back along itself and counts as touching."""
+"""Maximum distance [m] of two parts of a rim, with opposite directions, that count as touching."""
 MAX_REVERSED_DOT: Final = -np.cos(20.0 * DEG)
-"""Maximum dot product of directions of a rim that runs back."""
+"""Maximum dot product of the directions of two parts of a rim that count as opposite."""
 SEAM_STEP_M: Final = 0.02
 """Maximum length [m] of the parts of the rim that are compared."""
 MIN_SEAM_M: Final = 0.05
@@ -41,9 +41,9 @@ class ElementSurface:
     """Surface of an element in its frame [m].
 
     Attributes:
-        front: Front.
-        back: Back, with the same vertices offset by ``thickness`` against their normals.
-        thickness: Thickness.
+        front: Front, over the rectangle from (0, 0) to ``size``.
+        back: Back, with the vertices of the front offset by ``thickness`` against their normals.
+        thickness: Thickness of the element.
         pose: Pose (4, 4) of the element frame in the file frame.
         size: Size (2,) of the rectangle.
     """
@@ -58,11 +58,13 @@ class ElementSurface:
 def to_element_frame(
     mesh: TriangleMesh, thickness: float, normal: FloatArray | None = None, along: FloatArray | None = None
 ) -> ElementSurface:
-    """Transform a surface into its element frame, with z along ``normal`` (3,) and x along ``along`` (3,).
+    """Transform a surface [m] into its element frame, and add its back.
+
+    ``normal`` and ``along`` are those of `surface_axes`.
 
     Raises:
-        TandemError: ``element.surface`` if the surface has holes, folds over or fills no rectangle;
-            ``part.offset`` if the thickness folds over.
+        TandemError: ``element.surface`` if the surface has holes, is too steep or does not fill its
+            rectangle; ``part.offset`` if the back folds over.
     """
     rotation = surface_axes(mesh, normal, along)
     local = mesh.vertices @ rotation
@@ -80,14 +82,15 @@ def surface_axes(
 ) -> FloatArray:
     """Return the axes of a surface's plane as columns (3, 3).
 
-    z is along ``normal``, else that of the surface; x is along ``along``.
+    z is along ``normal`` (3,), else along the mean normal. x is along ``along`` (3,) projected into the
+    plane, else along the file's x for a lying surface, and level for an upright one.
 
     Raises:
-        TandemError: ``element.surface`` if both are parallel.
+        TandemError: ``element.surface`` if z and ``along`` are parallel.
     """
     z = _mean_axis(mesh) if normal is None else unit(np.asarray(normal, dtype=np.float64))
     if along is None:
-        # level if the element is upright
+        # x of the file if the element lies, level if it is upright
         along = np.array([1.0, 0.0, 0.0]) if abs(z[2]) > np.cos(45.0 * DEG) else np.cross([0.0, 0.0, 1.0], z)
     x = along - (along @ z) * z
     if np.linalg.norm(x) < 1e-6 * max(float(np.linalg.norm(along)), 1e-12) or not np.any(along):
@@ -101,17 +104,18 @@ def surface_axes(
 
 
 def _mean_axis(mesh: TriangleMesh) -> FloatArray:
-    mean = unit((face_areas(mesh)[:, None] * face_normals(mesh)).sum(axis=0))
-    axis = np.sign(mean) * np.eye(3)[int(np.argmax(np.abs(mean)))]
-    return axis if mean @ axis > np.cos(SNAP_ANGLE_RAD) else mean
+    """Return the mean normal (3,) of a surface, or the axis of its frame that is close to it."""
+    mean_normal = unit((face_areas(mesh)[:, None] * face_normals(mesh)).sum(axis=0))
+    axis = np.sign(mean_normal) * np.eye(3)[int(np.argmax(np.abs(mean_normal)))]
+    return axis if mean_normal @ axis > np.cos(SNAP_ANGLE_RAD) else mean_normal
 
 
-def _surface_issue(what: str, field: str = "surface", hint: str | None = None) -> Issue:
-    return Issue("element.surface", what, field=field, hint=hint)
+def _surface_issue(message: str, field: str = "surface", hint: str | None = None) -> Issue:
+    return Issue("element.surface", message, field=field, hint=hint)
 
 
 def seam_issues(mesh: TriangleMesh) -> tuple[Issue, ...]:
-    """Warn with ``element.surface`` if the rim of a surface [m] runs back along itself.
+    """Return a warning ``element.surface`` if the rim of a surface [m] runs back along itself, else nothing.
 
     The rim of a tube does so if its sides touch but are not joined.
     """
@@ -119,6 +123,7 @@ def seam_issues(mesh: TriangleMesh) -> tuple[Issue, ...]:
     if not ends:
         return ()
     first, last = (np.concatenate(points) for points in zip(*ends, strict=True))
+    # divide each edge of the rim into equal parts, and compare their centres
     parts = np.ceil(lengths(last - first) / SEAM_STEP_M).astype(np.int64).clip(1)
     edge_index = np.repeat(np.arange(len(parts)), parts)
     fraction = (np.arange(len(edge_index)) - np.repeat(np.cumsum(parts) - parts, parts))[:, None]
@@ -129,65 +134,66 @@ def seam_issues(mesh: TriangleMesh) -> tuple[Issue, ...]:
     )
     along, offsets = unit(steps), middle[first_index] - middle[second_index]
     offsets -= dots(offsets, along[second_index])[:, None] * along[second_index]
-    touch = (dots(along[first_index], along[second_index]) < MAX_REVERSED_DOT) & (
+    touches = (dots(along[first_index], along[second_index]) < MAX_REVERSED_DOT) & (
         lengths(offsets) < TOUCH_DISTANCE_M
     )
-    touching = np.unique(np.concatenate([first_index[touch], second_index[touch]]))
+    touching = np.unique(np.concatenate([first_index[touches], second_index[touches]]))
     length = 0.5 * float(lengths(steps[touching]).sum())
     if length < MIN_SEAM_M:
         return ()
     centre = middle[touching][np.argmin(lengths(middle[touching] - middle[touching].mean(axis=0)))]
     x, y, z = (np.round(centre / MM) + 0.0).tolist()
-    what = (
+    message = (
         f"the rim of the surface touches itself over {length / MM:.0f} mm, near ({x:g}, {y:g}, {z:g}) mm, "
         "like that of a tube whose sides are not joined: panels on both sides are not neighbours, and may "
         "have no insertion path"
     )
     hint = "join both sides in the CAD program of the surface, or leave a gap"
-    return (Issue("element.surface", what, Severity.WARNING, field="surface", hint=hint),)
+    return (Issue("element.surface", message, Severity.WARNING, field="surface", hint=hint),)
 
 
 def _require_rectangle(mesh: TriangleMesh, size: FloatArray) -> None:
+    """Raise ``element.surface`` if a surface has holes, steep facets, or gaps in its rectangle (2,) [m]."""
     rings = boundary_rings(mesh)
     if len(rings) > 1:
         at = mesh.vertices[rings[-1]].mean(axis=0) / MM
-        what = (
+        message = (
             f"the surface has {len(rings)} rims, allowed 1: the smallest is around a hole at "
             f"({at[0]:.0f}, {at[1]:.0f}) mm of the element's plane"
         )
-        raise TandemError(_surface_issue(what, hint="close the hole, or split the surface at it"))
+        raise TandemError(_surface_issue(message, hint="close the hole, or split the surface at it"))
     normal_z = face_normals(mesh)[:, 2]
-    steep = normal_z < np.cos(MAX_TILT_RAD)
-    if steep.any():
+    is_steep = normal_z < np.cos(MAX_TILT_RAD)
+    if is_steep.any():
         at = mesh.vertices[mesh.faces[int(np.argmin(normal_z))]].mean(axis=0) / MM
-        worst = float(np.degrees(np.arccos(np.clip(normal_z.min(), -1.0, 1.0))))
-        what = (
-            f"{int(steep.sum())} of {len(steep)} facets are tilted to the element's plane by more than "
-            f"{MAX_TILT_RAD / DEG:.0f} degrees, the worst by {worst:.0f}, at ({at[0]:.0f}, {at[1]:.0f}) mm"
+        tilt = float(np.degrees(np.arccos(np.clip(normal_z.min(), -1.0, 1.0))))
+        message = (
+            f"{int(is_steep.sum())} of {len(is_steep)} facets are tilted to the element's plane by more than "
+            f"{MAX_TILT_RAD / DEG:.0f} degrees, the worst by {tilt:.0f}, at ({at[0]:.0f}, {at[1]:.0f}) mm"
         )
         hint = (
             "unify the normals of the mesh; state another surface.plane; or give parts that do not fold over"
         )
-        raise TandemError(_surface_issue(what, hint=hint))
+        raise TandemError(_surface_issue(message, hint=hint))
     covered = float((face_areas(mesh) * normal_z).sum() / (size[0] * size[1]))
     if covered < MIN_COVER_FRACTION:
-        what = (
+        message = (
             f"the surface covers {100 * covered:.1f} % of its rectangle of {size[0] / MM:.0f} x "
             f"{size[1] / MM:.0f} mm, required {100 * MIN_COVER_FRACTION:.1f} %"
         )
         hint = "state the plane and the direction of its sides (surface.plane), or extend it to a rectangle"
-        raise TandemError(_surface_issue(what, hint=hint))
+        raise TandemError(_surface_issue(message, hint=hint))
 
 
 @dataclasses.dataclass(frozen=True)
 class SectionProfiles:
-    """Sections of a surface by upright planes along one axis of the element plane, one polyline each.
+    """Sections of a surface by K upright planes along one axis of the element plane, one polyline each.
 
     Attributes:
-        at: Positions (K,) [m] of the planes.
-        position: Positions along the other axis, ascending [m].
-        height: Heights [m].
-        length: Arc lengths from the start [m].
+        at: Positions (K,) [m] of the planes on the other axis.
+        position: For each section, positions (P,) [m] of its points on the first axis, ascending.
+        height: For each section, heights (P,) [m] of its points.
+        length: For each section, arc lengths (P,) [m] of its points from its start.
     """
 
     at: FloatArray
@@ -197,7 +203,10 @@ class SectionProfiles:
 
 
 def cut_profiles(mesh: TriangleMesh, size: FloatArray, axis: int, at: FloatArray) -> SectionProfiles:
-    """Return sections along ``axis`` (0: x, 1: y) at positions ``at`` (K,) of the other one.
+    """Cut a surface into sections along ``axis`` (0: x, 1: y) at positions ``at`` (K,) [m] on the other axis.
+
+    ``size`` (2,) [m] is the rectangle of the surface. Sections on its edges are moved inside by
+    `RIM_INSET_M`.
 
     Raises:
         TandemError: ``element.surface`` if a section has several pieces or runs back.
@@ -217,12 +226,12 @@ def cut_profiles(mesh: TriangleMesh, size: FloatArray, axis: int, at: FloatArray
         step = np.diff(line[:, axis])
         if pieces[k] != 1 or (step < -1e-9).any():
             name = "xy"[other]
-            what = (
+            message = (
                 f"the section at {name} = {at[k] / MM:.0f} mm of the element's plane has {pieces[k]} pieces "
                 "or runs back; expected 1 piece that does not"
             )
             raise TandemError(
-                _surface_issue(what, hint="give a surface that covers each point of the plane once")
+                _surface_issue(message, hint="give a surface that covers each point of the plane once")
             )
         line = line[np.concatenate([[True], step > 1e-9])]
         positions.append(line[:, axis])

@@ -24,17 +24,17 @@ from planner.geometry.assembly import NONE, AssemblyStep, assemble, assembly_row
 from planner.geometry.ruled_wall import RuledWall
 
 SEARCH_TOLERANCE_M: Final = 2e-4
-"""Maximum deviation [m] of outlines in the search of insertion directions."""
+"""Maximum deviation [m] of the simplified outlines in the search of insertion directions."""
 
 
 @dataclasses.dataclass(frozen=True)
 class PanelLayout:
-    """Position of a panel in a common parameter plane.
+    """Position of a panel's wall or strip in a flat layout of all.
 
     Attributes:
-        wall: Wall of the panel.
-        along: Positions (M,) [m] of the nodes of the wall that adjacent walls have in common.
-        across: Range (2,) [m] of its rulings among all.
+        wall: Wall, or strip, of the panel.
+        along: Positions (M,) [m] of its nodes along the layout, which adjacent strips share.
+        across: Range (2,) [m] of its rulings across the layout.
     """
 
     wall: RuledWall
@@ -48,7 +48,7 @@ class PanelLayout:
         return np.stack([u, first + parameters[:, 1] * (last - first)], axis=1)
 
     def wall_positions(self, common: FloatArray) -> FloatArray:
-        """Return positions along this wall [m] from the common ones."""
+        """Convert positions [m] along the layout to positions [m] along this wall."""
         return np.interp(common, self.along, self.wall.nodes)
 
 
@@ -59,29 +59,28 @@ def wall_assembly(
     thickness: float,
     square: float | None = None,
 ) -> ElementAssembly:
-    """Return the assembly of a wall.
+    """Return the assembly of a wall or of strips.
 
-    Puzzle pieces follow their grid positions, for which their sides are made. Other panels are assembled in
-    rows from the low part of the rim, ``square`` as in :func:`planner.geometry.assembly.assemble`.
+    Puzzle pieces follow their grid positions, because their sides are made for this order. Other panels are
+    assembled in rows from the low part of the rim. ``square`` is the ``max_square_angle`` [rad] of
+    :func:`planner.geometry.assembly.assemble`. ``layouts`` has one entry for each panel.
     """
     ends = [
-        stand.plan(np.stack([panel.piece.along, (0.0, 0.0)], axis=1))[:, 0]
-        for panel, stand in zip(panels, layouts, strict=True)
+        layout.plan(np.stack([panel.piece.along, (0.0, 0.0)], axis=1))[:, 0]
+        for panel, layout in zip(panels, layouts, strict=True)
     ]
     cuts = np.unique(ends)
     rings, plans = [], []
-    for panel, stand in zip(panels, layouts, strict=True):
-        piece, wall = panel.piece, stand.wall
-        if piece.way_in is None:  # with the corners of adjacent panels
-            part, others = (
-                piece.outline[piece.outline[:, 1] == piece.across[0], 0],
-                stand.wall_positions(cuts),
-            )
-            part = np.union1d(part, others[(others > part[0]) & (others < part[-1])])
-            sides = [np.stack([part, np.full(len(part), t)], axis=1) for t in piece.across]
+    for panel, layout in zip(panels, layouts, strict=True):
+        piece, wall = panel.piece, layout.wall
+        if piece.way_in is None:  # not a puzzle piece: add the corners of adjacent panels to the outline
+            along = piece.outline[piece.outline[:, 1] == piece.across[0], 0]
+            others = layout.wall_positions(cuts)
+            along = np.union1d(along, others[(others > along[0]) & (others < along[-1])])
+            sides = [np.stack([along, np.full(len(along), t)], axis=1) for t in piece.across]
             parameters = np.concatenate([sides[0], sides[1][::-1]])
             piece = dataclasses.replace(piece, outline=parameters, cut_directions=wall.depths(*parameters.T))
-        plan = stand.plan(piece.outline)
+        plan = layout.plan(piece.outline)
         orientation = 1 if shapely.is_ccw(shapely.LinearRing(plan)) else -1
         rings.append([ring[::orientation] for ring in piece_outline(wall, piece, thickness)])
         plans.append(plan[::orientation])
@@ -93,21 +92,21 @@ def wall_assembly(
     pieces, up = [panel.piece for panel in panels], np.array([0.0, 0.0, 1.0])
     order = sorted(range(len(panels)), key=lambda k: pieces[k].grid_position)
     directions = [(k, pieces[k].way_in) for k in order]
-    given = tuple(
-        AssemblyStep(k, -orientation, pieces[k].interference)
-        for k, orientation in directions
-        if orientation is not None
+    puzzle_steps = tuple(
+        AssemblyStep(k, -direction, pieces[k].interference)
+        for k, direction in directions
+        if direction is not None
     )
-    if len(given) == len(panels):
-        return ElementAssembly(tuple(bodies), given, up)
+    if len(puzzle_steps) == len(panels):
+        return ElementAssembly(tuple(bodies), puzzle_steps, up)
     slabs = [
         simplify_outlines(body.whole, plan, SEARCH_TOLERANCE_M)
         for body, plan in zip(bodies, plans, strict=True)
     ]
-    low = np.array([slab.mesh[0][:, 2].min() for slab in slabs])
-    rim = np.array([(neighbours == NONE).any() for neighbours in beyond])
+    lowest = np.array([slab.mesh[0][:, 2].min() for slab in slabs])
+    is_rim = np.array([(neighbours == NONE).any() for neighbours in beyond])
     size = np.mean([float(np.sqrt(panel.box[:2].prod())) for panel in panels])
-    row = assembly_rows(beyond, rim & (low < low.min() + FIRST_ROW_HEIGHT_FRACTION * size), low)
+    row = assembly_rows(beyond, is_rim & (lowest < lowest.min() + FIRST_ROW_HEIGHT_FRACTION * size), lowest)
     rank = np.empty(len(panels), dtype=np.int64)
     rank[sorted(range(len(panels)), key=lambda k: (int(row[k]), pieces[k].grid_position))] = range(
         len(panels)

@@ -25,9 +25,9 @@ from planner.issues import Issue
 FRONT_VIEW_ROTATION: Final = np.array([[0.0, 1.0], [-1.0, 0.0]])
 """Rotation of wall parameters (u, t) to the front view: rulings from right to left, u up."""
 JOINT_POINTS: Final = 13
-"""Number of points of each line of a joint in ``element.json``."""
+"""Number of points of each line of a joint, in front and at the back, in ``element.json``."""
 JOINT_DIGITS: Final = 6
-"""Decimals in mm of these points."""
+"""Decimals of the points of joints in mm."""
 DARKEST_DEVIATION_MM: Final = 1.0
 """Deviation [mm] of a back that is drawn darkest."""
 
@@ -37,13 +37,13 @@ class PanelOutput:
     """Properties of a panel that depend on its kind.
 
     Attributes:
-        ring: Corners [mm], with those of neighbours, in the flat layout seen from the front.
-        beyond: Panel beyond each edge.
+        ring: Corners [mm], with those of neighbours, in the flat layout as seen from the front.
+        beyond: Id of the panel beyond each edge of ``ring``; None on the rim.
         outline: Outline (C, 2) [mm] for the drawing.
-        across: Range of the surface across, as fractions.
-        fraction: Deviation as a fraction of what is allowed.
-        row: Columns of the table.
-        data: Further data.
+        across: Range of the panel across the surface, as fractions.
+        fraction: Deviation as a fraction of the allowed one, or of the darkest one in the drawing.
+        row: Columns of the table for this kind.
+        data: Data of ``element.json`` for this kind.
     """
 
     ring: Sequence[tuple[float, float]]
@@ -58,23 +58,30 @@ class PanelOutput:
 def wall_folder(
     element: WallElement, panels: tuple[WallPanel, ...]
 ) -> tuple[dict[str, str], tuple[Issue, ...]]:
-    """Return all files of a ruled wall by name, and issues.
+    """Return all output files of a ruled wall as texts by name, and its issues.
 
     Issues are ``element.assembly`` for panels without an insertion path, ``element.cut`` for cuts of raw
     blocks that no bow reaches.
 
     Raises:
-        TandemError: ``element.jobs``, ``element.raw_block``.
+        TandemError: ``element.jobs`` if not exactly one template matches a panel; ``element.raw_block`` if a
+            block fits no raw block.
     """
-    wide, names = float(element.wall.widths.max()) / MM, panel_ids(panels)
+    width = float(element.wall.widths.max()) / MM
+    names = panel_ids(panels)
     pieces = [panel.piece for panel in panels]
     parts = [
-        (wide * (1.0 - p.across[1]), wide * (1.0 - p.across[0]), p.along[0] / MM, p.along[1] / MM)
-        for p in pieces
+        (
+            width * (1.0 - piece.across[1]),
+            width * (1.0 - piece.across[0]),
+            piece.along[0] / MM,
+            piece.along[1] / MM,
+        )
+        for piece in pieces
     ]
     outputs = []
     for k, (panel, piece) in enumerate(zip(panels, pieces, strict=True)):
-        drawn_outline = (piece.outline @ FRONT_VIEW_ROTATION + [1.0, 0.0]) * [wide, 1.0 / MM]
+        drawn_outline = (piece.outline @ FRONT_VIEW_ROTATION + [1.0, 0.0]) * [width, 1.0 / MM]
         row = {"off_surface_mm": round(panel.deviation / MM, 3)}
         ring = rectangle_outline(parts, names, k)
         outputs.append(
@@ -82,36 +89,34 @@ def wall_folder(
                 *ring, drawn_outline, piece.across, panel.deviation / MM / DARKEST_DEVIATION_MM, row, {}
             )
         )
-    worst = max(panel.deviation for panel in panels) / MM
-    legend = f"larger deviation of the straight back from the offset front, at most {worst:.2f} mm"
+    max_deviation = max(panel.deviation for panel in panels) / MM
+    legend = f"larger deviation of the straight back from the offset front, at most {max_deviation:.2f} mm"
     wall = element.wall
-    stand = PanelLayout(wall, wall.nodes, np.array([0.0, wall.widths.mean()]))
-    return _write_folder(element, panels, outputs, [stand] * len(panels), ("", legend), {})
+    layout = PanelLayout(wall, wall.nodes, np.array([0.0, wall.widths.mean()]))
+    return _write_folder(element, panels, outputs, [layout] * len(panels), ("", legend), {})
 
 
 def strips_folder(
     element: StripsElement, division: StripDivision
 ) -> tuple[dict[str, str], tuple[Issue, ...]]:
-    """Return all files of a surface in ruled strips as `wall_folder`, with deviations and kinks."""
+    """Return all output files and issues of ruled strips as `wall_folder`, with deviations and kinks."""
     panels, limit, names = division.panels, element.options.tolerance_mm, panel_ids(division.panels)
-    positions, fractions = (
-        division.lines.distances_across[division.cuts],
-        division.lines.parameters[division.cuts],
-    )
-    known = {name: division.steps(k) for k, name in enumerate(names)}
+    positions = division.lines.distances_across[division.cuts]
+    fractions = division.lines.parameters[division.cuts]
+    steps_by_name = {name: division.steps(k) for k, name in enumerate(names)}
     parts = []
-    for strip, first, last in known.values():
-        x, y = (
-            (positions[-1] - positions[[strip + 1, strip]]) / MM,
-            division.lines.distances_along[[first, last]] / MM,
-        )
+    for strip, first, last in steps_by_name.values():
+        x = (positions[-1] - positions[[strip + 1, strip]]) / MM
+        y = division.lines.distances_along[[first, last]] / MM
         parts.append((float(x[0]), float(x[1]), float(y[0]), float(y[1])))
     outputs = []
-    for k, panel_steps in enumerate(known.values()):
+    for k, panel_steps in enumerate(steps_by_name.values()):
         ring, beyond = rectangle_outline(parts, names, k)
         kinks = [
-            None if item is None else round(division.kink(panel_steps, known[item]) / DEG, 3)
-            for item in beyond
+            None
+            if neighbour is None
+            else round(division.kink(panel_steps, steps_by_name[neighbour]) / DEG, 3)
+            for neighbour in beyond
         ]
         row = {
             "off_surface_mm": round(float(division.deviation[k]) / MM, 3),
@@ -124,23 +129,26 @@ def strips_folder(
         outputs.append(
             PanelOutput(ring, beyond, drawn, across, float(division.deviation[k]) / MM / limit, row, data)
         )
-    worst = float(division.deviation.max()) / MM
+    max_deviation = float(division.deviation.max()) / MM
     texts = (
         f" in {len(fractions) - 1} strips across {division.across}",
-        f"larger deviation of the front from the surface, at most {worst:.2f} of {limit:g} mm",
+        f"larger deviation of the front from the surface, at most {max_deviation:.2f} of {limit:g} mm",
     )
-    whole = {
+    strips_data = {
         "across": division.across,
         "breaks": np.round(fractions, 9).tolist(),
         "widths_mm": np.round(np.diff(positions) / MM, 3).tolist(),
         "tolerance_mm": limit,
-        "tried": {item: {"strips": s, "panels": p} for item, (s, p) in division.tried.items()},
+        "tried": {
+            across: {"strips": strip_count, "panels": panel_count}
+            for across, (strip_count, panel_count) in division.tried.items()
+        },
     }
     strips = [panel.piece.grid_position[0] for panel in panels]
     layouts = [
         PanelLayout(division.walls[k], division.lines.distances_along, positions[[k, k + 1]]) for k in strips
     ]
-    return _write_folder(element, panels, outputs, layouts, texts, {"strips": whole})
+    return _write_folder(element, panels, outputs, layouts, texts, {"strips": strips_data})
 
 
 def _write_folder(
@@ -149,8 +157,13 @@ def _write_folder(
     outputs: Sequence[PanelOutput],
     layouts: Sequence[PanelLayout],
     texts: tuple[str, str],
-    more: dict[str, Any],
+    kind_data: dict[str, Any],
 ) -> tuple[dict[str, str], tuple[Issue, ...]]:
+    """Return all output files and issues of a wall or of strips.
+
+    ``outputs`` and ``layouts`` have one entry for each panel. ``texts`` are those of `_draw_panels`,
+    ``kind_data`` is data of ``element.json`` for this kind.
+    """
     names = panel_ids(panels)
     templates = jobs.choose_templates(element, panels, names)
     files, rows, data, blocks = {}, [], [], []
@@ -171,29 +184,44 @@ def _write_folder(
                 "neighbours": " ".join(dict.fromkeys(neighbour for neighbour in output.beyond if neighbour)),
             }
         )
-        drawn = {"neighbours": list(output.beyond), "outline_mm": np.round(np.array(output.ring), 2).tolist()}
-        takes = jobs.cut_figures(template, functools.partial(jobs.ruled_cut_length, panel_problem))
+        drawing_data = {
+            "neighbours": list(output.beyond),
+            "outline_mm": np.round(np.array(output.ring), 2).tolist(),
+        }
+        effort = jobs.cut_figures(template, functools.partial(jobs.ruled_cut_length, panel_problem))
         data.append(
-            {**row, **drawn, **output.data, **bodies[k], **takes, "block_pose": jobs.pose_to_mm(panel.pose)}
+            {
+                **row,
+                **drawing_data,
+                **output.data,
+                **bodies[k],
+                **effort,
+                "block_pose": jobs.pose_to_mm(panel.pose),
+            }
         )
     files["panels.csv"] = table(rows)
     files["panels.svg"] = _draw_panels(element, outputs, names, texts)
     files["element.obj"] = element_assembly.obj()
-    whole = {
+    element_data = {
         "element": 1,
         "name": element.file.name,
         "pose": np.eye(4).tolist(),
         "up": element_assembly.up.tolist(),
         "thickness_mm": element.file.thickness_mm,
         "volume_l": round(1e3 * sum(panel.volume for panel in panels), 3),
-        **more,
+        **kind_data,
         "panels": data,
     }
     if any(panel.piece.way_in is not None for panel in panels):  # lobes are not joints between two lines
-        return complete_output(element, files, whole, blocks, element_assembly)
-    whole["joints"] = list(_joints(panels, outputs, layouts, names, element.file.thickness_mm * MM))
+        return complete_output(element, files, element_data, blocks, element_assembly)
+    element_data["joints"] = list(_joints(panels, outputs, layouts, names, element.file.thickness_mm * MM))
     return complete_output(
-        element, files, whole, blocks, element_assembly, tuple(element_assembly.issues(FREE_INTERFERENCE_M))
+        element,
+        files,
+        element_data,
+        blocks,
+        element_assembly,
+        tuple(element_assembly.issues(FREE_INTERFERENCE_M)),
     )
 
 
@@ -204,9 +232,9 @@ def _joints(
     names: Sequence[str],
     thickness: float,
 ) -> Iterator[dict[str, Any]]:
-    """Yield the joints: sides, length, and paired points of the front and back lines."""
-    for panel, output, stand, name in zip(panels, outputs, layouts, names, strict=True):
-        piece, wall = panel.piece, stand.wall
+    """Yield the data of each joint: panels, sides, length, and paired points in front and at the back."""
+    for panel, output, layout, name in zip(panels, outputs, layouts, names, strict=True):
+        piece, wall = panel.piece, layout.wall
         low, high = np.min(output.ring, axis=0), np.max(output.ring, axis=0)
         ends = zip(output.ring, (*output.ring[1:], output.ring[0]), output.beyond, strict=True)
         for (x, y), (x_end, y_end), beyond in ends:
@@ -214,7 +242,7 @@ def _joints(
                 continue
             if x == x_end:
                 side, other = ("right", "left") if x == high[0] else ("left", "right")
-                first, last = stand.wall_positions(np.array([min(y, y_end), max(y, y_end)]) * MM).tolist()
+                first, last = layout.wall_positions(np.array([min(y, y_end), max(y, y_end)]) * MM).tolist()
                 positions = np.linspace(first, last, JOINT_POINTS)
                 lines = face_rulings(wall, thickness, positions, piece.across)
                 front, back = (line[int(side == "left")] for line in lines)
@@ -235,22 +263,22 @@ def _joints(
 
 def panel_block(element: Element, panel: WallPanel, name: str) -> PanelBlock:
     """Return the block of a panel for nesting in raw blocks."""
-    length, width, high = (v * MM for v in jobs.block_mm(panel))
+    length, width, height = (v * MM for v in jobs.block_mm(panel))
     foam = element.file.blocks[panel.block].foam
     return PanelBlock(
-        name, length, width, high, panel.volume, foam, PanelShape(panel.ring, (panel.back, panel.front))
+        name, length, width, height, panel.volume, foam, PanelShape(panel.ring, (panel.back, panel.front))
     )
 
 
 def _grid_names(panels: Sequence[WallPanel]) -> tuple[str, ...]:
-    """Return the positions of panels: a letter for each strip or row, and a number in it."""
+    """Return the grid position of each panel: a letter for its strip or row, and its number in that."""
     order = sorted(range(len(panels)), key=lambda k: panels[k].piece.grid_position)
     named = jobs.row_names([panels[k].piece.grid_position[0] for k in order])
     return tuple(name for _, name in sorted(zip(order, named, strict=True)))
 
 
 def _part(panel: WallPanel) -> dict[str, Any]:
-    """Return front, back and sides as the part of a problem file; each extends beyond the others."""
+    """Return the part of a problem file: front, back and sides, which extend beyond one another."""
     return {
         "ruled": [
             jobs.ruled_surface("front", *panel.front),
@@ -268,6 +296,7 @@ def _row(
     grid_name: str,
     template: str,
 ) -> dict[str, Any]:
+    """Return the row of a panel in ``panels.csv``, by columns, but for its neighbours."""
     block, piece = element.file.blocks[panel.block], panel.piece
     box = zip(("width", "height", "depth"), panel.box.tolist(), strict=True)
     return {
@@ -292,8 +321,8 @@ def _draw_panels(
 ) -> str:
     """Draw the panels in a flat layout seen from the front.
 
-    The rulings of a wall are level and as long as the longest one. ``texts``: on the number of panels, and on
-    the meaning of darker ones.
+    The rulings of a wall are level and as long as the longest one. ``texts`` follow the number of panels in
+    the title, and state in the legend what darker panels mean.
     """
     title = f"{element.file.name}: {len(names)} panels{texts[0]}, {element.file.thickness_mm:g} mm thick"
     legend = "flat layout, seen from the front; numbers increase with the height of the panel's box; darker: "

@@ -1,11 +1,11 @@
 """Panels of ruled walls, whatever their outlines: their shapes, the blocks that hold them, their numbers.
 
-A panel is a `WallPiece` of the wall: a part of its rulings, an outline there, and at each point of that the
-direction in which the wire stands when it cuts the outline. Front and back are ruled over the same part, the
-back between points that are one thickness behind the front's: pieces side by side have both in common.
+A panel is a `WallPiece` of the wall: a part of its rulings, an outline there, and at each point of the
+outline the direction of the wire when it cuts there. Front and back are ruled over the same part. The ends of
+the back's rulings are one thickness behind those of the front, so adjacent pieces share both.
 
-Its block stands level under it: x along its middle ruling, z such that the piece is as low as can be, with
-as much foam above as below.
+The x axis of its block is along the middle ruling. Its z axis is chosen such that the box of the piece is as
+low as possible, with as much foam above as below.
 """
 
 import dataclasses
@@ -26,10 +26,10 @@ from planner.geometry.units import MM
 EXTENSION_FRACTION: Final = 0.7
 """Fraction of the foam around a panel over which faces and sides extend beyond one another.
 
-Surfaces that cross bound a part together.
+Surfaces have to intersect to bound a part together.
 """
 ITERATIONS: Final = 4
-"""Number of fixed-point iterations.
+"""Number of fixed-point iterations for the rulings under an outline.
 
 Each reduces the error by the ratio of thickness to radius of curvature.
 """
@@ -38,7 +38,7 @@ MIN_NORMAL_COSINE: Final = 0.7
 SIDES: Final = ("right", "top", "left", "bottom")
 """Sides of a panel as seen from the front, in the order of its outline."""
 MIN_EXTENSION_M: Final = 1e-4
-"""Minimum extension of a side [m]."""
+"""Minimum extension of a side at each end [m]."""
 HEIGHT_STEP_MM: Final = 0.0937
 """Step [mm] of heights by which panels are numbered.
 
@@ -52,7 +52,7 @@ class BlockRoom:
 
     Attributes:
         block: Index of the kind of block in the file.
-        size: Size (3,) [m] along the rulings, along the wall and up.
+        size: Size (3,) [m] of the space along the rulings, along the wall and across the wall.
         thickness: Thickness of the block itself [m].
     """
 
@@ -63,17 +63,18 @@ class BlockRoom:
 
 @dataclasses.dataclass(frozen=True)
 class WallPiece:
-    """A panel on the wall.
+    """A panel as a part of the wall.
 
     Attributes:
         grid_position: Strip, and position in it.
         along: Range along the wall [m].
         across: Range across, as fractions of the rulings.
-        outline: Wall parameters (C, 2) (u, t), first up along the wall; may extend beyond the range.
-        cut_directions: Directions (C, 3) from back to front in which it is cut.
+        outline: Corners (C, 2) as wall parameters (u, t), first up along the wall. They may be outside of the
+            range.
+        cut_directions: Directions (C, 3) from back to front in which the outline is cut.
         corners: Indices of the outline where the sides of ``SIDES`` start.
-        way_in: Insertion direction (3,) from the front, if there is only one.
-        interference: Interference [m] of sides on that path.
+        way_in: Direction (3,) from back to front, against which a puzzle piece is inserted; else None.
+        interference: Interference [m] of its sides when it is inserted like that.
     """
 
     grid_position: tuple[int, int]
@@ -88,20 +89,20 @@ class WallPiece:
 
 @dataclasses.dataclass(frozen=True)
 class WallPanel:
-    """A piece in its block; lengths in the block frame [m].
+    """A piece in its block. Coordinates are in the block frame, lengths in m.
 
     Attributes:
         piece: Piece.
         block: Index of the kind of block.
-        size: Size (3,) of the piece of the block that it is cut from.
-        box: Size (3,) of its own box.
+        size: Size (3,) of the part of the block that it is cut from.
+        box: Size (3,) of its own bounding box.
         pose: Pose (4, 4) of the block in the wall frame, with the origin at the centre of the bottom face.
         front: Ends (2, N, 3) of the rulings of the front, extended beyond the sides.
         back: Ends (2, N, 3) of the rulings of the back, extended beyond the sides.
         sides: Sides (2, K, 3) in the order of ``SIDES``, extended beyond both faces and one another.
-        ring: All sides as one outline (2, C, 3).
+        ring: All sides as one outline (2, C, 3) at back and front, extended beyond both faces.
         volume: Volume [m^3].
-        deviation: Maximum distance of the back from the surface offset by one thickness.
+        deviation: Maximum distance of the straight back from the front offset by one thickness.
     """
 
     piece: WallPiece
@@ -118,49 +119,49 @@ class WallPanel:
 
 
 def block_rooms(file: ElementFile) -> tuple[BlockRoom, ...]:
-    """Return the space of blocks for panels, the smallest first.
+    """Return the space for panels in each kind of block, the smallest first.
 
-    Blocks wider than the span of the bow for raw blocks are parted along their length into the fewest parts
-    that it spans, with a kerf between them.
+    Blocks that are wider than the span of the bow for raw blocks are divided along their length into the
+    fewest equal parts that it spans, with a kerf between them.
     """
     raw = file.raw_blocks
     kerf, oversize = (0.0, 0.0) if raw is None else (raw.kerf_mm, raw.oversize_mm)
     out = []
     for number, block in enumerate(file.blocks):
-        long, wide = max(block.size_mm[:2]), min(block.size_mm[:2])
-        parts = 1 if raw is None or raw.bow is None else int(np.ceil(wide / raw.bow.span_mm))
-        wide = (wide - (parts - 1) * kerf) / parts
-        plan = np.array([wide, long]) * MM - oversize * MM - 2.0 * file.sides
+        length, width = max(block.size_mm[:2]), min(block.size_mm[:2])
+        parts = 1 if raw is None or raw.bow is None else int(np.ceil(width / raw.bow.span_mm))
+        width = (width - (parts - 1) * kerf) / parts
+        plan = np.array([width, length]) * MM - oversize * MM - 2.0 * file.sides
         thick = block.size_mm[2] * MM
         out.append(BlockRoom(number, np.array([*plan, thick - 2.0 * file.faces]), thick))
     return tuple(sorted(out, key=lambda room: (float(room.size.prod()), room.block)))
 
 
 def first_fitting(box: FloatArray, rooms: Sequence[BlockRoom]) -> BlockRoom | None:
-    """Return the first room that holds a box (3,)."""
+    """Return the first room that holds a box (3,) [m]; None if none does."""
     return next((room for room in rooms if (box <= room.size + FIT_TOLERANCE_M).all()), None)
 
 
 def flat_box(
     wall: RuledWall, along: tuple[float, float], across: tuple[float, float], points: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest box around points (K, 3) of a part of the wall.
+    """Return the lowest box around points (K, 3) [m] of a part of the wall.
 
-    Its x is along the middle ruling, and its z close to the normal there.
+    Its x is along the middle ruling of the part (``along`` [m], ``across`` as fractions), its z close to the
+    normal there.
 
     Returns:
         Axes (3, 3) as rows, and size (3,) [m].
     """
-    u, t = (np.array([0.5 * (low + high)]) for low, high in (along, across))
+    u, t = (np.array([0.5 * (low + heights)]) for low, heights in (along, across))
     directions, ruling = (tangent[0] for tangent in wall.tangents(u, t))
     x, normal = unit(ruling), unit(np.cross(directions, ruling))
     plane = np.stack([np.cross(normal, x), normal], axis=1)
     directions, extent = hull_boxes(points @ plane)
-    up = np.concatenate(
-        [np.stack([-directions[:, 1], directions[:, 0]], axis=1), directions]
-    )  # an edge is level, or upright
-    high = np.concatenate([extent[:, 1], extent[:, 0]])
-    best = int(np.argmin(np.where(np.abs(up[:, 1]) > MIN_NORMAL_COSINE, high, np.inf)))
+    # in the lowest box, an edge of the hull is level or upright
+    up = np.concatenate([np.stack([-directions[:, 1], directions[:, 0]], axis=1), directions])
+    heights = np.concatenate([extent[:, 1], extent[:, 0]])
+    best = int(np.argmin(np.where(np.abs(up[:, 1]) > MIN_NORMAL_COSINE, heights, np.inf)))
     z = plane @ (up[best] * np.sign(up[best, 1]))
     axes = np.stack([x, np.cross(z, x), z])
     return axes, np.ptp(points @ axes.T, axis=0)
@@ -169,7 +170,10 @@ def flat_box(
 def face_rulings(
     wall: RuledWall, thickness: float, u: FloatArray, across: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return ends (2, N, 3) [m] of the rulings of a front and its back, at positions (N,) along the wall."""
+    """Return the rulings of a front and its back, as ends (2, N, 3) [m], at positions ``u`` (N,) [m].
+
+    ``across`` is the range of the rulings as fractions of those of the wall.
+    """
     u, t = np.broadcast_arrays(u, np.array(across)[:, None])
     front = wall.points(u, t)
     return front, front - thickness * wall.depths(u, t)
@@ -180,7 +184,7 @@ def place_in_block(
 ) -> WallPanel | None:
     """Place a piece in the first room that holds it; None if none does.
 
-    ``foam`` [m] is the minimum beside it, and above and below it.
+    ``foam`` [m] is the minimum foam beside it, and that above and below it.
     """
     top, bottom = piece_outline(wall, piece, thickness)
     points = np.concatenate([top, bottom])
@@ -193,39 +197,41 @@ def place_in_block(
     pose = from_parts(axes.T, axes.T @ (middle - [0.0, 0.0, 0.5 * room.thickness]))
     to_block = inverse(pose)
     half = 0.5 * box[:2] + foam[0]
-    go_on = EXTENSION_FRACTION * foam[0]
+    extension = EXTENSION_FRACTION * foam[0]
     front, back = (
-        _extend_rulings(transform(to_block, face), half[0] - foam[0] + go_on)
-        for face in _face_rulings(wall, piece, thickness, go_on)
+        _extend_rulings(transform(to_block, face), half[0] - foam[0] + extension)
+        for face in _face_rulings(wall, piece, thickness, extension)
     )
     # diverging rulings may extend beyond the foam beside the outline
     half[1] = max(half[1], *(float(np.abs(face[..., 1]).max()) for face in (front, back)))
     lead = EXTENSION_FRACTION * foam[1] * piece.cut_directions
     ring = transform(to_block, np.stack([bottom - lead, top + lead]))
-    whole = np.concatenate([ring, ring[:, :1]], axis=1)
+    closed_ring = np.concatenate([ring, ring[:, :1]], axis=1)
     ends = itertools.pairwise((*piece.corners, ring.shape[1]))
-    sides = tuple(_extend_side(whole[:, i : k + 1], half - foam[0] + go_on) for i, k in ends)
+    sides = tuple(_extend_side(closed_ring[:, i : k + 1], half - foam[0] + extension) for i, k in ends)
     size = np.array([*(2.0 * half), room.thickness])
     measures = _measures(wall, piece, thickness)
     return WallPanel(piece, room.block, size, box, pose, front, back, sides, ring, *measures)
 
 
 def piece_outline(wall: RuledWall, piece: WallPiece, thickness: float) -> tuple[FloatArray, FloatArray]:
-    """Return the outline (C, 3) [m] on the front, and on the back."""
+    """Return the outline (C, 3) [m] of a piece on the front, and that on the back."""
     u, t = piece.outline.T
     top = wall.points(u, t)
-    deep = thickness / dots(piece.cut_directions, wall.normals(u, t))
-    return top, top - deep[:, None] * piece.cut_directions
+    # distance along the cut direction at which the back is one thickness behind the front
+    depth = thickness / dots(piece.cut_directions, wall.normals(u, t))
+    return top, top - depth[:, None] * piece.cut_directions
 
 
 def _face_rulings(wall: RuledWall, piece: WallPiece, thickness: float, beyond: float) -> list[FloatArray]:
-    """Return ends (2, N, 3) [m] of the rulings of the front and back of a piece.
+    """Return the rulings of front and back of a piece, as ends (2, N, 3) [m].
 
-    They cover what its outline takes of the wall there, extended by ``beyond`` [m].
+    Those of each face cover the part of the wall inside the outline on that face, extended by ``beyond`` [m]
+    along the wall.
     """
     _, bottom = piece_outline(wall, piece, thickness)
     under = piece.outline
-    for _ in range(ITERATIONS):  # wall parameters above the lower points of the outline
+    for _ in range(ITERATIONS):  # find the wall parameters (u, t) whose normals meet the outline on the back
         u, t = under.T
         # Newton step for p(u, t) - thickness n(u, t) = bottom, without the derivative of n
         offsets = bottom - wall.points(u, t) + thickness * wall.normals(u, t)
@@ -238,17 +244,17 @@ def _face_rulings(wall: RuledWall, piece: WallPiece, thickness: float, beyond: f
 
 
 def _extend_rulings(rulings: FloatArray, half_width: float) -> FloatArray:
-    """Return rulings (2, N, 3) along x from -``half_width`` to ``half_width`` [m]."""
+    """Extend rulings (2, N, 3) [m] to reach from -``half_width`` to ``half_width`` [m] along x."""
     start, end = rulings
     fraction = (np.array([[-half_width], [half_width]]) - start[:, 0]) / (end - start)[:, 0]
     return np.asarray(start + fraction[..., None] * (end - start))
 
 
 def _extend_side(side: FloatArray, half: FloatArray) -> FloatArray:
-    """Extend a side (2, K, 3) straight from both ends, level and in its own plane, to ``half`` (2,) [m].
+    """Extend a side (2, K, 3) [m] straight at both ends, level and in its own plane.
 
-    So each side is a separate cut: the wire need not turn around the corners of the panel, and may approach
-    the next side from elsewhere.
+    It reaches a box of half the size ``half`` (2,) [m] in plan. So each side is a separate cut: the wire need
+    not go around the corners of the panel, and can approach the next side from elsewhere.
     """
     ends = []
     for at, inner_index in ((0, 1), (-1, -2)):
@@ -256,24 +262,28 @@ def _extend_side(side: FloatArray, half: FloatArray) -> FloatArray:
         direction = (side[:, at] - side[:, inner_index]).sum(axis=0)
         direction = unit(direction - direction[2] / (high[2] - low[2]) * (high - low))
         with np.errstate(divide="ignore"):
-            left = (half - np.sign(direction[:2]) * side[:, at, :2]) / np.abs(direction[:2])
-        ends.append(side[:, at] + max(float(left.min()), MIN_EXTENSION_M) * direction)
+            distances = (half - np.sign(direction[:2]) * side[:, at, :2]) / np.abs(direction[:2])
+        ends.append(side[:, at] + max(float(distances.min()), MIN_EXTENSION_M) * direction)
     return np.concatenate([ends[0][:, None], side, ends[1][:, None]], axis=1)
 
 
 def _measures(wall: RuledWall, piece: WallPiece, thickness: float) -> tuple[float, float]:
-    """Return the volume [m^3] and the deviation of the back from the surface behind the front [m].
+    """Return the volume [m^3] of a piece, and the deviation [m] of its back from the offset front.
 
     The volume is the thickness times the mean area of the faces, as in `output`.
     """
     u = wall.nodes_between(*piece.along)
     front, back = face_rulings(wall, thickness, u, piece.across)
-    areas = [0.5 * lengths(np.cross(e[1, 1:] - e[0, :-1], e[0, 1:] - e[1, :-1])).sum() for e in (front, back)]
-    part = np.ptp(piece.along) * np.ptp(piece.across)
-    fraction = shapely.Polygon(piece.outline).area / part
+    # area of a quadrilateral: half the cross product of its diagonals
+    areas = [
+        0.5 * lengths(np.cross(ends[1, 1:] - ends[0, :-1], ends[0, 1:] - ends[1, :-1])).sum()
+        for ends in (front, back)
+    ]
+    rectangle_area = np.ptp(piece.along) * np.ptp(piece.across)
+    area_fraction = shapely.Polygon(piece.outline).area / rectangle_area
     t = np.full(len(u), np.mean(piece.across))
     offset_points = wall.points(u, t) - thickness * wall.normals(u, t)
-    return float(thickness * np.mean(areas) * fraction), float(
+    return float(thickness * np.mean(areas) * area_fraction), float(
         lengths(back.mean(axis=0) - offset_points).max()
     )
 
@@ -286,6 +296,6 @@ def sort_panels(panels: Sequence[WallPanel]) -> tuple[WallPanel, ...]:
 
 
 def panel_ids(panels: Sequence[WallPanel]) -> tuple[str, ...]:
-    """Return P00, P01 ... in their order."""
+    """Return the ids P00, P01 ... of panels in their order, with two or more digits."""
     digits = max(2, len(str(len(panels) - 1)))
     return tuple(f"P{k:0{digits}d}" for k in range(len(panels)))

@@ -22,7 +22,7 @@ from planner.issues import Issue, TandemError, issue_error
 
 
 def divide_wall(element: WallElement) -> tuple[WallPanel, ...]:
-    """Compute all panels of a wall by number.
+    """Compute all panels of a wall in the order of their numbers.
 
     Raises:
         TandemError: ``element.shape`` for lobes that do not fit cells, ``element.block`` if no block holds a
@@ -38,7 +38,10 @@ def divide_wall(element: WallElement) -> tuple[WallPanel, ...]:
 
 
 def _divide(element: WallElement, thickness_mm: float) -> tuple[WallPanel, ...] | None:
-    wall, options, thickness = element.wall, element.options, thickness_mm * MM
+    """Return the panels of a wall of a thickness, unordered; None if blocks do not hold all of them."""
+    wall = element.wall
+    options = element.options
+    thickness = thickness_mm * MM
     available, foam = block_rooms(element.file), (element.file.sides, element.file.faces)
     if isinstance(options, PuzzleFile):
         pieces = divide_puzzle(wall, thickness, available, options.lobe_mm * MM, options.cells)
@@ -47,29 +50,29 @@ def _divide(element: WallElement, thickness_mm: float) -> tuple[WallPanel, ...] 
     if pieces is None:
         return None
     placed_panels = [place_in_block(wall, piece, thickness, available, foam) for piece in pieces]
-    whole = tuple(panel for panel in placed_panels if panel is not None)
-    return whole if len(whole) == len(placed_panels) else None
+    panels = tuple(panel for panel in placed_panels if panel is not None)
+    return panels if len(panels) == len(placed_panels) else None
 
 
 def _refuse_lobes(element: WallElement, options: PuzzleFile, cells: tuple[int, int]) -> None:
-    """Refuse lobes that overlap in ``cells`` (along the wall, across)."""
+    """Raise ``element.shape`` if lobes are too large for cells, by their numbers (along the wall, across)."""
     length, width = float(element.wall.nodes[-1]) / cells[0], float(element.wall.widths.min()) / cells[1]
     max_radius = largest_lobe(length, width) / MM
     if options.lobe_mm <= max_radius:
         return
-    what = (
+    message = (
         f"lobes of {options.lobe_mm:g} mm do not fit cells of {length / MM:.0f} x {width / MM:.0f} mm, "
         f"allowed {max_radius:.1f} mm"
     )
     hint = f"give lobe_mm: {np.floor(max_radius * 10.0) / 10.0:g}, or fewer cells"
     field = "panels.puzzle.lobe_mm"
     raise issue_error(
-        "element.shape", what, field=field, value=options.lobe_mm, limit=max_radius, unit="mm", hint=hint
+        "element.shape", message, field=field, value=options.lobe_mm, limit=max_radius, unit="mm", hint=hint
     )
 
 
 def _too_large(element: WallElement) -> Issue:
-    """Return the issue of the lowest panel that blocks hold least, and a thickness that fits."""
+    """Return the issue that blocks do not even hold the lowest panels, with a thickness that fits."""
     file, thickness = element.file, element.file.thickness_mm * MM
     available = block_rooms(file)
     pieces = _lowest_pieces(element, available)
@@ -84,31 +87,37 @@ def _too_large(element: WallElement) -> Issue:
             for piece in pieces
         ]
     )
-    over = np.min([(boxes - room.size).max(axis=1) for room in available], axis=0)
-    worst = int(np.argmax(over))
-    around = 2.0 * np.array([file.sides, file.sides, file.faces])
-    got, needed, has = (
+    excess = np.min([(boxes - room.size).max(axis=1) for room in available], axis=0)
+    worst_index = int(np.argmax(excess))
+    foam = 2.0 * np.array([file.sides, file.sides, file.faces])
+    got, needed, largest = (
         " x ".join(f"{v / MM:.0f}" for v in np.ceil(size / MM) * MM)
-        for size in (boxes[worst] + around, boxes.max(axis=0) + around, available[-1].size + around)
+        for size in (boxes[worst_index] + foam, boxes.max(axis=0) + foam, available[-1].size + foam)
     )
-    u, t = (np.mean(v) for v in (pieces[worst].along, pieces[worst].across))
+    u, t = (np.mean(v) for v in (pieces[worst_index].along, pieces[worst_index].across))
     at = ", ".join(f"{v / MM:.0f}" for v in element.wall.points(np.array([u]), np.array([t]))[0])
-    what = (
+    text = (
         f"no block holds a panel near ({at}) mm, although it is only "
-        f"{np.ptp(pieces[worst].along) / MM:.0f} mm high: with foam around it, it needs {got} mm, the "
-        f"largest block has {has} mm within the span of the bow"
+        f"{np.ptp(pieces[worst_index].along) / MM:.0f} mm high: with foam around it, it needs {got} mm, the "
+        f"largest block has {largest} mm within the span of the bow"
     )
-    thin = _thickness_that_fits(element)
+    fitting = _thickness_that_fits(element)
     hint = f"blocks of {needed} mm would hold the lowest panels, or give smaller ones"
-    if thin is not None:
-        hint = f"thickness_mm: {thin:g} would fit; {hint}"
+    if fitting is not None:
+        hint = f"thickness_mm: {fitting:g} would fit; {hint}"
     return Issue(
-        "element.block", what, field="blocks", value=float(over[worst]) / MM, limit=0, unit="mm", hint=hint
+        "element.block",
+        text,
+        field="blocks",
+        value=float(excess[worst_index]) / MM,
+        limit=0,
+        unit="mm",
+        hint=hint,
     )
 
 
 def _lowest_pieces(element: WallElement, available: Sequence[BlockRoom]) -> tuple[WallPiece, ...]:
-    """Return panels of the minimum height, all over the wall."""
+    """Return pieces of about minimum height that cover the wall."""
     wall, options = element.wall, element.options
     length = float(wall.nodes[-1])
     if isinstance(options, PuzzleFile):
@@ -127,7 +136,7 @@ def _lowest_pieces(element: WallElement, available: Sequence[BlockRoom]) -> tupl
 
 
 def _thickness_that_fits(element: WallElement) -> float | None:
-    """Return the largest thickness in whole millimetres below the requested one with which all panels fit."""
+    """Return the largest whole thickness [mm] below the requested one with which all panels fit, or None."""
     low, high = 0, int(np.ceil(element.file.thickness_mm))
     while high - low > 1:
         middle = (low + high) // 2

@@ -192,12 +192,15 @@ def exp_twist(xi: FloatArray) -> FloatArray:
     w, v = xi[..., :3], xi[..., 3:]
     angle, k = np.linalg.norm(w, axis=-1)[..., None, None], skew(w)
     square, cosc = k @ k, _cosc(angle)
-    left = np.eye(3) + cosc * k + _sinc3(angle) * square
-    return from_parts(_rotation_matrices(angle, k, square, cosc), (left @ v[..., None])[..., 0])
+    left_jacobian = np.eye(3) + cosc * k + _sinc3(angle) * square
+    return from_parts(_rotation_matrices(angle, k, square, cosc), (left_jacobian @ v[..., None])[..., 0])
 
 
 def _rotation_matrices(angle: FloatArray, k: FloatArray, square: FloatArray, cosc: FloatArray) -> FloatArray:
-    """Return rotations by angles (..., 1, 1) from cross-product matrices and their squares (..., 3, 3)."""
+    """Return rotation matrices (..., 3, 3) by the formula of Rodrigues.
+
+    The rotation vectors have angles (..., 1, 1) [rad] and cross-product matrices ``k`` (..., 3, 3).
+    """
     return np.asarray(np.eye(3) + _sinc(angle) * k + cosc * square)
 
 
@@ -206,8 +209,8 @@ def log_pose(pose: FloatArray) -> FloatArray:
     w = log_rotation(pose[..., :3, :3])
     angle = np.linalg.norm(w, axis=-1)[..., None, None]
     k = skew(w)
-    left = np.eye(3) + _cosc(angle) * k + _sinc3(angle) * (k @ k)
-    v = np.linalg.solve(left, pose[..., :3, 3, None])[..., 0]
+    left_jacobian = np.eye(3) + _cosc(angle) * k + _sinc3(angle) * (k @ k)
+    v = np.linalg.solve(left_jacobian, pose[..., :3, 3, None])[..., 0]
     return np.concatenate([w, v], axis=-1)
 
 
@@ -222,7 +225,7 @@ def from_parts(rotation: FloatArray, position: FloatArray) -> FloatArray:
 
 
 def inverse(pose: FloatArray) -> FloatArray:
-    """Return inverses of rigid poses (..., 4, 4), by transposing."""
+    """Return inverses of rigid poses (..., 4, 4). The inverse of a rotation is its transpose."""
     rt = np.swapaxes(pose[..., :3, :3], -1, -2)
     return from_parts(rt, -(rt @ pose[..., :3, 3, None])[..., 0])
 
@@ -248,9 +251,9 @@ def to_rpy(rotation: FloatArray) -> FloatArray:
 
     At a pitch of +-90 degrees only the sum of roll and yaw is defined. Then yaw is 0.
     """
-    level = np.hypot(rotation[..., 2, 1], rotation[..., 2, 2])
-    pitch = np.arctan2(-rotation[..., 2, 0], level)
-    locked = level < 1e-9
+    cos_pitch = np.hypot(rotation[..., 2, 1], rotation[..., 2, 2])
+    pitch = np.arctan2(-rotation[..., 2, 0], cos_pitch)
+    locked = cos_pitch < 1e-9
     roll = np.where(
         locked,
         np.arctan2(-rotation[..., 1, 2], rotation[..., 1, 1]),
@@ -268,15 +271,15 @@ def to_quaternion(rotation: FloatArray) -> FloatArray:
     r = np.asarray(rotation, dtype=np.float64)
     trace = np.trace(r, axis1=-2, axis2=-1)
     diagonal = np.diagonal(r, axis1=-2, axis2=-1)
-    table = np.empty((*r.shape[:-2], 4, 4))
-    table[..., 0, 0] = 1.0 + trace
+    products = np.empty((*r.shape[:-2], 4, 4))  # 4 q q^T, so each row is a multiple of q
+    products[..., 0, 0] = 1.0 + trace
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
-        table[..., i + 1, i + 1] = 1.0 + 2.0 * diagonal[..., i] - trace
-        table[..., 0, i + 1] = table[..., i + 1, 0] = r[..., k, j] - r[..., j, k]
-        table[..., j + 1, k + 1] = table[..., k + 1, j + 1] = r[..., k, j] + r[..., j, k]
-    best = np.argmax(np.diagonal(table, axis1=-2, axis2=-1), axis=-1)
-    q = np.take_along_axis(table, best[..., None, None], axis=-2)[..., 0, :]
+        products[..., i + 1, i + 1] = 1.0 + 2.0 * diagonal[..., i] - trace
+        products[..., 0, i + 1] = products[..., i + 1, 0] = r[..., k, j] - r[..., j, k]
+        products[..., j + 1, k + 1] = products[..., k + 1, j + 1] = r[..., k, j] + r[..., j, k]
+    largest = np.argmax(np.diagonal(products, axis1=-2, axis2=-1), axis=-1)
+    q = np.take_along_axis(products, largest[..., None, None], axis=-2)[..., 0, :]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     return np.asarray(np.where(q[..., :1] < 0.0, -q, q))
 
@@ -293,12 +296,12 @@ def from_quaternion(q: FloatArray) -> FloatArray:
 
 
 def interpolate(a: FloatArray, b: FloatArray, t: FloatArray) -> FloatArray:
-    """Return poses between a and b (..., 4, 4) at t (...,).
+    """Return poses (..., 4, 4) between the poses a and b at fractions t (...,), 0 at a and 1 at b.
 
     Positions are on a straight line, and the rotation has a constant rate.
     """
-    turn = log_rotation(np.swapaxes(a[..., :3, :3], -1, -2) @ b[..., :3, :3])
-    rotation = a[..., :3, :3] @ exp_rotation(t[..., None] * turn)
+    rotation_vector = log_rotation(np.swapaxes(a[..., :3, :3], -1, -2) @ b[..., :3, :3])
+    rotation = a[..., :3, :3] @ exp_rotation(t[..., None] * rotation_vector)
     position = a[..., :3, 3] + t[..., None] * (b[..., :3, 3] - a[..., :3, 3])
     return from_parts(rotation, position)
 
@@ -309,14 +312,17 @@ def transform(pose: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def _sinc(x: FloatArray) -> FloatArray:
+    """Return sin(x) / x."""
     return np.sinc(x / np.pi)
 
 
 def _cosc(x: FloatArray) -> FloatArray:
+    """Return (1 - cos(x)) / x^2, by the half angle, which is accurate near 0."""
     return 0.5 * np.sinc(x / (2.0 * np.pi)) ** 2
 
 
 def _sinc3(x: FloatArray) -> FloatArray:
+    """Return (x - sin(x)) / x^3, by its series near 0."""
     small = np.abs(x) < 1e-3
     safe = np.where(small, 1.0, x)
     return np.where(small, 1.0 / 6.0 - x * x / 120.0, (safe - np.sin(safe)) / safe**3)

@@ -36,9 +36,9 @@ MAX_ORDERS: Final = 4
 """Maximum number of orders that are tried while some bodies have no insertion path."""
 MIDDLE_FRACTIONS: Final = (0.0, 0.1, 0.2, 0.4, 0.8)
 """Fractions of the middle direction that are added to one normal to a side, until other sides are passed."""
-_SKEW: Final = np.array([1.0, 0.6180339887, 0.3249197])  # along no edge of a regular shell
-_TIGHT: Final = 1e-12  # of a margin: no constraint is farther beyond
-_FLAT: Final = 1e-14  # m^2: triangles with less area cover nothing
+_SKEW: Final = np.array([1.0, 0.6180339887, 0.3249197])  # generic: no edge of a regular shell is normal to it
+_TIGHT: Final = 1e-12  # tolerance of margins, and of lengths of sums of unit vectors
+_FLAT: Final = 1e-14  # m^2, twice a projected area: smaller triangles cover nothing
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,9 +79,9 @@ class Slab:
 
     @functools.cached_property
     def normals(self) -> FloatArray:
-        """Outward normals (C, 4, 3) of the sides at their corners.
+        """Outward normals (C, 4, 3) of the sides, at the four corners of each.
 
-        The normals in between are inside their cone.
+        Sides may be twisted. The normals in between are inside the cone of these four.
         """
         end_vertices = [np.roll(self.rim, -1), self.rim]
         rise = [self.front[k] - self.back[k] for k in end_vertices]
@@ -97,9 +97,9 @@ class Slab:
     @functools.cached_property
     def bounding_ball(self) -> tuple[FloatArray, float]:
         """Centre of its bounding box, and the radius [m] of the ball about it that contains the body."""
-        whole = self.mesh[0]
-        middle = 0.5 * (whole.min(axis=0) + whole.max(axis=0))
-        return middle, float(lengths(whole - middle).max())
+        vertices = self.mesh[0]
+        centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+        return centre, float(lengths(vertices - centre).max())
 
     @property
     def travel(self) -> float:
@@ -122,22 +122,26 @@ def outline_faces(ring: FloatArray) -> IntArray:
     shape = shapely.Polygon(ring)
     if not shape.is_valid:
         raise ValueError("an outline crosses itself")
-    number = {corner: k for k, corner in enumerate(map(tuple, ring.tolist()))}
-    parts = shapely.get_parts(shapely.constrained_delaunay_triangles(shape))
-    corners = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
-    faces = np.array([[number[x, y] for x, y in triangle] for triangle in corners.tolist()], dtype=np.int64)
-    triangle, second_edge = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    is_clockwise = triangle[:, 0] * second_edge[:, 1] < triangle[:, 1] * second_edge[:, 0]
+    index = {corner: k for k, corner in enumerate(map(tuple, ring.tolist()))}
+    pieces = shapely.get_parts(shapely.constrained_delaunay_triangles(shape))
+    corners = shapely.get_coordinates(pieces).reshape(-1, 4, 2)[:, :3]
+    faces = np.array([[index[x, y] for x, y in triangle] for triangle in corners.tolist()], dtype=np.int64)
+    first_edge = corners[:, 1] - corners[:, 0]
+    second_edge = corners[:, 2] - corners[:, 0]
+    is_clockwise = first_edge[:, 0] * second_edge[:, 1] < first_edge[:, 1] * second_edge[:, 0]
     faces[is_clockwise] = faces[is_clockwise, ::-1]
     return faces[np.lexsort(faces.T[::-1])]
 
 
 def bodies_beyond(plans: Sequence[FloatArray], distance: float) -> list[IntArray]:
-    """Return, for each edge of outlines that tile a plane, the outline beyond it, or ``NONE``.
+    """Find the neighbour beyond each edge of outlines that tile a plane.
 
     Args:
         plans: Corners of the outlines (C, 2), counterclockwise.
-        distance: Distance outside of an edge's midpoint at which the outline beyond is searched.
+        distance: Distance outside of an edge's midpoint at which the neighbour is searched.
+
+    Returns:
+        For each outline the index of the outline beyond each edge (C,), or ``NONE``.
     """
     tree = shapely.STRtree([shapely.Polygon(ring) for ring in plans])
     out = []
@@ -155,12 +159,12 @@ def bodies_beyond(plans: Sequence[FloatArray], distance: float) -> list[IntArray
 def assembly_rows(beyond: Sequence[IntArray], first: BoolArray, low: FloatArray) -> IntArray:
     """Return the row (N,) of each body: 0 for the first ones, then one more for each step to neighbours.
 
-    Bodies that are connected with none of the earlier rows continue from the lowest of them.
+    If no remaining body is next to the last row, the lowest remaining body is the next row.
 
     Args:
-        beyond: Neighbours of each body.
+        beyond: Neighbours of each body, with ``NONE`` at sides without one.
         first: Whether a body is in row 0 (N,).
-        low: Heights of the bodies (N,).
+        low: Height of the lowest point of each body (N,).
     """
     rows = np.full(len(beyond), NONE)
     current = np.flatnonzero(first)
@@ -176,23 +180,24 @@ def assembly_rows(beyond: Sequence[IntArray], first: BoolArray, low: FloatArray)
 
 
 def middle_direction(normals: FloatArray) -> tuple[FloatArray, float]:
-    """Return the direction that is farthest from all half spaces, and its margin.
+    """Return the direction (3,) that is farthest from the half spaces n . d > 0, and its margin.
 
-    The unit direction d (3,) maximises the smallest -n . d over the normals. That margin is the sine of the
-    angle to the nearest half space. It is negative if no direction leaves all of them. At the optimum one,
-    two or three margins are equal and smallest, so it is among the directions that have these equal. They are
-    searched for a working set, to which the worst other normal is added until none is worse.
+    The unit direction d maximises the smallest -n . d over the normals n. This margin is the sine of the
+    angle to the nearest half space. It is negative if every direction enters one of them. At the optimum the
+    smallest margin is that of one, two or three normals, so :func:`_middle_of_set` only tests directions with
+    equal margins to that many normals. It does so for a working set, to which the normal with the smallest
+    margin is added until that normal is in the set or no longer reduces the margin.
 
     Args:
         normals: Unit normals (K, 3), K > 0.
     """
-    work = [0]
+    working_set = [0]
     while True:
-        direction, margin = _middle_of_set(normals[work])
-        worst = int(np.argmax(normals @ direction))
-        if -float(normals[worst] @ direction) >= margin - _TIGHT or worst in work:
+        direction, margin = _middle_of_set(normals[working_set])
+        worst_index = int(np.argmax(normals @ direction))
+        if -float(normals[worst_index] @ direction) >= margin - _TIGHT or worst_index in working_set:
             return direction, margin
-        work.append(worst)
+        working_set.append(worst_index)
 
 
 @functools.cache
@@ -203,16 +208,17 @@ def _combinations(count: int, size: int) -> IntArray:
 
 
 def _middle_of_set(normals: FloatArray) -> tuple[FloatArray, float]:
+    """Return :func:`middle_direction` of a few normals, from all directions that may be the optimum."""
     candidates = [-normals]
     pairs, triples = _combinations(len(normals), 2), _combinations(len(normals), 3)
-    half = -normals[pairs].sum(axis=1)
-    candidates.append(half[lengths(half) > _TIGHT])
+    bisector = -normals[pairs].sum(axis=1)
+    candidates.append(bisector[lengths(bisector) > _TIGHT])
     a, b, c = normals[triples].transpose(1, 0, 2)
-    across = np.cross(b - a, c - a)
-    candidates += [across[lengths(across) > _TIGHT], -across[lengths(across) > _TIGHT]]
-    opposite = half[lengths(half) <= _TIGHT]
+    equal = np.cross(b - a, c - a)  # has equal margins to all three
+    candidates += [equal[lengths(equal) > _TIGHT], -equal[lengths(equal) > _TIGHT]]
+    opposite = bisector[lengths(bisector) <= _TIGHT]
     if len(opposite):  # two opposite sides: along both, and away from a third one
-        candidates += [np.cross(normals[i], np.eye(3)) for i in pairs[lengths(half) <= _TIGHT][:, 0]]
+        candidates += [np.cross(normals[i], np.eye(3)) for i in pairs[lengths(bisector) <= _TIGHT][:, 0]]
     directions = np.concatenate(candidates)
     directions = unit(directions[lengths(directions) > _TIGHT])
     margins = -(directions @ normals.T).max(axis=1)
@@ -227,11 +233,12 @@ def obstruction_depth(
     travel: float,
     tolerance: float = CONTACT_TOLERANCE_M,
 ) -> float:
-    """Return how deep [m] a body enters others when it is moved, across the surfaces that meet.
+    """Return how deep [m] a moving body enters others, measured normal to the surfaces that meet.
 
-    On a line along the direction, others are in the way where they start above the body. Facets of both that
-    face backwards are piecewise linear over the plane across, so the vertices of each pair's intersection
-    decide. What starts less than ``travel`` above the top of the body counts.
+    With the direction of motion as up, others obstruct the body where their underside is above its underside.
+    Undersides are piecewise linear over the horizontal plane. The largest height of one above the other is
+    thus at a vertex of the overlap of two triangles. Others that start ``travel`` or more above the top of
+    the body do not count.
 
     Args:
         body: Triangles of the body (T, 3, 3) [m].
@@ -264,11 +271,9 @@ def obstruction_depth(
 
 
 def _facing_down(triangles: FloatArray) -> FloatArray:
-    """Return the triangles that face -z."""
-    first_edge, second_edge = (
-        triangles[:, 1, :2] - triangles[:, 0, :2],
-        triangles[:, 2, :2] - triangles[:, 0, :2],
-    )
+    """Return the triangles (K, 3, 3) that face -z, without nearly vertical ones."""
+    first_edge = triangles[:, 1, :2] - triangles[:, 0, :2]
+    second_edge = triangles[:, 2, :2] - triangles[:, 0, :2]
     return triangles[first_edge[:, 1] * second_edge[:, 0] - first_edge[:, 0] * second_edge[:, 1] > _FLAT]
 
 
@@ -281,16 +286,16 @@ def _normal_z(triangles: FloatArray) -> FloatArray:
 def _shrink(triangles: FloatArray, by: float) -> FloatArray:
     """Return triangles whose edges in x and y are moved inwards by ``by`` [m], without those that vanish."""
     flat = triangles[..., :2]
-    edge = lengths((np.roll(flat, 1, axis=1) - np.roll(flat, -1, axis=1)).reshape(-1, 2)).reshape(-1, 3)
+    sides = lengths((np.roll(flat, 1, axis=1) - np.roll(flat, -1, axis=1)).reshape(-1, 2)).reshape(-1, 3)
     first_edge, second_edge = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
-    inner = np.abs(first_edge[:, 0] * second_edge[:, 1] - first_edge[:, 1] * second_edge[:, 0]) / edge.sum(
-        axis=1
-    )  # the circle's radius
-    keep = inner > by
-    triangles, edge, inner = triangles[keep], edge[keep], inner[keep]
-    weights = edge / edge.sum(axis=1, keepdims=True)
-    middle = (weights[..., None] * triangles).sum(axis=1, keepdims=True)
-    return np.asarray(middle + (1.0 - by / inner)[:, None, None] * (triangles - middle))
+    inradius = np.abs(
+        first_edge[:, 0] * second_edge[:, 1] - first_edge[:, 1] * second_edge[:, 0]
+    ) / sides.sum(axis=1)
+    keep = inradius > by
+    triangles, sides, inradius = triangles[keep], sides[keep], inradius[keep]
+    weights = sides / sides.sum(axis=1, keepdims=True)
+    incentre = (weights[..., None] * triangles).sum(axis=1, keepdims=True)
+    return np.asarray(incentre + (1.0 - by / inradius)[:, None, None] * (triangles - incentre))
 
 
 def _height_range(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -300,18 +305,19 @@ def _height_range(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]
     """
     p, q = a[:, :, None, :2], b[:, None, :, :2]
     along, across = np.roll(p, -1, axis=1) - p, np.roll(q, -1, axis=2) - q
-    turn = along[..., 0] * across[..., 1] - along[..., 1] * across[..., 0]
-    rest = q - p
+    determinant = along[..., 0] * across[..., 1] - along[..., 1] * across[..., 0]
+    offset = q - p
     with np.errstate(divide="ignore", invalid="ignore"):
-        s = (rest[..., 0] * across[..., 1] - rest[..., 1] * across[..., 0]) / turn
-        t = (rest[..., 0] * along[..., 1] - rest[..., 1] * along[..., 0]) / turn
+        s = (offset[..., 0] * across[..., 1] - offset[..., 1] * across[..., 0]) / determinant
+        t = (offset[..., 0] * along[..., 1] - offset[..., 1] * along[..., 0]) / determinant
         crossing = (p + s[..., None] * along).reshape(len(a), 9, 2)
-        cross = ((s >= 0.0) & (s <= 1.0) & (t >= 0.0) & (t <= 1.0)).reshape(len(a), 9)
-    points = np.concatenate([a[..., :2], b[..., :2], np.where(cross[..., None], crossing, 0.0)], axis=1)
+        is_crossing = ((s >= 0.0) & (s <= 1.0) & (t >= 0.0) & (t <= 1.0)).reshape(len(a), 9)
+    points = np.concatenate([a[..., :2], b[..., :2], np.where(is_crossing[..., None], crossing, 0.0)], axis=1)
     (z_a, in_a), (z_b, in_b) = _plane_heights(a, points), _plane_heights(b, points)
-    known = np.concatenate([in_b[:, :3], in_a[:, 3:6], cross], axis=1)
+    # the overlap is a polygon of corners inside the other triangle and of crossings of edges
+    is_vertex = np.concatenate([in_b[:, :3], in_a[:, 3:6], is_crossing], axis=1)
     above = z_b - z_a
-    return np.where(known, above, np.inf).min(axis=1), np.where(known, above, -np.inf).max(axis=1)
+    return np.where(is_vertex, above, np.inf).min(axis=1), np.where(is_vertex, above, -np.inf).max(axis=1)
 
 
 def _plane_heights(triangles: FloatArray, points: FloatArray) -> tuple[FloatArray, BoolArray]:
@@ -352,8 +358,8 @@ def assemble(
 ) -> tuple[AssemblyStep, ...]:
     """Return the steps in which all bodies are placed.
 
-    Of up to `MAX_ORDERS` orders it is the first with the fewest obstructed bodies. Obstructed bodies are
-    placed as early as possible.
+    Up to `MAX_ORDERS` orders are tried, and the first one with the fewest obstructed bodies is returned. In
+    the next order, obstructed bodies come before their neighbours.
 
     Args:
         slabs: The bodies (N).
@@ -366,23 +372,26 @@ def assemble(
     """
     site = _Site(slabs, supports, up, tolerance, max_square_angle)
     order = np.argsort(np.argsort(rank, kind="stable")).astype(np.float64)
-    best: tuple[AssemblyStep, ...] = ()
-    fewest = len(slabs) + 1
+    best_steps: tuple[AssemblyStep, ...] = ()
+    min_obstructed = len(slabs) + 1
     for _ in range(MAX_ORDERS):
         steps = _assemble_in_order(site, order)
         obstructed = [step.body for step in steps if step.depth > tolerance]
-        if len(obstructed) < fewest:
-            best, fewest = steps, len(obstructed)
+        if len(obstructed) < min_obstructed:
+            best_steps, min_obstructed = steps, len(obstructed)
         if not obstructed:
             break
         for k in obstructed:
             neighbours = slabs[k].beyond[slabs[k].beyond != NONE]
             order[k] = min([order[k], *order[neighbours]]) - 0.5
-    return best
+    return best_steps
 
 
 class _Site:
-    """What all orders of the same bodies have in common."""
+    """The bodies of an assembly, with data and tests that do not depend on the order.
+
+    Methods have the body as ``k``, and the numbers of the bodies that are in place as ``placed``.
+    """
 
     def __init__(
         self,
@@ -395,103 +404,108 @@ class _Site:
         self.slabs, self.up, self.tolerance, self.max_square_angle = slabs, up, tolerance, max_square_angle
         self.supports = [set(item.tolist()) for item in supports]
         self.neighbours = [sorted({b for b in slab.beyond.tolist() if b != NONE}) for slab in slabs]
-        self.middles = np.array([slab.bounding_ball[0] for slab in slabs])
+        self.centres = np.array([slab.bounding_ball[0] for slab in slabs])
         self.radii = np.array([slab.bounding_ball[1] for slab in slabs])
         low = np.array([float((slab.mesh[0] @ up).min()) for slab in slabs])
         self.low = low - low.min()  # above the ground
-        deep = [float(lengths(slab.front - slab.back).max()) for slab in slabs]
-        self.slack = [
-            tolerance / item for item in deep
-        ]  # margins below nothing by which no more than that is in the way
-        self.known: dict[tuple[int, frozenset[int]], bool] = {}
+        depths = [float(lengths(slab.front - slab.back).max()) for slab in slabs]
+        # a negative margin times the body's depth is the obstruction
+        self.margin_tolerances = [tolerance / item for item in depths]
+        self.feasible: dict[tuple[int, frozenset[int]], bool] = {}
 
-    def contact_normals(self, k: int, standing: set[int]) -> FloatArray:
+    def contact_normals(self, k: int, placed: set[int]) -> FloatArray:
         """Return normals (K, 3) of a body's sides to placed bodies, and of its contact with the ground."""
         slab = self.slabs[k]
-        sides = slab.normals[[b in standing for b in slab.beyond.tolist()]].reshape(-1, 3)
+        sides = slab.normals[[b in placed for b in slab.beyond.tolist()]].reshape(-1, 3)
         return np.concatenate([sides, -self.up[None]]) if self.low[k] <= self.tolerance else sides
 
-    def has_direction(self, k: int, standing: set[int]) -> bool:
+    def has_direction(self, k: int, placed: set[int]) -> bool:
         """Return whether the sides of a body to placed ones leave an insertion direction."""
-        key = k, frozenset(standing.intersection(self.neighbours[k]))
-        if key not in self.known:
-            sides = self.contact_normals(k, standing)
-            self.known[key] = not len(sides) or middle_direction(sides)[1] >= -self.slack[k]
-        return self.known[key]
+        key = k, frozenset(placed.intersection(self.neighbours[k]))
+        if key not in self.feasible:
+            sides = self.contact_normals(k, placed)
+            self.feasible[key] = not len(sides) or middle_direction(sides)[1] >= -self.margin_tolerances[k]
+        return self.feasible[key]
 
-    def blocked_count(self, k: int, standing: set[int]) -> int:
+    def blocked_count(self, k: int, placed: set[int]) -> int:
         """Return how many waiting bodies would have no insertion direction once this one is placed."""
-        placed = standing | {k}
+        placed_next = placed | {k}
         return sum(
-            b not in placed and self.has_direction(b, standing) and not self.has_direction(b, placed)
+            b not in placed_next and self.has_direction(b, placed) and not self.has_direction(b, placed_next)
             for b in self.neighbours[k]
         )
 
-    def insertion(self, k: int, standing: set[int]) -> AssemblyStep:
+    def insertion(self, k: int, placed: set[int]) -> AssemblyStep:
         """Return the insertion of a body by the first free path of those tried.
 
         If none is free, it is the least obstructed one of the first few.
         """
         slab = self.slabs[k]
-        around = self._obstacles(k, standing)
+        obstacles = self._obstacles(k, placed)
 
         def is_obstructed(direction: FloatArray, tolerance: float) -> bool:
-            return obstruction_depth(slab.triangles, around, direction, slab.travel, tolerance) > tolerance
+            return obstruction_depth(slab.triangles, obstacles, direction, slab.travel, tolerance) > tolerance
 
         candidates = []
-        for direction in self._candidate_directions(k, standing):  # most bodies take the first one
+        for direction in self._candidate_directions(k, placed):  # most bodies take the first one
             if self.low[k] + min(0.0, float(direction @ self.up)) * slab.travel < -self.tolerance:
                 continue
-            if not len(around) or not is_obstructed(direction, self.tolerance):
+            if not len(obstacles) or not is_obstructed(direction, self.tolerance):
                 return AssemblyStep(k, -direction, 0.0)
             candidates.append(direction)
         depths = []
         for direction in candidates[:MAX_MEASURED]:
             steps = OBSTRUCTION_STEPS_M[self.tolerance < OBSTRUCTION_STEPS_M].tolist()
-            depths.append(next((give for give in steps if not is_obstructed(direction, give)), float("inf")))
+            depths.append(
+                next((width for width in steps if not is_obstructed(direction, width)), float("inf"))
+            )
         best = int(np.argmin(depths))
         return AssemblyStep(k, -candidates[best], min(depths[best], 2.0 * slab.bounding_ball[1]))
 
-    def _obstacles(self, k: int, standing: set[int]) -> FloatArray:
+    def _obstacles(self, k: int, placed: set[int]) -> FloatArray:
         """Return triangles (U, 3, 3) of placed bodies that may obstruct a body."""
         reach = self.slabs[k].travel + self.radii[k]
-        distances = lengths(self.middles - self.middles[k])
-        nearby = [b for b in np.flatnonzero(distances < reach + self.radii).tolist() if b in standing]
+        distances = lengths(self.centres - self.centres[k])
+        nearby = [b for b in np.flatnonzero(distances < reach + self.radii).tolist() if b in placed]
         return np.concatenate([self.slabs[b].triangles for b in nearby] or [np.zeros((0, 3, 3))])
 
-    def _candidate_directions(self, k: int, standing: set[int]) -> Iterator[FloatArray]:
+    def _candidate_directions(self, k: int, placed: set[int]) -> Iterator[FloatArray]:
         """Yield directions to try for a body.
 
         They are: normal to sides if required; away from all sides and from below; away from all sides; to the
         front; to the back; up; then all others that the sides allow, the farthest from them first.
         """
-        sides, normal = self.contact_normals(k, standing), self.slabs[k].normal
+        sides, normal = self.contact_normals(k, placed), self.slabs[k].normal
         below = -self.up[None]
         first = middle_direction(np.concatenate([sides, below]))[0] if len(sides) else normal
         if len(sides) and self.max_square_angle is not None:
-            yield from self._square_directions(k, standing, sides, first, self.max_square_angle)
+            yield from self._square_directions(k, placed, sides, first, self.max_square_angle)
         yield first
         if len(sides):
             yield middle_direction(sides)[0]
         yield from (normal, -normal, self.up)
-        if self.has_direction(k, standing):
+        if self.has_direction(k, placed):
             all_directions = _directions()
             margin = -(all_directions @ np.concatenate([sides, below]).T).max(axis=1)
             order = np.argsort(-np.round(margin, 9), kind="stable")
             yield from all_directions[order[margin[order] > 0.0]]
 
     def _square_directions(
-        self, k: int, standing: set[int], sides: FloatArray, middle: FloatArray, square: float
+        self, k: int, placed: set[int], sides: FloatArray, middle: FloatArray, max_angle: float
     ) -> Sequence[FloatArray]:
-        """Return directions (D, 3) that clear ``contact_normals`` (K, 3) and are normal to two of them."""
-        slab, neighbours = self.slabs[k], [b for b in self.neighbours[k] if b in standing]
-        outs = [-unit(slab.normals[slab.beyond == b].mean(axis=(0, 1))) for b in neighbours]
-        sums = [np.sum(c, axis=0) for n in (1, 2, 3) for c in itertools.combinations(outs, n)]
+        """Return directions (D, 3) that clear ``sides`` (K, 3) and are nearly normal to neighbours' sides.
+
+        Those within ``max_angle`` [rad] of the normals of most neighbours come first. ``middle`` (3,) is the
+        direction far from all sides.
+        """
+        slab, neighbours = self.slabs[k], [b for b in self.neighbours[k] if b in placed]
+        away = [-unit(slab.normals[slab.beyond == b].mean(axis=(0, 1))) for b in neighbours]
+        sums = [np.sum(c, axis=0) for n in (1, 2, 3) for c in itertools.combinations(away, n)]
         aims = np.array([aim for aim in sums if lengths(aim) > _TIGHT]).reshape(-1, 3)
         directions = np.concatenate([unit(unit(aims) + fraction * middle) for fraction in MIDDLE_FRACTIONS])
         margin = -(directions @ sides.T).max(axis=1)
-        count = (directions @ np.array(outs).reshape(-1, 3).T >= np.cos(square)).sum(axis=1)
-        keep = np.flatnonzero((margin >= -self.slack[k]) & (count > 0))
+        count = (directions @ np.array(away).reshape(-1, 3).T >= np.cos(max_angle)).sum(axis=1)
+        keep = np.flatnonzero((margin >= -self.margin_tolerances[k]) & (count > 0))
         order = np.lexsort((-np.round(margin[keep], 9), -count[keep]))
         return list(directions[keep[order]][:MAX_MEASURED])
 
@@ -501,37 +515,36 @@ def _directions() -> FloatArray:
     """Return directions (`MAX_DIRECTIONS`, 3) spread evenly on a spiral by the golden angle."""
     k = np.arange(MAX_DIRECTIONS)
     z = 1.0 - (2.0 * k + 1.0) / MAX_DIRECTIONS
-    turn, r = k * np.pi * (3.0 - np.sqrt(5.0)), np.sqrt(1.0 - z * z)
-    return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)
+    azimuth, r = k * np.pi * (3.0 - np.sqrt(5.0)), np.sqrt(1.0 - z * z)
+    return np.stack([r * np.cos(azimuth), r * np.sin(azimuth), z], axis=1)
 
 
 def _assemble_in_order(site: _Site, order: FloatArray) -> tuple[AssemblyStep, ...]:
+    """Return the steps that place all bodies, those with the smallest value of ``order`` (N,) first."""
     waiting = np.argsort(order, kind="stable").tolist()
-    standing: set[int] = set()
+    placed: set[int] = set()
     steps = []
     while waiting:
-        step = _next_step(site, waiting, standing)
+        step = _next_step(site, waiting, placed)
         waiting.remove(step.body)
-        standing.add(step.body)
+        placed.add(step.body)
         steps.append(step)
     return tuple(steps)
 
 
-def _next_step(site: _Site, waiting: Sequence[int], standing: set[int]) -> AssemblyStep:
+def _next_step(site: _Site, waiting: Sequence[int], placed: set[int]) -> AssemblyStep:
     """Return the step of the next body.
 
     It is the first one that has full support, or else partial support, has an insertion path, and blocks no
     other body. If there is none, it is the first one that blocks the fewest.
     """
-    supported = (k for k in waiting if site.supports[k] <= standing)
-    partly_supported = (
-        k for k in waiting if site.supports[k] & standing and not site.supports[k] <= standing
-    )
-    for k in itertools.chain(supported, partly_supported):  # most of them are never asked
-        if site.has_direction(k, standing) and not site.blocked_count(k, standing):
-            step = site.insertion(k, standing)
+    supported = (k for k in waiting if site.supports[k] <= placed)
+    partly_supported = (k for k in waiting if site.supports[k] & placed and not site.supports[k] <= placed)
+    for k in itertools.chain(supported, partly_supported):  # generators, because most bodies are never tested
+        if site.has_direction(k, placed) and not site.blocked_count(k, placed):
+            step = site.insertion(k, placed)
             if step.depth <= site.tolerance:
                 return step
-    candidates = [k for k in waiting if site.supports[k] <= standing]
-    candidates = candidates or [k for k in waiting if site.supports[k] & standing] or list(waiting)
-    return site.insertion(min(candidates, key=lambda k: site.blocked_count(k, standing)), standing)
+    candidates = [k for k in waiting if site.supports[k] <= placed]
+    candidates = candidates or [k for k in waiting if site.supports[k] & placed] or list(waiting)
+    return site.insertion(min(candidates, key=lambda k: site.blocked_count(k, placed)), placed)

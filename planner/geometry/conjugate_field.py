@@ -56,7 +56,7 @@ class SurfaceLayout:
     coordinates: FloatArray
 
     def folded_faces(self) -> IntArray:
-        """Return the faces that are inverted."""
+        """Return the indices (K,) of faces that are inverted in the plane of the coordinates."""
         a, b, c = (self.coordinates[self.surface.mesh.faces[:, i]] for i in range(3))
         first_edge, second_edge = b - a, c - a
         return np.flatnonzero(
@@ -123,28 +123,33 @@ def _field_directions(
     i, j = edge.T
     # rotation of each frame relative to its neighbour, after parallel transport
     mean = unit(normal[i] + normal[j])
-    first = frame[i, 0] - 2.0 * dots(frame[i, 0], mean)[:, None] * mean
-    first = first - 2.0 * dots(first, normal[j])[:, None] * normal[j]
-    turn = np.arctan2(dots(first, frame[j, 1]), dots(first, frame[j, 0]))
-    rows = np.tile(np.arange(len(edge)), 2)
-    change = csr_array(
-        (np.concatenate([edge_weight, -edge_weight]), (rows, np.concatenate([j, i]))),
+    transported = frame[i, 0] - 2.0 * dots(frame[i, 0], mean)[:, None] * mean
+    transported = transported - 2.0 * dots(transported, normal[j])[:, None] * normal[j]
+    rotation = np.arctan2(dots(transported, frame[j, 1]), dots(transported, frame[j, 0]))
+    edge_row = np.tile(np.arange(len(edge)), 2)
+    difference = csr_array(
+        (np.concatenate([edge_weight, -edge_weight]), (edge_row, np.concatenate([j, i]))),
         shape=(len(edge), count),
     )
-    both = block_array([[change, None], [None, change]], format="csr")
-    smooth, right = both.T @ both, both.T @ np.tile(edge_weight * turn, 2)
+    differences = block_array([[difference, None], [None, difference]], format="csr")
+    smoothing = differences.T @ differences
+    goal = differences.T @ np.tile(edge_weight * rotation, 2)
     scale = float(np.sqrt(np.average((form**2).sum(axis=(1, 2)), weights=surface.area)))
     form = form / max(scale, 1e-9)
     weight = np.sqrt(surface.area) / (_SMOOTHING_LENGTH_FACTOR * surface.spacing)
     angle = np.repeat(_constant_angles(form, surface.area), count)
-    every = np.arange(2 * count).reshape(2, count)
-    where = (np.repeat(every, 2, axis=0).reshape(-1), np.tile(every, (2, 1)).reshape(-1))
+    unknown = np.arange(2 * count).reshape(2, count)
+    block_index = (np.repeat(unknown, 2, axis=0).reshape(-1), np.tile(unknown, (2, 1)).reshape(-1))
     for _ in range(_MAX_ITERATIONS):
-        rest, slope = _residuals(form, angle[:count], angle[count:])
-        blocks = np.einsum("rkn,rln->kln", weight * slope, weight * slope)
-        square = csc_array(smooth + coo_array((blocks.reshape(-1), where), shape=smooth.shape))
-        down = np.einsum("rkn,rn->kn", weight * slope, weight * rest).reshape(-1) + smooth @ angle - right
-        step = factor_symmetric(csc_array(square + 1e-6 * diags_array(np.ones(2 * count)))).solve(down)
+        residual, jacobian = _residuals(form, angle[:count], angle[count:])
+        blocks = np.einsum("rkn,rln->kln", weight * jacobian, weight * jacobian)
+        square = csc_array(smoothing + coo_array((blocks.reshape(-1), block_index), shape=smoothing.shape))
+        gradient = (
+            np.einsum("rkn,rn->kn", weight * jacobian, weight * residual).reshape(-1)
+            + smoothing @ angle
+            - goal
+        )
+        step = factor_symmetric(csc_array(square + 1e-6 * diags_array(np.ones(2 * count)))).solve(gradient)
         angle = angle - step
         if float(np.abs(step).max()) < _ANGLE_TOLERANCE_RAD:
             break
@@ -164,9 +169,10 @@ def _residuals(form: FloatArray, alpha: FloatArray, beta: FloatArray) -> tuple[F
     conjugate, by_a, by_b = (np.einsum("na,nab,nb->n", p, form, q) for p, q in ((a, b), (da, b), (a, db)))
     sine, cosine = np.sin(beta - alpha), np.cos(beta - alpha)
     angle_weight = _ANGLE_WEIGHT * (sine < _MIN_ANGLE_SINE)
-    rest = np.stack([conjugate, _ORTHOGONAL_WEIGHT * cosine, angle_weight * (_MIN_ANGLE_SINE - sine)])
-    grow = np.stack([_ORTHOGONAL_WEIGHT * sine, angle_weight * cosine])
-    return rest, np.stack([np.stack([by_a, *grow]), np.stack([by_b, *-grow])], axis=1)
+    residual = np.stack([conjugate, _ORTHOGONAL_WEIGHT * cosine, angle_weight * (_MIN_ANGLE_SINE - sine)])
+    # derivatives of the second and third residual; those by beta have the opposite sign
+    by_alpha = np.stack([_ORTHOGONAL_WEIGHT * sine, angle_weight * cosine])
+    return residual, np.stack([np.stack([by_a, *by_alpha]), np.stack([by_b, *-by_alpha])], axis=1)
 
 
 def _constant_angles(form: FloatArray, area: FloatArray) -> FloatArray:
@@ -177,22 +183,25 @@ def _constant_angles(form: FloatArray, area: FloatArray) -> FloatArray:
     square = np.einsum("n,nab,ncd->abcd", area / area.sum(), form, form)
     cost = np.einsum("pa,qb,abcd,pc,qd->pq", direction, direction, square, direction, direction)
     difference = angle[None, :] - angle[:, None]
-    low = _ANGLE_WEIGHT * (np.sin(difference) < _MIN_ANGLE_SINE)
+    angle_weight = _ANGLE_WEIGHT * (np.sin(difference) < _MIN_ANGLE_SINE)
     cost = (
         cost
         + (_ORTHOGONAL_WEIGHT * np.cos(difference)) ** 2
-        + (low * (_MIN_ANGLE_SINE - np.sin(difference))) ** 2
+        + (angle_weight * (_MIN_ANGLE_SINE - np.sin(difference))) ** 2
     )
     p, q = np.unravel_index(int(np.argmin(cost)), cost.shape)
     return np.array([angle[p], angle[q]])
 
 
 def _weighted_edges(mesh: TriangleMesh) -> tuple[IntArray, FloatArray]:
-    """Return edges (E, 2), and the root of their weights in a sum that approximates a gradient integral."""
+    """Return edges (E, 2), and the square roots (E,) of their weights.
+
+    The weighted sum of squared differences along edges approximates the integral of the squared gradient.
+    """
     faces = mesh.faces
     sides = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    edge, back = np.unique(sides, axis=0, return_inverse=True)
-    adjacent_area = np.bincount(np.reshape(back, -1), np.repeat(face_areas(mesh), 3))
+    edge, edge_index = np.unique(sides, axis=0, return_inverse=True)
+    adjacent_area = np.bincount(np.reshape(edge_index, -1), np.repeat(face_areas(mesh), 3))
     length = np.linalg.norm(mesh.vertices[edge[:, 1]] - mesh.vertices[edge[:, 0]], axis=1)
     return edge, np.sqrt(2.0 / 3.0 * adjacent_area) / np.maximum(length, 1e-9)
 
@@ -200,21 +209,22 @@ def _weighted_edges(mesh: TriangleMesh) -> tuple[IntArray, FloatArray]:
 def _solve_coordinate(mesh: TriangleMesh, line: FloatArray, across: FloatArray) -> FloatArray:
     """Return values (V,) that are constant along ``line`` (F, 3) and grow along ``across`` (F, 3).
 
-    The growth is that of length.
+    The derivative along ``across`` is 1, so that differences of values are nearly lengths [m].
     """
     faces, corner = mesh.faces, mesh.vertices[mesh.faces]
     area = face_areas(mesh)
     up = face_normals(mesh)
-    slope = np.cross(up[:, None], np.roll(corner, 1, axis=1) - np.roll(corner, -1, axis=1))
-    slope = slope / np.maximum(2.0 * area, 1e-300)[:, None, None]
-    count, every = len(mesh.vertices), np.arange(len(faces))
+    # gradient of the linear function that is 1 at a corner and 0 at the other two
+    gradient = np.cross(up[:, None], np.roll(corner, 1, axis=1) - np.roll(corner, -1, axis=1))
+    gradient = gradient / np.maximum(2.0 * area, 1e-300)[:, None, None]
+    count, face_index = len(mesh.vertices), np.arange(len(faces))
     square, right = csc_array((count, count)), np.zeros(count)
-    for direction, gain, slope_value in ((line, _FOLLOW_WEIGHT, 0.0), (across, 1.0, 1.0)):
-        value = gain * np.sqrt(area)[:, None] * np.einsum("fki,fi->fk", slope, direction)
+    for direction, weight, derivative in ((line, _FOLLOW_WEIGHT, 0.0), (across, 1.0, 1.0)):
+        value = weight * np.sqrt(area)[:, None] * np.einsum("fki,fi->fk", gradient, direction)
         rows = csr_array(
-            (value.reshape(-1), (np.repeat(every, 3), faces.reshape(-1))), shape=(len(faces), count)
+            (value.reshape(-1), (np.repeat(face_index, 3), faces.reshape(-1))), shape=(len(faces), count)
         )
         square = square + csc_array(rows.T @ rows)
-        right = right + rows.T @ (slope_value * gain * np.sqrt(area))
+        right = right + rows.T @ (derivative * weight * np.sqrt(area))
     matrix = csc_array(square + 1e-9 * diags_array(square.diagonal()))
     return np.asarray(factor_symmetric(matrix).solve(right))

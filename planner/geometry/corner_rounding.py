@@ -39,7 +39,7 @@ MAX_ZONE_DEG: Final = 1.0
 MAX_TRACK_ZONE_MM: Final = 10.0
 """Path radius of the largest zone over which a track is rounded too [mm]. The size above is for rotation."""
 TRACK_ZONE_RATIO: Final = 2.0
-"""Factor by which such a zone may be smaller than the available length."""
+"""Factor by which a zone over which a track is rounded may be smaller than the available length."""
 REST_DISTANCE_MM: Final = 0.01
 """A TCP is at rest in a move that is no longer than this [mm]. Corners next to it are sized by angle."""
 _MAX_CORNER_FRACTION: Final = 0.5
@@ -66,15 +66,13 @@ def max_zones(
     """
     steps_mm, rotations = np.diff(position, axis=0), _rotation_steps(quaternion)
     angle = 2.0 * np.arcsin(np.clip(0.5 * lengths(rotations), 0.0, 1.0))
-    steps, within = (
-        np.concatenate([steps_mm, levers * rotations], axis=1),
-        np.broadcast_to(deviation, stop.shape)[:-1],
-    )
-    out = np.zeros((2, len(stop)))
-    for size, size_of_move in zip(out, (lengths(steps_mm), angle), strict=True):
-        size[:-1] = _zone_sizes(steps, size_of_move, within)
-    out[:, stop] = 0.0
-    return np.where(_shorter(lengths(steps_mm)) > REST_DISTANCE_MM, out[0], 0.0), out[1]
+    steps = np.concatenate([steps_mm, levers * rotations], axis=1)
+    max_deviation = np.broadcast_to(deviation, stop.shape)[:-1]
+    zones = np.zeros((2, len(stop)))
+    for zone, move_sizes in zip(zones, (lengths(steps_mm), angle), strict=True):
+        zone[:-1] = _zone_sizes(steps, move_sizes, max_deviation)
+    zones[:, stop] = 0.0
+    return np.where(_shorter(lengths(steps_mm)) > REST_DISTANCE_MM, zones[0], 0.0), zones[1]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -102,9 +100,9 @@ def corner_fractions(
 ) -> tuple[FloatArray, FloatArray]:
     """Return over which fraction of the shorter adjacent move's time each corner between M moves is rounded.
 
-    A zone is a length, so the faster move passes its side in less time, which counts. No zone is larger than
-    those that programs name. A zone that would be smaller than the smallest one rounds nothing, nor does a
-    zone of an angle if the TCP moves on one side.
+    A zone is a length. The faster move passes it in less time than the slower one, and the fraction is that
+    of the shorter time. No zone is larger than those that programs name. A zone that would be smaller than
+    the smallest one rounds nothing. Zones of angles round only corners at which the TCP rests on both sides.
 
     Args:
         position: As for :func:`max_zones`.
@@ -125,39 +123,38 @@ def corner_fractions(
     measures = [(steps_mm, PATH_ACCURACY_MM), (rotations, PATH_ACCURACY_RAD)]
     if track_mm is not None:
         measures.append((np.column_stack([steps_mm, np.diff(track_mm)]), PATH_ACCURACY_MM))
-    change = [
-        (_max_lateral_change((step * end_rate)[:-1], (step * start_rate)[1:]), within)
-        for step, within in measures
+    changes = [
+        (_max_lateral_change((step * end_rate)[:-1], (step * start_rate)[1:]), accuracy)
+        for step, accuracy in measures
     ]
     without_zone = np.minimum.reduce(
-        [_time_fraction(sideways, duration, within) for sideways, within in change]
+        [_time_fraction(lateral_change, duration, accuracy) for lateral_change, accuracy in changes]
     )
-    steps, lengths_mm, angle = (
-        np.concatenate([steps_mm, levers * rotations], axis=1),
-        lengths(steps_mm),
-        np.rad2deg(lengths(rotations)),
-    )
+    steps = np.concatenate([steps_mm, levers * rotations], axis=1)
+    lengths_mm = lengths(steps_mm)
+    angle = np.rad2deg(lengths(rotations))
     is_at_rest = np.maximum(lengths_mm[1:], lengths_mm[:-1]) <= REST_DISTANCE_MM
-    moved = np.where(lengths_mm > REST_DISTANCE_MM, lengths_mm, 0.0)
+    moving_mm = np.where(lengths_mm > REST_DISTANCE_MM, lengths_mm, 0.0)
     zone = np.where(
-        is_at_rest, _zone_sizes(steps, angle, deviation[:-1]), _zone_sizes(steps, moved, deviation[:-1])
+        is_at_rest, _zone_sizes(steps, angle, deviation[:-1]), _zone_sizes(steps, moving_mm, deviation[:-1])
     )
-    step, largest = (
+    max_ratio, max_size = (
         (MAX_ZONE_RATIO, MAX_ZONE_MM) if track_mm is None else (TRACK_ZONE_RATIO, MAX_TRACK_ZONE_MM)
     )
-    size = np.minimum(zone / step, np.where(is_at_rest, MAX_ZONE_DEG, largest))
-    by_way, by_turn = (
-        duration / np.maximum(size_of_move, 1e-9) for size_of_move in (lengths_mm, angle)
+    # the program may name a zone that is smaller by the ratio
+    size = np.minimum(zone / max_ratio, np.where(is_at_rest, MAX_ZONE_DEG, max_size))
+    per_mm, per_deg = (
+        duration / np.maximum(move_sizes, 1e-9) for move_sizes in (lengths_mm, angle)
     )  # [s/mm] and [s/deg]
-    pace = np.where(is_at_rest, np.minimum(by_turn[1:], by_turn[:-1]), np.minimum(by_way[1:], by_way[:-1]))
-    taken = size * pace / np.minimum(duration[1:], duration[:-1])
-    return np.where(size >= FINE_ZONE_SIZES[-1], taken, 0.0), without_zone
+    pace = np.where(is_at_rest, np.minimum(per_deg[1:], per_deg[:-1]), np.minimum(per_mm[1:], per_mm[:-1]))
+    fraction = size * pace / np.minimum(duration[1:], duration[:-1])
+    return np.where(size >= FINE_ZONE_SIZES[-1], fraction, 0.0), without_zone
 
 
 def _rotation_steps(quaternion: FloatArray) -> FloatArray:
-    """Return rotations (M, 3) [rad] about the tool's own axes between M + 1 orientations, by their chords.
+    """Return rotations (M, 3) about the tool's own axes between M + 1 orientations (M + 1, 4) as w, x, y, z.
 
-    Signs of quaternions do not matter.
+    Their length is the chord 2 sin(angle / 2), nearly the angle [rad]. Signs of quaternions do not matter.
     """
     a, b = quaternion[:-1], quaternion[1:]
     w, u, v = a[:, :1], a[:, 1:], b[:, 1:]
@@ -166,12 +163,16 @@ def _rotation_steps(quaternion: FloatArray) -> FloatArray:
 
 
 def _zone_sizes(steps: FloatArray, sizes: FloatArray, deviation: FloatArray) -> FloatArray:
-    """Return the size (M - 1,) of the largest zones between M moves over ``steps`` (M, D) [mm].
+    """Return the sizes (M - 1,) of the largest zones at the corners between M moves.
 
-    Sizes are in the measure of the lengths ``sizes`` (M,), at most half of the shorter one. A corner that is
-    rounded over the length z before and after it passes the target at z |dr| / 4. Here dr is the change,
-    across the path, of the steps over their lengths (quadratic Bezier curve with the corner as its control
-    point). It is also no farther away than its ends.
+    A corner that is rounded over the length z before and after it passes the target at z |dr| / 4. Here dr is
+    the change, across the path, of the steps over their lengths (quadratic Bezier curve with the corner as
+    its control point). It is also no farther away than its ends.
+
+    Args:
+        steps: Displacements of the moves, with rotation as distance (M, D) [mm].
+        sizes: Lengths of the moves in the unit of the zones (M,). A zone is at most half of the shorter one.
+        deviation: Maximum distance of each corner from its target (M - 1,) [mm].
     """
     rate = steps / np.maximum(sizes, 1e-9)[:, None]
     deviation_rate = np.minimum(0.25 * _lateral_change(rate), _shorter(lengths(rate))[:-1])
@@ -180,15 +181,17 @@ def _zone_sizes(steps: FloatArray, sizes: FloatArray, deviation: FloatArray) -> 
     )
 
 
-def _time_fraction(sideways: FloatArray, duration: FloatArray, deviation: FloatArray | float) -> FloatArray:
+def _time_fraction(
+    lateral_change: FloatArray, duration: FloatArray, deviation: FloatArray | float
+) -> FloatArray:
     """Return the fraction (M - 1,) of the shorter move that a corner may use on each side.
 
-    It is at most one half. ``sideways`` (M - 1,) is the change of velocity across the path. As in
+    It is at most one half. ``lateral_change`` (M - 1,) is the change of velocity across the path. As in
     :func:`_zone_sizes`, a corner that is rounded over the time h passes the target at h |dv| / 4, with dv
     that change.
     """
-    passed = np.minimum(duration[:-1], duration[1:]) * sideways / 4.0
-    return np.asarray(np.minimum(_MAX_CORNER_FRACTION, deviation / np.maximum(passed, 1e-12)))
+    full_deviation = np.minimum(duration[:-1], duration[1:]) * lateral_change / 4.0
+    return np.asarray(np.minimum(_MAX_CORNER_FRACTION, deviation / np.maximum(full_deviation, 1e-12)))
 
 
 def _lateral_change(rate: FloatArray) -> FloatArray:
@@ -217,5 +220,5 @@ def _max_lateral_change(incoming: FloatArray, outgoing: FloatArray) -> FloatArra
 
 
 def _shorter(size: FloatArray) -> FloatArray:
-    """Return the smaller value of each row and the next."""
+    """Return the smaller of each value (M,) and the next one. The next one after the last is 0."""
     return np.asarray(np.minimum(size, np.append(size[1:], 0.0)))

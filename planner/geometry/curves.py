@@ -108,6 +108,7 @@ class LoftSurface:
         return np.asarray(cross / np.where(length > 0.0, length, 1.0))
 
     def _evaluate(self, u: FloatArray, v: FloatArray, du: int, dv: int) -> FloatArray:
+        """Return the derivative (..., 3) of S of orders ``du`` by u and ``dv`` by v, each 0 or 1."""
         degree = min(3, len(self.at) - 1)
         flat = self.control.reshape(len(self.at), -1)
         blend = make_interp_spline(self.at, flat, k=degree) if degree else None
@@ -115,6 +116,7 @@ class LoftSurface:
         shape = (*np.shape(u), *self.control.shape[1:])
 
         def profile(order: int) -> FloatArray:
+            """Return the blended profile at v, derived ``order`` times by u and ``dv`` times by v."""
             if blend is None:
                 value = np.broadcast_to(flat[0] * (order == 0), (*np.shape(u), flat.shape[1]))
             else:
@@ -139,7 +141,7 @@ class LoftSurface:
 
 
 def grid_counts(loft: LoftSurface, u: Sequence[float], v: Sequence[float], chord: float) -> tuple[int, int]:
-    """Return how many cells along u and v keep the facets of a region within a chord error.
+    """Return the numbers of cells along u and v that keep the facets of a region within a chord error.
 
     They follow from a trial grid: the chord error is proportional to the square of the step.
 
@@ -380,9 +382,9 @@ class PlateOutline:
 
     Attributes:
         points: Points (N, 2) [m], counterclockwise.
-        corner: Its corners (N,).
+        corner: Whether each point is a corner (N,).
         depth: Number of outlines around it; those of odd depth are holes.
-        parent: Index of the next outline around it, if there is one.
+        parent: Index of the innermost outline around it in a list of outlines, None if there is none.
     """
 
     points: FloatArray
@@ -411,13 +413,13 @@ def check_outlines(rings: Sequence[FloatArray], names: Sequence[str]) -> list[Is
             is_valid.append(True)
             continue
         is_valid.append(False)
-        where = explain_validity(polygon)
-        position = where[where.find("[") + 1 : where.find("]")].split() if "[" in where else []
-        where_text = (
+        validity = explain_validity(polygon)
+        position = validity[validity.find("[") + 1 : validity.find("]")].split() if "[" in validity else []
+        place_text = (
             f" near ({', '.join(f'{float(v) / MM:.2f}' for v in position[:2])}) mm" if position else ""
         )
-        what = f"the outline crosses or touches itself{where_text}; correct it there"
-        issues.append(Issue("part.outline_crossing", what, field=name))
+        text = f"the outline crosses or touches itself{place_text}; correct it there"
+        issues.append(Issue("part.outline_crossing", text, field=name))
     tree = STRtree(polygons)
     for i, polygon in enumerate(polygons):
         for j in sorted(
@@ -428,23 +430,24 @@ def check_outlines(rings: Sequence[FloatArray], names: Sequence[str]) -> list[Is
             other = polygons[j]
             same_bounds = np.abs(np.subtract(polygon.bounds, other.bounds)).max() < TOUCHING_DISTANCE_M
             if same_bounds and polygon.exterior.hausdorff_distance(other.exterior) < TOUCHING_DISTANCE_M:
-                what = f"is the same outline as {names[i]}; remove one of them"
-                issues.append(Issue("part.outline_duplicate", what, field=names[j]))
+                text = f"is the same outline as {names[i]}; remove one of them"
+                issues.append(Issue("part.outline_duplicate", text, field=names[j]))
             elif polygon.exterior.dwithin(other.exterior, TOUCHING_DISTANCE_M):
-                meet = nearest_points(polygon.exterior, other.exterior)[0]
-                what = f"crosses or touches {names[i]} near ({meet.x / MM:.2f}, {meet.y / MM:.2f}) mm; "
-                what += "outlines must "
-                what += "be separate or one inside the other, so move or join them"
-                issues.append(Issue("part.outline_overlap", what, field=names[j]))
+                contact = nearest_points(polygon.exterior, other.exterior)[0]
+                text = f"crosses or touches {names[i]} near ({contact.x / MM:.2f}, {contact.y / MM:.2f}) mm; "
+                text += "outlines must be separate or one inside the other, so move or join them"
+                issues.append(Issue("part.outline_overlap", text, field=names[j]))
     return issues
 
 
 def bounding_sides(points: FloatArray) -> tuple[float, float]:
     """Return long and short side [m] of the smallest rotated rectangle around points (K, 2) [m]."""
-    around = MultiPoint(np.asarray(points)).minimum_rotated_rectangle
-    if around.geom_type != "Polygon":  # all on one line, or coincident
-        return float(around.length), 0.0
-    first, second = np.linalg.norm(np.diff(np.asarray(around.exterior.coords), axis=0), axis=1)[:2].tolist()
+    rectangle = MultiPoint(np.asarray(points)).minimum_rotated_rectangle
+    if rectangle.geom_type != "Polygon":  # all on one line, or coincident
+        return float(rectangle.length), 0.0
+    first, second = np.linalg.norm(np.diff(np.asarray(rectangle.exterior.coords), axis=0), axis=1)[
+        :2
+    ].tolist()
     return max(first, second), min(first, second)
 
 
@@ -455,10 +458,10 @@ def nest_outlines(rings: Sequence[FloatArray], corners: Sequence[BoolArray]) -> 
 
     Args:
         rings: Rings (N, 2) [m] without the faults that :func:`check_outlines` finds.
-        corners: Corners of the rings (N,).
+        corners: Whether each point of each ring is a corner (N,).
 
     Returns:
-        Outlines. ``inside`` is the index of the next outline around in this list.
+        Outlines. Their ``parent`` is an index into this list.
     """
     polygons = [Polygon(ring) for ring in rings]
     inner, outer = STRtree(polygons).query(polygons, predicate="within")
@@ -468,10 +471,10 @@ def nest_outlines(rings: Sequence[FloatArray], corners: Sequence[BoolArray]) -> 
     order = sorted(range(len(rings)), key=lambda i: -int(depth[i]))
     out = []
     for i in order:
-        around = [j for j in np.flatnonzero(within[i]) if depth[j] == depth[i] - 1]
-        inside = order.index(int(around[0])) if around else None
+        enclosing = [j for j in np.flatnonzero(within[i]) if depth[j] == depth[i] - 1]
+        parent = order.index(int(enclosing[0])) if enclosing else None
         is_clockwise = not polygons[i].exterior.is_ccw
         points = rings[i][::-1] if is_clockwise else rings[i]
         corner = corners[i][::-1] if is_clockwise else corners[i]
-        out.append(PlateOutline(points, corner, int(depth[i]), inside))
+        out.append(PlateOutline(points, corner, int(depth[i]), parent))
     return out

@@ -60,7 +60,7 @@ class CutTree:
         return tuple(part for part in self.parts if part.box is not None)
 
     def offcuts(self) -> tuple[BlockPart, ...]:
-        """Return the parts that are no boxes, are not cut and are smaller than the block."""
+        """Return the parts that are not boxes, not cut and not kept for another job."""
         return tuple(
             part for part in self.parts if part.box is None and part.axis is None and not part.is_kept
         )
@@ -158,6 +158,7 @@ class CutTree:
         return CutStage(self.parts[first], tuple(cuts)), pieces
 
     def _through_cut(self, part: BlockPart) -> "ThroughCut":
+        """Return the cut that divides a part."""
         sizes = [
             0.0 if i is None else (self.parts[i].length, self.parts[i].width)[part.axis or 0]
             for i in (part.low, part.high)
@@ -171,7 +172,7 @@ class ThroughCut:
     """A through cut.
 
     Attributes:
-        axis: Axis along which it divides.
+        axis: Axis that it crosses: 0 if it divides the part along x, 1 along y.
         x: Lower corner of the part along x [m].
         y: Lower corner of the part along y [m].
         length: Length of the cut from side to side [m].

@@ -16,14 +16,17 @@ MIN_EIGENVALUE_RATIO: Final = 0.03
 
 
 def decimate(mesh: Mesh, max_triangles: int) -> Mesh:
-    """Return the mesh with merged vertices and at most ``max_triangles`` triangles, and its deviation [m]."""
+    """Return the mesh with merged vertices, so that it has at most ``max_triangles`` triangles.
+
+    The grid is coarsened in the steps of `CELL_COUNTS`. With the coarsest one there may be more triangles.
+    """
     size = float(np.ptp(mesh.vertices, axis=0).max()) if len(mesh.vertices) else 0.0
-    thin = mesh
+    decimated = mesh
     for cells in CELL_COUNTS:
-        if len(thin.faces) <= max_triangles or size <= 0.0:
+        if len(decimated.faces) <= max_triangles or size <= 0.0:
             break
-        thin = merge_cells(mesh, size / cells)
-    return thin
+        decimated = merge_cells(mesh, size / cells)
+    return decimated
 
 
 def merge_cells(mesh: Mesh, cell: float, edges: bool = False) -> Mesh:
@@ -34,15 +37,16 @@ def merge_cells(mesh: Mesh, cell: float, edges: bool = False) -> Mesh:
     Args:
         mesh: The mesh.
         cell: Size of the cells [m].
-        edges: Whether the merged vertex is nearest to the planes of the faces there, instead of the mean.
+        edges: Whether edges are kept: merged vertices are moved to the planes of their faces, within the
+            cell. Otherwise they are the means of the vertices in it.
     """
     low = mesh.vertices.min(axis=0)
-    grid, first, which = unique_rows(np.floor((mesh.vertices - low) / cell).astype(np.int64))
-    count = np.bincount(which, minlength=len(first))
+    grid, first, cell_index = unique_rows(np.floor((mesh.vertices - low) / cell).astype(np.int64))
+    count = np.bincount(cell_index, minlength=len(first))
     points = np.stack(
-        [np.bincount(which, axis, minlength=len(first)) / count for axis in mesh.vertices.T], axis=1
+        [np.bincount(cell_index, axis, minlength=len(first)) / count for axis in mesh.vertices.T], axis=1
     )
-    faces = which[mesh.faces]
+    faces = cell_index[mesh.faces]
     if edges:
         points = points + _plane_steps(mesh.vertices[mesh.faces], faces, points)
         points = np.clip(points, low + grid * cell, low + (grid + 1) * cell)
@@ -53,17 +57,17 @@ def merge_cells(mesh: Mesh, cell: float, edges: bool = False) -> Mesh:
 def _plane_steps(corners: FloatArray, faces: IntArray, points: FloatArray) -> FloatArray:
     """Return steps (K, 3) [m] from points to the least squares point of adjacent triangles' planes."""
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    matrix, side = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
+    matrix, right_side = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
     for k in range(3):
         at = faces[:, k]
         plane_offset = np.einsum("fi,fi->f", normal, corners[:, k] - points[at])
         for i in range(3):
-            side[:, i] += np.bincount(at, normal[:, i] * plane_offset, minlength=len(points))
+            right_side[:, i] += np.bincount(at, normal[:, i] * plane_offset, minlength=len(points))
             for j in range(i, 3):
                 matrix[:, i, j] += np.bincount(at, normal[:, i] * normal[:, j], minlength=len(points))
     values, axes = np.linalg.eigh(matrix, UPLO="U")
     is_significant = values > MIN_EIGENVALUE_RATIO * values[:, -1:]
-    along = np.einsum("kji,kj->ki", axes, side) / np.where(is_significant, values, np.inf)
+    along = np.einsum("kji,kj->ki", axes, right_side) / np.where(is_significant, values, np.inf)
     return np.asarray(np.einsum("kij,kj->ki", axes, along))
 
 
@@ -83,10 +87,11 @@ def split_creases(mesh: Mesh, crease: float) -> Mesh:
     along = np.einsum("fkj,fj->fk", _unit(mean)[mesh.faces], _unit(normal))
     sharp = along < np.cos(crease)
     axis = np.argmax(np.abs(normal), axis=1)
-    side = 1 + 2 * axis + (normal[np.arange(len(axis)), axis] < 0.0)
-    key = np.stack([mesh.faces, np.where(sharp, side[:, None], 0)], axis=-1).reshape(-1, 2)
-    rows, _, which = unique_rows(key)
-    return Mesh(mesh.vertices[rows[:, 0]], which.reshape(-1, 3))
+    # 1 to 6: the axis and sign of the largest component of a face's normal
+    direction_code = 1 + 2 * axis + (normal[np.arange(len(axis)), axis] < 0.0)
+    key = np.stack([mesh.faces, np.where(sharp, direction_code[:, None], 0)], axis=-1).reshape(-1, 2)
+    vertex_keys, _, vertex_index = unique_rows(key)
+    return Mesh(mesh.vertices[vertex_keys[:, 0]], vertex_index.reshape(-1, 3))
 
 
 def _sum_at_vertices(faces: IntArray, values: FloatArray, count: int) -> FloatArray:

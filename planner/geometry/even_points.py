@@ -50,7 +50,7 @@ class FineSurface:
 
 
 def refine_surface(mesh: TriangleMesh, count: int, cut: float = MIN_EDGES_PER_CELL) -> FineSurface:
-    """Refine a surface.
+    """Halve the edges of a mesh until they are short compared to its cells.
 
     With 5 edges per side a cell has about fifty vertices.
 
@@ -84,28 +84,28 @@ def _halve_edges(mesh: TriangleMesh, longest: float) -> TriangleMesh:
     middle = np.full(len(edges), -1, dtype=np.int64)
     middle[long] = len(mesh.vertices) + np.arange(int(long.sum()))
     vertices = np.concatenate([mesh.vertices, ends[long].mean(axis=1)])
-    at = middle[np.reshape(inverse, (-1, 3))]
-    many = (at >= 0).sum(axis=1)
-    done = [faces[many == 0]]
-    for number in (1, 2, 3):
-        face_rows = np.flatnonzero(many == number)
+    middle_of_side = middle[np.reshape(inverse, (-1, 3))]
+    cut_count = (middle_of_side >= 0).sum(axis=1)
+    new_faces = [faces[cut_count == 0]]
+    for cuts in (1, 2, 3):
+        face_rows = np.flatnonzero(cut_count == cuts)
         # rotated until the cut side is the first (one cut), or the uncut side is the last (two cuts)
-        turn = (
-            np.argmax(at[face_rows] >= 0, axis=1)
-            if number < 2
-            else (np.argmax(at[face_rows] < 0, axis=1) + 1) % 3
+        shift = (
+            np.argmax(middle_of_side[face_rows] >= 0, axis=1)
+            if cuts < 2
+            else (np.argmax(middle_of_side[face_rows] < 0, axis=1) + 1) % 3
         )
-        order = (turn[:, None] + np.arange(3)) % 3
+        order = (shift[:, None] + np.arange(3)) % 3
         a, b, c = np.take_along_axis(faces[face_rows], order, axis=1).T
-        p, q, r = np.take_along_axis(at[face_rows], order, axis=1).T
-        if number == 1:
+        p, q, r = np.take_along_axis(middle_of_side[face_rows], order, axis=1).T
+        if cuts == 1:
             parts = [(a, p, c), (p, b, c)]
-        elif number == 2:
+        elif cuts == 2:
             parts = [(p, b, q), (a, p, q), (a, q, c)]
         else:
             parts = [(a, p, r), (p, b, q), (r, q, c), (p, q, r)]
-        done += [np.stack(part, axis=1) for part in parts]
-    return TriangleMesh(vertices, np.concatenate(done))
+        new_faces += [np.stack(part, axis=1) for part in parts]
+    return TriangleMesh(vertices, np.concatenate(new_faces))
 
 
 def distribute_points(surface: FineSurface, count: int) -> FloatArray:
@@ -115,31 +115,30 @@ def distribute_points(surface: FineSurface, count: int) -> FloatArray:
         surface: The surface.
         count: Number of points.
     """
-    at = surface.mesh.vertices
+    vertices = surface.mesh.vertices
     # a fixed number of each vertex in [0, 1): fractional part of a multiple of the golden ratio
-    vertex_number = np.modf(np.arange(1, len(at) + 1) * 0.6180339887498949)[0]
+    vertex_number = np.modf(np.arange(1, len(vertices) + 1) * 0.6180339887498949)[0]
     weight = 1.0 + _JITTER_FRACTION * (vertex_number - 0.5)
-    tree = KDTree(at)
-    square_distance = np.full(len(at), np.inf)
-    ranked = square_distance.copy()
-    selected = [at[int(np.argmax(weight * np.linalg.norm(at - at.mean(axis=0), axis=1)))]]
-    affected: IntArray = np.arange(len(at))
+    tree = KDTree(vertices)
+    square_distance = np.full(len(vertices), np.inf)
+    varied_distance = square_distance.copy()
+    selected = [vertices[int(np.argmax(weight * np.linalg.norm(vertices - vertices.mean(axis=0), axis=1)))]]
+    affected: IntArray = np.arange(len(vertices))
     while True:
-        offset = at[affected] - selected[-1]
+        offset = vertices[affected] - selected[-1]
         square_distance[affected] = np.minimum(square_distance[affected], dots(offset, offset))
-        ranked[affected] = weight[affected] * square_distance[affected]
+        varied_distance[affected] = weight[affected] * square_distance[affected]
         if len(selected) == count:
             break
-        last = int(np.argmax(ranked))
-        selected.append(at[last])
-        if (
-            len(selected) > _FULL_UPDATES
-        ):  # the new point changes no vertex beyond the largest remaining distance
-            reach = np.sqrt(ranked[last] / (1.0 - 0.5 * _JITTER_FRACTION)) * (1.0 + 1e-9)
+        farthest = int(np.argmax(varied_distance))
+        selected.append(vertices[farthest])
+        # the new point changes no vertex beyond the largest remaining distance
+        if len(selected) > _FULL_UPDATES:
+            reach = np.sqrt(varied_distance[farthest] / (1.0 - 0.5 * _JITTER_FRACTION)) * (1.0 + 1e-9)
             affected = np.array(tree.query_ball_point(selected[-1], reach), dtype=np.int64)
     points = np.array(selected)
     for _ in range(_LLOYD_ITERATIONS):
-        points = cell_centroids(surface, np.asarray(KDTree(points).query(at)[1]), points)
+        points = cell_centroids(surface, np.asarray(KDTree(points).query(vertices)[1]), points)
     return points
 
 
@@ -161,7 +160,7 @@ def cell_centroids(surface: FineSurface, label: IntArray, points: FloatArray) ->
 
 
 def assign_cells(surface: FineSurface, points: FloatArray) -> IntArray:
-    """Return the point to which each vertex (V,) belongs: the nearest one.
+    """Return the index of the point to which each vertex (V,) belongs: the nearest one.
 
     Each cell is connected: parts without contact to the cell's largest part are assigned to neighbours.
 
@@ -173,29 +172,33 @@ def assign_cells(surface: FineSurface, points: FloatArray) -> IntArray:
 
 
 def _connect_cells(surface: FineSurface, label: IntArray) -> IntArray:
+    """Return labels (V,) with connected cells. Parts outside of the largest one join their neighbours."""
     faces = surface.mesh.faces
     edges = unique_rows(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1))[0]
     label = label.copy()
     for _ in range(3):
-        same = edges[label[edges[:, 0]] == label[edges[:, 1]]]
-        graph = coo_array((np.ones(len(same)), (same[:, 0], same[:, 1])), shape=(len(label), len(label)))
+        inner_edges = edges[label[edges[:, 0]] == label[edges[:, 1]]]
+        graph = coo_array(
+            (np.ones(len(inner_edges)), (inner_edges[:, 0], inner_edges[:, 1])),
+            shape=(len(label), len(label)),
+        )
         _, part = connected_components(graph, directed=False)
         size = np.bincount(part)
         order = np.lexsort((-size[part], label))
-        head = np.ones(len(order), dtype=np.bool_)
-        head[1:] = label[order][1:] != label[order][:-1]
-        main = np.zeros(len(size), dtype=np.bool_)
-        main[part[order[head]]] = True
-        loose = ~main[part]
-        if not loose.any():
+        is_first = np.ones(len(order), dtype=np.bool_)
+        is_first[1:] = label[order][1:] != label[order][:-1]
+        is_main_part = np.zeros(len(size), dtype=np.bool_)
+        is_main_part[part[order[is_first]]] = True
+        is_loose = ~is_main_part[part]
+        if not is_loose.any():
             break
-        while loose.any():
-            both = np.concatenate([edges, edges[:, ::-1]])
-            take = both[loose[both[:, 0]] & ~loose[both[:, 1]]]
-            if not len(take):
+        while is_loose.any():
+            directed = np.concatenate([edges, edges[:, ::-1]])
+            borders = directed[is_loose[directed[:, 0]] & ~is_loose[directed[:, 1]]]
+            if not len(borders):
                 break
-            label[take[::-1, 0]] = label[take[::-1, 1]]
-            loose[take[:, 0]] = False
+            label[borders[::-1, 0]] = label[borders[::-1, 1]]
+            is_loose[borders[:, 0]] = False
     return label
 
 
@@ -229,27 +232,27 @@ def surface_curvature(
         first_axis = np.cross(normal, axis)
         first_axis /= np.linalg.norm(first_axis, axis=1, keepdims=True)
         second_axis = np.cross(normal, first_axis)
-        rest = positions - points[:, None]
-        u, v, w = (np.einsum("nki,ni->nk", rest, vectors) for vectors in (first_axis, second_axis, normal))
+        offsets = positions - points[:, None]
+        u, v, w = (np.einsum("nki,ni->nk", offsets, vectors) for vectors in (first_axis, second_axis, normal))
         # vertices with an opposite normal belong to another sheet
         same_sheet = np.einsum("nki,ni->nk", surface.normal[neighbours], normal) > 0.3
-        gain = surface.area[neighbours] * np.exp(-2.0 * (reach / reach[:, -1:]) ** 2) * same_sheet
+        weights = surface.area[neighbours] * np.exp(-2.0 * (reach / reach[:, -1:]) ** 2) * same_sheet
         terms = np.stack([np.ones_like(u), u, v, 0.5 * u * u, u * v, 0.5 * v * v], axis=2)
-        square = np.einsum("nka,nk,nkb->nab", terms, gain, terms)
+        square = np.einsum("nka,nk,nkb->nab", terms, weights, terms)
         scale = np.sqrt(np.maximum(np.einsum("naa->na", square), 1e-300))
         square = square / scale[:, :, None] / scale[:, None, :] + 1e-12 * np.eye(6)
-        right = np.einsum("nka,nk,nk->na", terms, gain, w) / scale
+        right = np.einsum("nka,nk,nk->na", terms, weights, w) / scale
         coefficients = np.linalg.solve(square, right[..., None])[..., 0] / scale
         normal = normal - coefficients[:, 1:2] * first_axis - coefficients[:, 2:3] * second_axis
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    shape = -np.stack([coefficients[:, [3, 4]], coefficients[:, [4, 5]]], axis=1)
-    value, vectors = np.linalg.eigh(shape)
+    shape_operator = -np.stack([coefficients[:, [3, 4]], coefficients[:, [4, 5]]], axis=1)
+    value, vectors = np.linalg.eigh(shape_operator)
     direction = np.einsum("nij,nix->njx", vectors, np.stack([first_axis, second_axis], axis=1))
     return normal, value[:, ::-1], direction[:, ::-1]
 
 
 def is_synclastic(curvature: FloatArray) -> BoolArray:
-    """Return at which points (N,) the surface is convex and not nearly cylindrical.
+    """Return at which points (N,) both curvatures have the same sign, and none is nearly zero.
 
     Args:
         curvature: Principal curvatures (N, 2) [1/m].

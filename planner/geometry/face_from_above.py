@@ -44,14 +44,15 @@ class FaceFromAbove:
         self.low, self.high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
         area = float(np.prod(np.maximum(self.high - self.low, 1e-9)))
         self._cell = max(float(np.sqrt(area / max(len(faces), 1))), 1e-6)
-        self._wide = int((self.high[0] - self.low[0]) / self._cell) + 1
-        first = ((flat.min(axis=1) - self.low) / self._cell).astype(np.int64)
-        count = ((flat.max(axis=1) - self.low) / self._cell).astype(np.int64) - first + 1
-        each = count.prod(axis=1)
-        owner = np.repeat(np.arange(len(faces)), each)
-        cell_index = np.arange(len(owner)) - np.repeat(np.cumsum(each) - each, each)
-        column, row = cell_index % count[owner, 0], cell_index // count[owner, 0]
-        key = (first[owner, 1] + row) * self._wide + first[owner, 0] + column
+        self._columns = int((self.high[0] - self.low[0]) / self._cell) + 1
+        first_cell = ((flat.min(axis=1) - self.low) / self._cell).astype(np.int64)
+        cell_spans = ((flat.max(axis=1) - self.low) / self._cell).astype(np.int64) - first_cell + 1
+        # sorted pairs of a grid cell and a triangle whose bounding rectangle overlaps it
+        cell_counts = cell_spans.prod(axis=1)
+        owner = np.repeat(np.arange(len(faces)), cell_counts)
+        cell_index = np.arange(len(owner)) - np.repeat(np.cumsum(cell_counts) - cell_counts, cell_counts)
+        column, row = cell_index % cell_spans[owner, 0], cell_index // cell_spans[owner, 0]
+        key = (first_cell[owner, 1] + row) * self._columns + first_cell[owner, 0] + column
         order = np.argsort(key, kind="stable")
         self._key, self._owner = key[order], owner[order]
 
@@ -60,12 +61,14 @@ class FaceFromAbove:
         point, normal = np.full((len(xy), 3), np.nan), np.full((len(xy), 3), np.nan)
         inside = ((xy >= self.low - 1e-9) & (xy <= self.high + 1e-9)).all(axis=1)
         cell = (np.clip(xy, self.low, self.high) - self.low) / self._cell
-        key = cell[:, 1].astype(np.int64) * self._wide + cell[:, 0].astype(np.int64)
+        key = cell[:, 1].astype(np.int64) * self._columns + cell[:, 0].astype(np.int64)
         start, end = np.searchsorted(self._key, key), np.searchsorted(self._key, key, side="right")
-        each = np.where(inside, end - start, 0)
-        row = np.repeat(np.arange(len(xy)), each)
+        candidate_counts = np.where(inside, end - start, 0)
+        row = np.repeat(np.arange(len(xy)), candidate_counts)
         triangle = self._owner[
-            np.repeat(start, each) + np.arange(len(row)) - np.repeat(np.cumsum(each) - each, each)
+            np.repeat(start, candidate_counts)
+            + np.arange(len(row))
+            - np.repeat(np.cumsum(candidate_counts) - candidate_counts, candidate_counts)
         ]
         weights = _barycentric_weights(xy[row], self._corners[triangle][..., :2])
         hit = np.flatnonzero(weights.min(axis=1) >= MIN_INSIDE_WEIGHT)

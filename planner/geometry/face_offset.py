@@ -29,7 +29,7 @@ class ThickPanel:
         top: Corners of the top (C, 3) [m], in the same order.
         normal: Normal (3,).
         across: Panel beyond each side (C,), from corner i to i + 1, or ``RIM``.
-        level: Whether each side is on the ground (C,).
+        level: 1 for sides on the ground, 0 for others (C,).
     """
 
     bottom: FloatArray
@@ -64,15 +64,15 @@ def thick_panels(faces: PlanarFaces, thickness: float, rim: Rim = "square") -> t
 def _corner_displacements(
     faces: PlanarFaces, panel: int, rim: Rim, sign: float
 ) -> tuple[FloatArray, IntArray]:
-    """Return displacements (C, 3) of a panel's corners for a unit offset, and which sides (C,) are level."""
+    """Return displacements (C, 3) of a panel's corners for a unit offset, and flags of level sides (C,)."""
     pattern = faces.pattern
     ring, across, n = pattern.ring[panel], pattern.across[panel], faces.normal[panel]
     displacement = faces.offset_direction[ring].copy()
     if pattern.quads:
         displacement /= (displacement @ n)[:, None]
     level = (across == RIM) & faces.on_ground[ring] & faces.on_ground[np.roll(ring, -1)]
-    ends = (across == RIM) | (np.roll(across, 1) == RIM)
-    for i in np.flatnonzero(ends).tolist():
+    next_to_rim = (across == RIM) | (np.roll(across, 1) == RIM)
+    for i in np.flatnonzero(next_to_rim).tolist():
         sides = [
             _side_normal(faces, panel, k % len(ring), rim, bool(level[k % len(ring)]), sign)
             for k in (i - 1, i)
@@ -96,11 +96,14 @@ def _side_normal(faces: PlanarFaces, panel: int, side: int, rim: Rim, level: boo
         steep = np.hypot(edge[0], edge[1]) <= _MIN_HORIZONTAL_FRACTION * np.linalg.norm(edge)
         up = normal if rim == "square" or steep else np.array([0.0, 0.0, 1.0])
         candidates = [up, *(faces.offset_direction[k] for k in (start, end) if faces.sharp[k])]
-        out = sign * np.cross(edge, normal)
+        # a side must not lean farther outwards than the displacements of pointed corners
+        outwards = sign * np.cross(edge, normal)
         return unit(
             np.cross(
                 edge,
-                min(candidates, key=lambda candidate: float(out @ candidate) / float(normal @ candidate)),
+                min(
+                    candidates, key=lambda candidate: float(outwards @ candidate) / float(normal @ candidate)
+                ),
             )
         )
     if faces.pattern.quads:
@@ -141,25 +144,28 @@ def _clip_ears(ring: FloatArray, normal: FloatArray) -> list[tuple[int, int, int
     """Triangulate a simple polygon by ear clipping, the ears of best quality first."""
     remaining, triangles = list(range(len(ring))), []
     while len(remaining) > 3:
-        best, at = -np.inf, 0
+        best_quality, best_index = -np.inf, 0
         for k, b in enumerate(remaining):
             a, c = remaining[k - 1], remaining[(k + 1) % len(remaining)]
             corners = ring[[a, b, c]]
-            if (turn := _signed_area(corners[0], corners[1], corners[2], normal)) <= 0.0:
+            if (double_area := _signed_area(corners[0], corners[1], corners[2], normal)) <= 0.0:
                 continue
             others = [p for p in remaining if p not in (a, b, c)]
             if any(_inside(ring[p], corners, normal) for p in others):
                 continue
             sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
-            quality = turn / float(sides.max()) ** 2
-            if quality > best:
-                best, at = quality, k
-        triangles.append((remaining[at - 1], remaining[at], remaining[(at + 1) % len(remaining)]))
-        del remaining[at]
+            quality = double_area / float(sides.max()) ** 2
+            if quality > best_quality:
+                best_quality, best_index = quality, k
+        triangles.append(
+            (remaining[best_index - 1], remaining[best_index], remaining[(best_index + 1) % len(remaining)])
+        )
+        del remaining[best_index]
     return [*triangles, (remaining[0], remaining[1], remaining[2])]
 
 
 def _signed_area(a: FloatArray, b: FloatArray, c: FloatArray, normal: FloatArray) -> float:
+    """Return twice the area of a triangle, positive if it is counterclockwise seen against ``normal``."""
     return float(np.cross(b - a, c - a) @ normal)
 
 

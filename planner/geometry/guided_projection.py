@@ -146,7 +146,7 @@ def planarise(
             break
     solver.exact()
     x, w, n, d = solver.split(solver.unknowns)
-    distance = solver.scale * (d + dots(n, solver.middle))
+    distance = solver.scale * (d + dots(n, solver.centre))
     w = w if pattern.quads else _square_offsets(pattern, n, x, w)
     on_ground = np.zeros(solver.knots, dtype=np.bool_)
     on_ground[solver.ground_knots] = True
@@ -157,9 +157,10 @@ def planarise(
 def _square_offsets(
     pattern: PanelPattern, normal: FloatArray, knot: FloatArray, offsets: FloatArray
 ) -> FloatArray:
-    """Return displacements of knots at joints of two coplanar panels, normal to both.
+    """Return the displacements (K, 3), with square sides between coplanar panels.
 
-    Coplanar panels leave the plane of their side open.
+    Planes of coplanar panels do not define the plane of the side between them. Here it is normal to both, so
+    the displacements at its ends are in the plane of the edge and the panels' normal.
     """
     squared = offsets.copy()
     for a, b, start, end in panel_joints(pattern).tolist():
@@ -167,16 +168,23 @@ def _square_offsets(
             continue
         side = unit(np.cross(knot[end] - knot[start], normal[a]))
         for k in (start, end):
-            third = next((p for p in pattern.panels[k].tolist() if p >= 0 and p not in (a, b)), None)
-            if third is not None:
-                matrix = np.stack([normal[a], normal[third], side])
+            third_panel = next((p for p in pattern.panels[k].tolist() if p >= 0 and p not in (a, b)), None)
+            if third_panel is not None:
+                matrix = np.stack([normal[a], normal[third_panel], side])
                 # three coplanar panels determine only one component, which least squares find
                 squared[k] = np.linalg.lstsq(matrix, np.array([1.0, 1.0, 0.0]), rcond=COPLANAR_TOLERANCE)[0]
     return squared
 
 
 class _JacobianRows:
-    """Rows of a Jacobian, collected in order."""
+    """Rows of a sparse Jacobian with their residuals, collected in order.
+
+    Attributes:
+        column: Columns of all terms, row by row.
+        value: Values of these terms.
+        size: Number of terms of each row.
+        residual: Residual of each row.
+    """
 
     def __init__(self) -> None:
         self.column: list[IntArray] = []
@@ -184,27 +192,27 @@ class _JacobianRows:
         self.size: list[IntArray] = []
         self.residual: list[FloatArray] = []
 
-    def add(self, rest: FloatArray, *terms: tuple[IntArray, FloatArray], weight: float = 1.0) -> None:
-        """Add rows with the residuals ``residual`` (M,), and terms of columns (M, C) and values (M, C)."""
+    def add(self, residual: FloatArray, *terms: tuple[IntArray, FloatArray], weight: float = 1.0) -> None:
+        """Add rows with residuals (M,). Each of the terms has columns (M, C) and values (M, C)."""
         columns = np.concatenate([column for column, _ in terms], axis=1)
         self.column.append(columns.reshape(-1))
         self.value.append(weight * np.concatenate([value for _, value in terms], axis=1).reshape(-1))
-        self.size.append(np.full(len(rest), columns.shape[1]))
-        self.residual.append(weight * rest)
+        self.size.append(np.full(len(residual), columns.shape[1]))
+        self.residual.append(weight * residual)
 
-    def add_uneven(self, rest: FloatArray, size: IntArray, column: IntArray, value: FloatArray) -> None:
-        """Add rows of ``size`` (M,) terms each, one after the other."""
+    def add_uneven(self, residual: FloatArray, size: IntArray, column: IntArray, value: FloatArray) -> None:
+        """Add rows with residuals (M,) and ``size`` (M,) terms each, whose lists follow each other."""
         self.column.append(column)
         self.value.append(value)
         self.size.append(size)
-        self.residual.append(rest)
+        self.residual.append(residual)
 
     def matrix(self, columns: int) -> tuple[csr_array, FloatArray]:
         """Return the Jacobian, with unsorted columns, and the residuals."""
-        rest = np.concatenate(self.residual)
+        residual = np.concatenate(self.residual)
         start = np.concatenate([[0], np.cumsum(np.concatenate(self.size))])
         parts = np.concatenate(self.value), np.concatenate(self.column), start
-        return csr_array(parts, shape=(len(rest), columns)), rest
+        return csr_array(parts, shape=(len(residual), columns)), residual
 
 
 def normal_equations(matrix: csr_array, steady: float) -> csc_array:
@@ -215,14 +223,21 @@ def normal_equations(matrix: csr_array, steady: float) -> csc_array:
         steady: Damping.
     """
     count = matrix.shape[1]
-    held = csr_array((np.full(count, steady), np.arange(count), np.arange(count + 1)), shape=(count, count))
-    whole = vstack([matrix, held], format="csr")
+    damping_rows = csr_array(
+        (np.full(count, steady), np.arange(count), np.arange(count + 1)), shape=(count, count)
+    )
+    damped = vstack([matrix, damping_rows], format="csr")
     # the conversion to CSC sorts the indices that the product leaves unsorted
-    return csc_array(csr_array(whole.T.tocsr() @ whole).tocsc())
+    return csc_array(csr_array(damped.T.tocsr() @ damped).tocsc())
 
 
 class _ProjectionSolver:
-    """The unknowns of a pattern, in spacings."""
+    """Gauss-Newton solver for the planes of a pattern.
+
+    The vector of unknowns has the knots x, their displacements w for a unit offset, the normals n of the
+    planes, and the distances d of the planes from the centres of their cells along n. Lengths are in
+    spacings.
+    """
 
     def __init__(
         self,
@@ -232,12 +247,12 @@ class _ProjectionSolver:
         required: PanelRequirements,
         weights: PlanarityWeights,
     ) -> None:
-        middle, normal, ground = cells.centre, cells.normal, required.ground
+        centre, normal, ground = cells.centre, cells.normal, required.ground
         scale = self.scale = surface.spacing
         self.weights, self.pattern = weights, pattern
         self.thickness, self.min_edge = required.thickness / scale, required.min_edge / scale
-        self.middle, self.target_normal = middle / scale, normal
-        self.knots, self.panels = len(pattern.position), len(middle)
+        self.centre, self.target_normal = centre / scale, normal
+        self.knots, self.panels = len(pattern.position), len(centre)
         self.face = np.repeat(np.arange(self.panels), [len(ring) for ring in pattern.ring])
         self.knot = np.concatenate(pattern.ring)
         self.factor: SuperLU | None = None
@@ -249,43 +264,45 @@ class _ProjectionSolver:
         step = np.concatenate(
             [np.roll(surface.mesh.vertices[ring], -1, axis=0) - surface.mesh.vertices[ring] for ring in rings]
         )
-        self.curve, self.along, self.rim_tree = curve, unit(step), KDTree(curve)
+        self.curve, self.curve_tangent, self.rim_tree = curve, unit(step), KDTree(curve)
         self.ground = 0.0 if ground is None else ground / scale
         height = np.abs(pattern.position[self.rim, 2] / scale - self.ground)
         self.ground_knots = self.rim[(height < _GROUND_TOLERANCE) & (ground is not None)]
-        self.level = self.ground_knots[pattern.pointed_knots[self.ground_knots]]
+        self.level_knots = self.ground_knots[pattern.pointed_knots[self.ground_knots]]
         self.corner = pattern.corner[self.rim]
         self.joint = panel_joints(pattern)
-        across = middle[self.joint[:, 1]] - middle[self.joint[:, 0]]
+        across = centre[self.joint[:, 1]] - centre[self.joint[:, 0]]
         self.reference = unit(np.cross(normal[self.joint[:, 0]] + normal[self.joint[:, 1]], across))
-        self._neighbours()
-        turn = [np.stack([np.roll(ring, 1), ring, np.roll(ring, -1)], axis=1) for ring in pattern.ring]
-        self.turn = np.concatenate(turn)
-        self.convex_turns = np.flatnonzero(cells.is_convex[self.face])
+        self._prepare_smoothing()
+        triples = [np.stack([np.roll(ring, 1), ring, np.roll(ring, -1)], axis=1) for ring in pattern.ring]
+        self.corner_triples = np.concatenate(triples)
+        self.convex_corners = np.flatnonzero(cells.is_convex[self.face])
         x = pattern.position / scale
         self.unknowns = np.concatenate(
             [x.reshape(-1), self._upright(x).reshape(-1), normal.reshape(-1), np.zeros(self.panels)]
         )
 
-    def _neighbours(self) -> None:
+    def _prepare_smoothing(self) -> None:
         """Prepare the means of neighbours of inner knots, and of neighbours along the rim of rim knots."""
         ends = np.concatenate([np.stack([ring, np.roll(ring, -1)], axis=1) for ring in self.pattern.ring])
         side = np.concatenate(self.pattern.across)
         on_rim = np.zeros(self.knots, dtype=np.bool_)
         on_rim[self.rim] = True
-        both = np.concatenate([ends, ends[:, ::-1]])
-        keep = ~on_rim[both[:, 0]] | np.concatenate([side < 0, side < 0])
-        both = np.unique(both[keep], axis=0)
-        count = np.bincount(both[:, 0], minlength=self.knots)
-        shares = csr_array(
-            (1.0 / count[both[:, 0]], (both[:, 0], both[:, 1])), shape=(self.knots, self.knots)
+        directed = np.concatenate([ends, ends[:, ::-1]])
+        keep = ~on_rim[directed[:, 0]] | np.concatenate([side < 0, side < 0])
+        directed = np.unique(directed[keep], axis=0)
+        count = np.bincount(directed[:, 0], minlength=self.knots)
+        mean = csr_array(
+            (1.0 / count[directed[:, 0]], (directed[:, 0], directed[:, 1])), shape=(self.knots, self.knots)
         )
-        self.smooth = csr_array(diags_array(np.ones(self.knots)) - shares)
+        self.smooth = csr_array(diags_array(np.ones(self.knots)) - mean)
 
     def _upright(self, x: FloatArray) -> FloatArray:
+        """Return the normals of the surface at its vertices nearest to points (N, 3)."""
         return self.surface_normals[self.tree.query(x)[1]]
 
     def split(self, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return x (K, 3), w (K, 3), n (N, 3) and d (N,) of a vector of unknowns, as views."""
         k, n = 3 * self.knots, 3 * self.panels
         return (
             z[:k].reshape(-1, 3),
@@ -295,22 +312,26 @@ class _ProjectionSolver:
         )
 
     def _x(self, knot: IntArray) -> IntArray:
+        """Return the columns (M, 3) of knots."""
         return 3 * knot[:, None] + np.arange(3)
 
     def _w(self, knot: IntArray) -> IntArray:
+        """Return the columns (M, 3) of displacements of knots."""
         return 3 * (self.knots + knot[:, None]) + np.arange(3)
 
     def _n(self, face: IntArray) -> IntArray:
+        """Return the columns (M, 3) of normals."""
         return 3 * (2 * self.knots + face[:, None]) + np.arange(3)
 
     def _d(self, face: IntArray) -> IntArray:
+        """Return the columns (M, 1) of distances."""
         return (6 * self.knots + 3 * self.panels + face)[:, None]
 
     def _planes(self, rows: _JacobianRows, z: FloatArray, weight: float) -> None:
         """Add rows: knots in their planes, unit offsets, the ground, unit normals."""
         x, w, n, d = self.split(z)
         f, k = self.face, self.knot
-        offset = x[k] - self.middle[f]
+        offset = x[k] - self.centre[f]
         minus = -np.ones((len(f), 1))
         rows.add(
             dots(n[f], offset) - d[f],
@@ -330,9 +351,9 @@ class _ProjectionSolver:
         rows.add(0.5 * (dots(n, n) - 1.0), (self._n(np.arange(len(n))), n), weight=weight)
 
     def _sides(self, rows: _JacobianRows, x: FloatArray, w: FloatArray, weight: float) -> None:
-        """Add rows: displacements of both ends of a joint are coplanar with it.
+        """Add rows of quads: the displacements of both ends of a joint are coplanar with it.
 
-        Those of points on the ground are level.
+        Those of pointed knots on the ground are level.
         """
         start, end = self.joint[:, 2:].T
         e, a, b = x[end] - x[start], w[start], w[end]
@@ -340,7 +361,7 @@ class _ProjectionSolver:
         terms = [(self._x(start), -across), (self._x(end), across)]
         terms += [(self._w(start), np.cross(b, e)), (self._w(end), np.cross(e, a))]
         rows.add(dots(e, across), *terms, weight=weight)
-        level = self.level
+        level = self.level_knots
         rows.add(w[level, 2], (self._w(level)[:, [2]], np.ones((len(level), 1))), weight=weight)
 
     def iterate(self) -> FloatArray:
@@ -350,8 +371,8 @@ class _ProjectionSolver:
         self._planes(rows, self.unknowns, g.plane)
         nearest = self.tree.query(x)[1]
         up = self.surface_normals[nearest]
-        every = np.arange(self.knots)
-        rows.add(dots(up, x - self.surface_points[nearest]), (self._x(every), up), weight=g.close)
+        all_knots = np.arange(self.knots)
+        rows.add(dots(up, x - self.surface_points[nearest]), (self._x(all_knots), up), weight=g.close)
         self._rims(rows, x)
         if self.pattern.quads:
             f, k = self.face, self.knot
@@ -364,22 +385,25 @@ class _ProjectionSolver:
                 weight=g.normal,
             )
             ones = np.ones((self.knots, 1))
-            rows.add(w[:, i] - up[:, i], (self._w(every)[:, [i]], ones), weight=g.offset)
+            rows.add(w[:, i] - up[:, i], (self._w(all_knots)[:, [i]], ones), weight=g.offset)
         self._fair(rows, x, up)
         self._limits(rows, x, w, n)
-        matrix, rest = rows.matrix(len(self.unknowns))
-        square, right = normal_equations(matrix, g.damping), matrix.T @ rest
-        step = None if self.factor is None else _solve_preconditioned(square, right, self.factor)
+        matrix, residual = rows.matrix(len(self.unknowns))
+        square, gradient = normal_equations(matrix, g.damping), matrix.T @ residual
+        step = None if self.factor is None else _solve_preconditioned(square, gradient, self.factor)
         if step is None:
             self.factor = factor_symmetric(square)
-            step = self.factor.solve(right)
+            step = self.factor.solve(gradient)
         self.unknowns = self.unknowns - step
         return np.abs(step)
 
     def _rims(self, rows: _JacobianRows, x: FloatArray) -> None:
-        at = self.rim_tree.query(x[self.rim])[1]
-        goal = np.where(self.corner[:, None], self.pattern.position[self.rim] / self.scale, self.curve[at])
-        tangent = np.where(self.corner[:, None], 0.0, self.along[at])
+        """Add rows: rim knots are on the tangents of the surface's boundary, and corners stay in place."""
+        nearest = self.rim_tree.query(x[self.rim])[1]
+        goal = np.where(
+            self.corner[:, None], self.pattern.position[self.rim] / self.scale, self.curve[nearest]
+        )
+        tangent = np.where(self.corner[:, None], 0.0, self.curve_tangent[nearest])
         residual = x[self.rim] - goal
         residual = residual - dots(residual, tangent)[:, None] * tangent
         for i in range(3):
@@ -391,13 +415,13 @@ class _ProjectionSolver:
         smooth, laplacian = self.smooth, np.asarray(self.smooth @ x)
         column = (3 * smooth.indices[:, None] + np.arange(3)).reshape(-1)
         row, size = np.repeat(np.arange(self.knots), np.diff(smooth.indptr)), 3 * np.diff(smooth.indptr)
-        moved, every = x - self.pattern.position / self.scale, np.arange(self.knots)
+        moved, all_knots = x - self.pattern.position / self.scale, np.arange(self.knots)
         axis = np.eye(3)[np.argmin(np.abs(up), axis=1)]
         first_tangent = unit(np.cross(up, axis))
         for tangent in (first_tangent, np.cross(up, first_tangent)):
             value = self.weights.fairness * (smooth.data[:, None] * tangent[row]).reshape(-1)
             rows.add_uneven(self.weights.fairness * dots(laplacian, tangent), size, column, value)
-            rows.add(dots(moved, tangent), (self._x(every), tangent), weight=self.weights.position)
+            rows.add(dots(moved, tangent), (self._x(all_knots), tangent), weight=self.weights.position)
 
     def _limits(self, rows: _JacobianRows, x: FloatArray, w: FloatArray, n: FloatArray) -> None:
         """Add rows of violated limits: long displacements, short or inverted edges, concave corners."""
@@ -407,34 +431,32 @@ class _ProjectionSolver:
         rows.add(size[over] - _OFFSET_LENGTH_GOAL, (self._w(over), w[over] / size[over, None]), weight=gain)
         start, end, u = self.joint[:, 2], self.joint[:, 3], self.reference
         for height in (0.0, t):
-            long = dots(x[end] - x[start] + height * (w[end] - w[start]), u)
-            short = np.flatnonzero(long < 1.3 * self.min_edge)
+            edge_length = dots(x[end] - x[start] + height * (w[end] - w[start]), u)
+            short = np.flatnonzero(edge_length < 1.3 * self.min_edge)  # a margin, because limits are soft
             start_knots, end_knots, v = start[short], end[short], u[short]
             terms = [(self._x(start_knots), -v), (self._x(end_knots), v)]
             if height:
                 terms += [(self._w(start_knots), -height * v), (self._w(end_knots), height * v)]
-            rows.add(long[short] - 1.3 * self.min_edge, *terms, weight=gain)
+            rows.add(edge_length[short] - 1.3 * self.min_edge, *terms, weight=gain)
         self._visible_sides(rows, x, w, n)
-        previous, at, following = self.turn[self.convex_turns].T
-        up = n[self.face[self.convex_turns]]
+        previous, at, following = self.corner_triples[self.convex_corners].T
+        up = n[self.face[self.convex_corners]]
         e, h = x[at] - x[previous], x[following] - x[at]
         size = np.maximum(np.linalg.norm(e, axis=1) * np.linalg.norm(h, axis=1), 1e-3)
         sine = column_dots(np.cross(e, h).T, up.T) / size
-        hollow = np.flatnonzero(sine < _MIN_CONVEX_SINE)
-        start_knots, end_knots = (
-            np.cross(h, up)[hollow] / size[hollow, None],
-            np.cross(up, e)[hollow] / size[hollow, None],
-        )
-        b, a, c = previous[hollow], at[hollow], following[hollow]
-        terms = [(self._x(a), start_knots - end_knots), (self._x(b), -start_knots), (self._x(c), end_knots)]
-        rows.add(sine[hollow] - _MIN_CONVEX_SINE, *terms, weight=0.5 * gain)
+        concave = np.flatnonzero(sine < _MIN_CONVEX_SINE)
+        by_e = np.cross(h, up)[concave] / size[concave, None]
+        by_h = np.cross(up, e)[concave] / size[concave, None]
+        b, a, c = previous[concave], at[concave], following[concave]
+        terms = [(self._x(a), by_e - by_h), (self._x(b), -by_e), (self._x(c), by_h)]
+        rows.add(sine[concave] - _MIN_CONVEX_SINE, *terms, weight=0.5 * gain)
 
     def _visible_sides(self, rows: _JacobianRows, x: FloatArray, w: FloatArray, n: FloatArray) -> None:
         """Add rows: every side of both faces is visible from the centre of its corners.
 
         Then no outline crosses itself.
         """
-        start, end, f = self.knot, self.turn[:, 2], self.face
+        start, end, f = self.knot, self.corner_triples[:, 2], self.face
         for offset_height in (0.0, self.thickness):
             y = x + offset_height * w
             sums = np.stack([np.bincount(f, weights=y[start, i]) for i in range(3)], axis=1)
@@ -444,29 +466,29 @@ class _ProjectionSolver:
             height = column_dots(np.cross(p, q).T, n[f].T) / size
             low = np.flatnonzero(height < _MIN_SIDE_HEIGHT)
             up = n[f[low]]
-            by_one = np.cross(q[low], up) / size[low, None]
-            by_two = np.cross(up, p[low]) / size[low, None]
-            terms = [(self._x(start[low]), by_one), (self._x(end[low]), by_two)]
+            by_start = np.cross(q[low], up) / size[low, None]
+            by_end = np.cross(up, p[low]) / size[low, None]
+            terms = [(self._x(start[low]), by_start), (self._x(end[low]), by_end)]
             if offset_height:
                 terms += [
-                    (self._w(start[low]), offset_height * by_one),
-                    (self._w(end[low]), offset_height * by_two),
+                    (self._w(start[low]), offset_height * by_start),
+                    (self._w(end[low]), offset_height * by_end),
                 ]
             rows.add(height[low] - _MIN_SIDE_HEIGHT, *terms, weight=self.weights.hinge)
 
     def exact(self) -> None:
         """Run Newton's method with minimum-norm steps onto planes that contain their knots up to rounding."""
-        best = np.inf
+        min_residual = np.inf
         for _ in range(_MAX_EXACT_ITERATIONS):
             rows = _JacobianRows()
             self._planes(rows, self.unknowns, 1.0)
-            matrix, rest = rows.matrix(len(self.unknowns))
-            worst = float(np.abs(rest).max())
-            if worst >= 0.5 * best and worst < 1e-13:
+            matrix, residual = rows.matrix(len(self.unknowns))
+            max_residual = float(np.abs(residual).max())
+            if max_residual >= 0.5 * min_residual and max_residual < 1e-13:
                 break
-            best = min(best, worst)
+            min_residual = min(min_residual, max_residual)
             square = normal_equations(csr_array(matrix.T.tocsr()), 1e-6)
-            self.unknowns = self.unknowns - matrix.T @ factor_symmetric(square).solve(rest)
+            self.unknowns = self.unknowns - matrix.T @ factor_symmetric(square).solve(residual)
         n = self.split(self.unknowns)[2]
         n /= np.linalg.norm(n, axis=1, keepdims=True)
 
@@ -488,13 +510,13 @@ _MIN_CONVEX_SINE: Final = 0.08
 """Sine of the minimum angle at a corner of a convex panel."""
 
 
-def _solve_preconditioned(square: csc_array, right: FloatArray, factor: SuperLU) -> FloatArray | None:
+def _solve_preconditioned(square: csc_array, right_side: FloatArray, factor: SuperLU) -> FloatArray | None:
     """Solve a symmetric positive system by conjugate gradients, preconditioned by an earlier factorisation.
 
     Returns None if that takes longer than a new factorisation.
     """
     preconditioner = LinearOperator(square.shape, factor.solve, dtype=np.float64)
-    step, not_converged = cg(square, right, rtol=_CG_TOLERANCE, maxiter=_MAX_CG_STEPS, M=preconditioner)
+    step, not_converged = cg(square, right_side, rtol=_CG_TOLERANCE, maxiter=_MAX_CG_STEPS, M=preconditioner)
     return None if not_converged else np.asarray(step)
 
 

@@ -46,60 +46,67 @@ def divide_grid(price: FloatArray) -> GridDivision | None:
     """
     nx, ny = price.shape[:2]
     count = np.full(price.shape, _INFEASIBLE_COUNT, dtype=np.int64)
-    worst = np.full(price.shape, np.inf)
+    max_price = np.full(price.shape, np.inf)
     cut = np.zeros(price.shape, dtype=np.int64)  # 0: one piece; k: across x after k cells; -k: across y
     for w in range(1, nx + 1):
         for h in range(1, ny + 1):
             region = (w - 1, h - 1, slice(0, nx - w + 1), slice(0, ny - h + 1))
-            worst[region] = price[region]
+            max_price[region] = price[region]
             count[region] = np.where(np.isfinite(price[region]), 1, _INFEASIBLE_COUNT)
             for k in _middle_first(w):
                 halves = (
                     (k - 1, h - 1, slice(0, nx - w + 1), region[3]),
                     (w - k - 1, h - 1, slice(k, nx - w + k + 1), region[3]),
                 )
-                _apply_cut(count, worst, cut, region, halves, k)
+                _apply_cut(count, max_price, cut, region, halves, k)
             for k in _middle_first(h):
                 halves = (
                     (w - 1, k - 1, region[2], slice(0, ny - h + 1)),
                     (w - 1, h - k - 1, region[2], slice(k, ny - h + k + 1)),
                 )
-                _apply_cut(count, worst, cut, region, halves, -k)
+                _apply_cut(count, max_price, cut, region, halves, -k)
     if count[nx - 1, ny - 1, 0, 0] >= _INFEASIBLE_COUNT:
         return None
     pieces = _trace_pieces(cut)
     order = np.lexsort((pieces[:, 0], pieces[:, 2]))
-    return GridDivision(pieces[order], float(worst[nx - 1, ny - 1, 0, 0]))
+    return GridDivision(pieces[order], float(max_price[nx - 1, ny - 1, 0, 0]))
 
 
 _RegionIndex = tuple[int, int, slice, slice]
 
 
 def _middle_first(size: int) -> list[int]:
+    """Return the inner grid lines 1 to ``size`` - 1, those nearest to the middle first."""
     return sorted(range(1, size), key=lambda k: (abs(2 * k - size), k))
 
 
 def _apply_cut(
     count: IntArray,
-    worst: FloatArray,
+    max_price: FloatArray,
     cut: IntArray,
     region: _RegionIndex,
     halves: tuple[_RegionIndex, _RegionIndex],
     cut_code: int,
 ) -> None:
-    """Use the cut ``cut_code`` into two halves where that is better than the best known one."""
+    """Replace the best division of the rectangles in ``region`` by a cut into ``halves``, where it is better.
+
+    The arrays, which are those of :func:`divide_grid`, are updated in place.
+    """
     first, second = halves
-    pieces = np.minimum(count[first] + count[second], _INFEASIBLE_COUNT)
-    largest = np.maximum(worst[first], worst[second])
-    better = (pieces < count[region]) | (
-        (pieces == count[region]) & (largest < worst[region]) & (pieces < _INFEASIBLE_COUNT)
+    piece_count = np.minimum(count[first] + count[second], _INFEASIBLE_COUNT)
+    larger_price = np.maximum(max_price[first], max_price[second])
+    better = (piece_count < count[region]) | (
+        (piece_count == count[region])
+        & (larger_price < max_price[region])
+        & (piece_count < _INFEASIBLE_COUNT)
     )
-    count[region] = np.where(better, pieces, count[region])
-    worst[region] = np.where(better, largest, worst[region])
+    count[region] = np.where(better, piece_count, count[region])
+    max_price[region] = np.where(better, larger_price, max_price[region])
     cut[region] = np.where(better, cut_code, cut[region])
 
 
 def _trace_pieces(cut: IntArray) -> IntArray:
+    """Return the pieces (n, 4) as x0, x1, y0, y1, by the best ``cut`` (nx, ny, nx, ny) of each rectangle."""
     nx, ny = cut.shape[:2]
     stack, rectangles = [(0, nx, 0, ny)], []
     while stack:

@@ -18,7 +18,7 @@ _MAX_FILLINGS: Final = 20_000
 
 @dataclasses.dataclass(frozen=True)
 class _BoxLine:
-    """Boxes one behind the other, ``width`` [m] across."""
+    """Numbers of the boxes of a line, one behind the other, and its ``width`` [m] across."""
 
     boxes: tuple[int, ...]
     width: float
@@ -40,7 +40,8 @@ def nest_in_lines(
     for is_rotated in (False, True) if may_rotate else (False,):
         line_length, across = block if is_rotated else block[::-1]
         if any(
-            long > across + SIZE_TOLERANCE_M or wide > line_length + SIZE_TOLERANCE_M for long, wide in sizes
+            size_across > across + SIZE_TOLERANCE_M or size_along > line_length + SIZE_TOLERANCE_M
+            for size_across, size_along in sizes
         ):
             continue
         lines = sorted(
@@ -68,7 +69,9 @@ def nest_in_lines(
 
 
 def _fill_lines(sizes: Sequence[tuple[float, float]], line_length: float, kerf: float) -> Iterator[_BoxLine]:
-    """Yield all boxes in lines ``line_length`` [m] long: the largest remaining box with the best fill.
+    """Yield lines of at most ``line_length`` [m] that contain all boxes.
+
+    Each line has the longest remaining box, and those of the others with which it is filled best.
 
     Source: minimum bin slack, J. Gupta and J. Ho, Production Planning and Control 10, 1999.
     """
@@ -79,10 +82,10 @@ def _fill_lines(sizes: Sequence[tuple[float, float]], line_length: float, kerf: 
         trials = 0
         stack: list[tuple[float, tuple[int, ...], int]] = [(sizes[first][1], (first,), 0)]
         while stack and trials < _MAX_FILLINGS:
-            length, chosen, at = stack.pop()
+            length, chosen, next_index = stack.pop()
             if length > best[0] + _LENGTH_TOLERANCE_M:
                 best = length, chosen
-            for i in reversed(range(at, len(remaining))):
+            for i in reversed(range(next_index, len(remaining))):
                 new_length = length + kerf + sizes[remaining[i]][1]
                 trials += 1
                 if new_length <= line_length + _LENGTH_TOLERANCE_M:
@@ -118,35 +121,37 @@ def _line_tree(
     def used_length(box_line: _BoxLine) -> float:
         return sum(sizes[k][1] for k in box_line.boxes) + kerf * (len(box_line.boxes) - 1)
 
-    def add_part(at: list[float], size: list[float], what: Any) -> int | None:
-        """A part that is box ``what``, or of which pieces are cut off along an axis, one after the other."""
+    def add_part(at: list[float], size: list[float], content: Any) -> int | None:
+        """Add a part with all parts in it, and return its number, or None if it is too thin to exist.
+
+        ``content`` is the number of the box that the part is, or an axis with pieces (length, content) that
+        are cut off along it, one after the other.
+        """
         if min(size) <= _LENGTH_TOLERANCE_M:
             return None
         number = len(parts)
         parts.append(BlockPart(at[0], at[1], size[0], size[1]))
-        if isinstance(what, int):
-            parts[number] = dataclasses.replace(parts[number], box=what, is_rotated=is_rotated)
+        if isinstance(content, int):
+            parts[number] = dataclasses.replace(parts[number], box=content, is_rotated=is_rotated)
             return number
-        axis, pieces = what
+        axis, pieces = content
         if not pieces:
             return number
-        (long, first), rest = pieces[0], pieces[1:]
-        if size[axis] - long <= _LENGTH_TOLERANCE_M:
+        (piece_length, first), rest = pieces[0], pieces[1:]
+        if size[axis] - piece_length <= _LENGTH_TOLERANCE_M:
             parts.pop()
             return add_part(at, size, first)
         rest_corner, piece_size, rest_size = list(at), list(size), list(size)
-        rest_corner[axis], piece_size[axis], rest_size[axis] = (
-            at[axis] + long + kerf,
-            long,
-            size[axis] - long - kerf,
-        )
+        rest_corner[axis] = at[axis] + piece_length + kerf
+        piece_size[axis] = piece_length
+        rest_size[axis] = size[axis] - piece_length - kerf
         low, high = add_part(at, piece_size, first), add_part(rest_corner, rest_size, (axis, rest))
-        position = at[axis] + long
+        position = at[axis] + piece_length
         parts[number] = dataclasses.replace(parts[number], axis=axis, position=position, low=low, high=high)
         return number
 
-    whole: Any = (across, [line_content(box_line) for box_line in lines])
+    block_content: Any = (across, [line_content(box_line) for box_line in lines])
     if len(lines) == 1:
-        whole = (along, [(used_length(lines[0]), whole)])
-    add_part([0.0, 0.0], list(block), whole)
+        block_content = (along, [(used_length(lines[0]), block_content)])
+    add_part([0.0, 0.0], list(block), block_content)
     return CutTree(tuple(parts))

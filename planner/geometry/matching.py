@@ -113,7 +113,7 @@ def _cheapest_path(cost: FloatArray) -> tuple[FloatArray, FloatArray]:
     The path leads from corner to corner.
     """
     n = len(cost)
-    best = np.full((n, n), np.inf)
+    min_cost = np.full((n, n), np.inf)
     origins = np.zeros((n, n, 2), dtype=np.int64)
     for i in range(n):
         row, source = np.full(n, np.inf), np.zeros((n, 2), dtype=np.int64)
@@ -123,19 +123,18 @@ def _cheapest_path(cost: FloatArray) -> tuple[FloatArray, FloatArray]:
             if i < p:
                 continue
             length = 0.5 * (p + q)
-            step = best[i - p, : n - q] + length * (cost[i - p, : n - q] + cost[i, q:])
-            better = step < row[q:]
-            row[q:] = np.where(better, step, row[q:])
+            step_cost = min_cost[i - p, : n - q] + length * (cost[i - p, : n - q] + cost[i, q:])
+            better = step_cost < row[q:]
+            row[q:] = np.where(better, step_cost, row[q:])
             source[q:][better] = np.stack([np.full(n - q, i - p), np.arange(n - q)], axis=1)[better]
         # moves along the row: minimum over earlier points of cost plus path length
-        lengths = np.concatenate([[0.0], np.cumsum(0.5 * (cost[i, 1:] + cost[i, :-1]))])
-        best_lead = np.minimum.accumulate(row - lengths)
-        origin = np.maximum.accumulate(np.where(row - lengths <= best_lead, np.arange(n), 0))
-        sideways = (best_lead + lengths < row) & (
-            origin < np.arange(n)
-        )  # rounding must not make it its own origin
-        best[i] = np.where(sideways, best_lead + lengths, row)
-        origins[i] = np.where(sideways[:, None], np.stack([np.full(n, i), origin], axis=1), source)
+        row_cost = np.concatenate([[0.0], np.cumsum(0.5 * (cost[i, 1:] + cost[i, :-1]))])
+        best_lead = np.minimum.accumulate(row - row_cost)
+        origin = np.maximum.accumulate(np.where(row - row_cost <= best_lead, np.arange(n), 0))
+        # rounding must not make a node its own origin
+        is_along_row = (best_lead + row_cost < row) & (origin < np.arange(n))
+        min_cost[i] = np.where(is_along_row, best_lead + row_cost, row)
+        origins[i] = np.where(is_along_row[:, None], np.stack([np.full(n, i), origin], axis=1), source)
     path = [(n - 1, n - 1)]
     while path[-1] != (0, 0):
         i, j = origins[path[-1]]
@@ -154,38 +153,39 @@ def _refine_path(
     """Return the path as t - s (K,) over (s + t) / 2 (K,), optimised for residuals and bends."""
     gap = middle[1] - middle[0]
     bend = np.diff(np.eye(len(middle)), 2, axis=0)
-    stiff = bend_weight / gap**2 * (bend.T @ bend)
+    stiffness = bend_weight / gap**2 * (bend.T @ bend)
     bands = np.zeros((5, len(middle)))
     for k in range(-2, 3):
-        bands[2 - k, max(0, k) : len(middle) + min(0, k)] = np.diagonal(stiff, k)
+        bands[2 - k, max(0, k) : len(middle) + min(0, k)] = np.diagonal(stiffness, k)
 
-    def value(w: FloatArray) -> FloatArray:
+    def residual_at(w: FloatArray) -> FloatArray:
         return residual(middle - 0.5 * w, middle + 0.5 * w)
 
-    def total(w: FloatArray) -> float:
-        return float(np.sum(value(w) ** 2) + even_weight * np.sum(w * w) + w @ (stiff @ w))
+    def total_cost(w: FloatArray) -> float:
+        return float(np.sum(residual_at(w) ** 2) + even_weight * np.sum(w * w) + w @ (stiffness @ w))
 
-    best, min_cost, damping = skew, total(skew), 1e-6
+    current, min_cost, damping = skew, total_cost(skew), 1e-6
     for _ in range(40):
-        f = value(best)
-        slope = (value(best + 1e-6) - value(best - 1e-6)) / 2e-6
+        f = residual_at(current)
+        slope = (residual_at(current + 1e-6) - residual_at(current - 1e-6)) / 2e-6
         matrix = bands.copy()
         matrix[2] += np.sum(slope * slope, axis=1) + even_weight + damping
-        gradient = np.sum(slope * f, axis=1) + even_weight * best + stiff @ best
+        gradient = np.sum(slope * f, axis=1) + even_weight * current + stiffness @ current
+        # both ends of the path stay in place
         matrix[1, 1] = matrix[0, 2] = matrix[3, -2] = matrix[4, -3] = 0.0
         matrix[2, [0, -1]], gradient[[0, -1]] = 1.0, 0.0
-        trial = _make_ascending(best - solve_banded((2, 2), matrix, gradient), gap)
-        cost = total(trial)
+        trial = _make_ascending(current - solve_banded((2, 2), matrix, gradient), gap)
+        cost = total_cost(trial)
         if cost < min_cost:
             done = min_cost - cost <= 1e-12 * min_cost
-            best, min_cost, damping = trial, cost, 0.3 * damping
+            current, min_cost, damping = trial, cost, 0.3 * damping
             if done:
                 break
         else:
             damping = max(10.0 * damping, 1e-9)
             if damping > 1e3:
                 break
-    return best
+    return current
 
 
 def _make_ascending(skew: FloatArray, gap: float) -> FloatArray:
@@ -210,12 +210,15 @@ def align_guides(start: RuledGuide, end: RuledGuide, match: Match) -> tuple[Rule
 
     Of an open guide's two directions, and a closed guide's directions and first anchors, those with the
     shortest rulings (least squares) are used. Closed guides without anchors start at the points that give
-    them. If they are matched by parameter, they start where they are given to start.
+    the shortest rulings. If they are matched by parameter, they keep their first points.
 
     Args:
         start: First guide.
         end: Second guide, with an equal number of anchors.
         match: How points are matched.
+
+    Raises:
+        ValueError: The guides have different numbers of anchors.
     """
     if not start.closed:
         forward, reverse = _mean_square_length(start, end), _mean_square_length(start, reverse_guide(end))
@@ -230,9 +233,10 @@ def align_guides(start: RuledGuide, end: RuledGuide, match: Match) -> tuple[Rule
 
 
 def _best_start(start: RuledGuide, end: RuledGuide, match: Match) -> tuple[float, int]:
-    """Return the point at which a closed guide has to start for the shortest rulings.
+    """Return the first point of the closed guide ``end`` that gives the shortest rulings.
 
-    The mean square [m^2] of their lengths comes first.
+    Returns:
+        Mean square [m^2] of the rulings' lengths, and index of the point.
     """
     anchors = np.flatnonzero(end.anchor)
     if len(anchors) == 0:
@@ -250,7 +254,11 @@ def _best_start(start: RuledGuide, end: RuledGuide, match: Match) -> tuple[float
 
 
 def _best_shift(first: FloatArray, second: FloatArray) -> tuple[float, int]:
-    """Return the mean square distance, and the cyclic shift of ``second`` (C, S, 3) nearest to ``first``."""
+    """Find the cyclic shift of ``second`` (C, S, 3) that is nearest to ``first``, by cross-correlation.
+
+    Returns:
+        Mean square distance [m^2], and index in ``second`` that corresponds to index 0 in ``first``.
+    """
     spectrum = np.fft.fft(second, axis=0) * np.conj(np.fft.fft(first, axis=0))
     correlation = np.fft.ifft(spectrum, axis=0).real.sum(axis=(1, 2))
     shift = int(np.argmax(correlation))
@@ -272,6 +280,7 @@ def _piece_samples(guide: RuledGuide) -> FloatArray:
 
 
 def _even_points(guide: RuledGuide, count: int) -> FloatArray:
+    """Return points (``count``, 3) of a closed guide at equal steps of the arc length."""
     points = np.concatenate([guide.points, guide.points[:1]])
     length = arc_length(points)
     return interpolate_polyline(points, length, np.arange(count) / count * length[-1])
@@ -306,22 +315,22 @@ def join_guides(
     Raises:
         ValueError: The guides have different numbers of anchors.
     """
-    rows_start, rows_end, corner = [], [], []
+    starts, ends, corner_flags = [], [], []
     corners = start.corner[start.anchor] | end.corner[end.anchor]
     if start.closed and not start.anchor.any():
         corners = np.zeros(1, dtype=np.bool_)
-    parts = list(zip(anchor_pieces(start), anchor_pieces(end), strict=True))
-    for number, ((a, at_a), (b, at_b)) in enumerate(parts):
+    pieces = list(zip(anchor_pieces(start), anchor_pieces(end), strict=True))
+    for number, ((a, at_a), (b, at_b)) in enumerate(pieces):
         s, t = _match_fractions(a, at_a, b, at_b, match)
-        last = number == len(parts) - 1 and not start.closed
-        keep = slice(None) if last else slice(-1)
-        rows_start.append(interpolate_polyline(a, _point_fractions(a, at_a, match), s)[keep])
-        rows_end.append(interpolate_polyline(b, _point_fractions(b, at_b, match), t)[keep])
-        piece_corner = np.zeros(len(rows_start[-1]), dtype=np.bool_)
+        ends_open = number == len(pieces) - 1 and not start.closed
+        keep = slice(None) if ends_open else slice(-1)
+        starts.append(interpolate_polyline(a, _point_fractions(a, at_a, match), s)[keep])
+        ends.append(interpolate_polyline(b, _point_fractions(b, at_b, match), t)[keep])
+        piece_corner = np.zeros(len(starts[-1]), dtype=np.bool_)
         piece_corner[0] = corners[number]
-        corner.append(piece_corner)
+        corner_flags.append(piece_corner)
     return RuledSurface(
-        name, np.concatenate(rows_start), np.concatenate(rows_end), np.concatenate(corner), start.closed, hole
+        name, np.concatenate(starts), np.concatenate(ends), np.concatenate(corner_flags), start.closed, hole
     )
 
 
@@ -331,16 +340,17 @@ def _match_fractions(
     """Return fractions (K,) of both pieces that are joined: those of every point of either piece."""
     fractions_a, fractions_b = _point_fractions(a, at_a, match), _point_fractions(b, at_b, match)
     if match != "least_twist":
-        both = np.union1d(fractions_a, fractions_b)
-        both = both[np.concatenate([[True], np.diff(both) > 1e-9])]
-        both[-1] = 1.0
-        return both, both
-    if _is_straight(a) and _is_straight(b):  # evenly: others have the same twist, or are two flat triangles
+        fractions = np.union1d(fractions_a, fractions_b)
+        fractions = fractions[np.concatenate([[True], np.diff(fractions) > 1e-9])]
+        fractions[-1] = 1.0
+        return fractions, fractions
+    # straight pieces are joined evenly: other matches have the same twist, or are two flat triangles
+    if _is_straight(a) and _is_straight(b):
         return np.array([0.0, 1.0]), np.array([0.0, 1.0])
     s, t = match_least_twist(a, b)
     path = s + t
-    more = np.concatenate([path, np.interp(fractions_a, s, path), np.interp(fractions_b, t, path)])
-    path_all = np.unique(np.round(more, 9))
+    path_samples = np.concatenate([path, np.interp(fractions_a, s, path), np.interp(fractions_b, t, path)])
+    path_all = np.unique(np.round(path_samples, 9))
     return np.interp(path_all, path, s), np.interp(path_all, path, t)
 
 

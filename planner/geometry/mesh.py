@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, unique_rows
 from planner.geometry.units import measurement
+from planner.issue_codes import format_message
 from planner.issues import Issue, issue_error
 
 
@@ -56,9 +57,10 @@ def merge_vertices(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def check_surface(mesh: TriangleMesh, name: str, file: str | None = None) -> list[Issue]:
-    """Return issues of a mesh as a required face.
+    """Check a mesh that has to be the face of a part, and return its issues.
 
-    It has to be open, connected and oriented, with at most two faces per edge.
+    It has to be open, connected and oriented, with at most two faces per edge. If an edge has more than two
+    faces, only that is checked.
 
     Args:
         mesh: The mesh.
@@ -67,29 +69,32 @@ def check_surface(mesh: TriangleMesh, name: str, file: str | None = None) -> lis
     """
     directed = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
     low, high = np.sort(directed, axis=1).T
-    vertices = len(mesh.vertices)
-    key, inverse, count = np.unique(low * vertices + high, return_inverse=True, return_counts=True)
-    edges = np.stack(np.divmod(key, vertices), axis=1)
+    vertex_count = len(mesh.vertices)
+    key, inverse, count = np.unique(low * vertex_count + high, return_inverse=True, return_counts=True)
+    edges = np.stack(np.divmod(key, vertex_count), axis=1)
     issue = functools.partial(Issue, file=file, field=name)
     if (count > 2).any():
-        at = 1e3 * mesh.vertices[edges[count > 2][0]].mean(axis=0)
-        what = f"{int((count > 2).sum())} edges join more than two faces, the first at ({at[0]:.1f}, "
-        what += f"{at[1]:.1f}, {at[2]:.1f}) mm; a face of a part has at most two at an edge, so delete the "
-        return [issue("mesh.non_manifold", f"{what}extra ones")]
+        position_mm = 1e3 * mesh.vertices[edges[count > 2][0]].mean(axis=0)
+        text = (
+            f"{int((count > 2).sum())} edges join more than two faces, the first at ({position_mm[0]:.1f}, "
+            f"{position_mm[1]:.1f}, {position_mm[2]:.1f}) mm; a face of a part has at most two at an edge, "
+            "so delete the extra ones"
+        )
+        return [issue("mesh.non_manifold", text)]
     forward = directed[:, 0] < directed[:, 1]
     issues: list[Issue] = []
-    same = np.bincount(np.reshape(inverse, -1), weights=forward, minlength=len(edges))
-    if ((count == 2) & (same != 1)).any():
-        many = int(((count == 2) & (same != 1)).sum())
-        what = f"neighbouring faces have opposite normals at {many} edges; unify the normals"
-        issues.append(issue("mesh.orientation", what))
+    forward_count = np.bincount(np.reshape(inverse, -1), weights=forward, minlength=len(edges))
+    if ((count == 2) & (forward_count != 1)).any():
+        opposite_count = int(((count == 2) & (forward_count != 1)).sum())
+        text = f"neighbouring faces have opposite normals at {opposite_count} edges; unify the normals"
+        issues.append(issue("mesh.orientation", text))
     if (count == 2).all():
-        what = "the mesh is closed, but one open face of the part is required; export only that face"
-        issues.append(issue("mesh.closed", what))
+        text = "the mesh is closed, but one open face of the part is required; export only that face"
+        issues.append(issue("mesh.closed", text))
     pieces = _count_pieces(mesh)
     if pieces > 1:
-        what = f"the mesh has {pieces} separate pieces, 1 is required; join them or export one"
-        issues.append(issue("mesh.pieces", what))
+        text = f"the mesh has {pieces} separate pieces, 1 is required; join them or export one"
+        issues.append(issue("mesh.pieces", text))
     return issues
 
 
@@ -138,14 +143,15 @@ def offset_mesh(
     is_inverted = (dots(face_normals(mesh), face_normals(moved)) <= 0.0) & ~_is_sliver(mesh)
     if is_inverted.any():
         max_shift_mm = 1e3 * float(np.abs(shift).max())
-        at = 1e3 * mesh.vertices[mesh.faces[is_inverted][0]].mean(axis=0)
-        what = (
-            f"offset by {max_shift_mm:.2f} mm, the face folds over itself at {int(is_inverted.sum())} of "
-            f"{len(is_inverted)} "
+        position_mm = 1e3 * mesh.vertices[mesh.faces[is_inverted][0]].mean(axis=0)
+        message = format_message(
+            "part.offset",
+            offset_mm=max_shift_mm,
+            folded=int(is_inverted.sum()),
+            facets=len(is_inverted),
+            position_mm=position_mm,
         )
-        what += f"facets, the first at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm; its radius must be larger "
-        what += "than that, so use a thinner part, a smaller kerf or a smoother face"
-        raise issue_error("part.offset", what, field="part", **measurement(max_shift_mm, None, "mm"))
+        raise issue_error("part.offset", message, field="part", **measurement(max_shift_mm, None, "mm"))
     return moved
 
 
@@ -163,6 +169,7 @@ def _is_sliver(mesh: TriangleMesh) -> BoolArray:
 
 
 def _count_pieces(mesh: TriangleMesh) -> int:
+    """Return the number of connected pieces. Vertices without a face do not count."""
     a = np.concatenate([mesh.faces[:, 0], mesh.faces[:, 1]])
     b = np.concatenate([mesh.faces[:, 1], mesh.faces[:, 2]])
     count = len(mesh.vertices)
@@ -194,26 +201,26 @@ def closest_weights(points: FloatArray, a: FloatArray, b: FloatArray, c: FloatAr
     v = (d11 * d20 - d01 * d21) / scale
     w = (d00 * d21 - d01 * d20) / scale
     weights = np.stack([1.0 - v - w, v, w], axis=1)
-    out = np.flatnonzero(weights.min(axis=1) < 0.0)
-    if len(out):
-        corners = (a[out], b[out], c[out])
-        p = points[out]
-        best = np.full(len(out), np.inf)
-        edge_weights = np.zeros((len(out), 3))
+    outside = np.flatnonzero(weights.min(axis=1) < 0.0)
+    if len(outside):
+        corners = (a[outside], b[outside], c[outside])
+        p = points[outside]
+        min_square = np.full(len(outside), np.inf)
+        edge_weights = np.zeros((len(outside), 3))
         for k in range(3):
             start, end = corners[k], corners[(k + 1) % 3]
-            edge_vector, rest = end - start, p - start
+            edge_vector, offset = end - start, p - start
             fraction = np.clip(
-                dots(rest, edge_vector) / np.maximum(dots(edge_vector, edge_vector), 1e-300), 0.0, 1.0
+                dots(offset, edge_vector) / np.maximum(dots(edge_vector, edge_vector), 1e-300), 0.0, 1.0
             )
-            offset_vectors = rest - fraction[:, None] * edge_vector
+            offset_vectors = offset - fraction[:, None] * edge_vector
             square = dots(offset_vectors, offset_vectors)
-            better = square < best
-            best[better] = square[better]
+            better = square < min_square
+            min_square[better] = square[better]
             edge = np.zeros((int(better.sum()), 3))
             edge[:, k], edge[:, (k + 1) % 3] = 1.0 - fraction[better], fraction[better]
             edge_weights[better] = edge
-        weights[out] = edge_weights
+        weights[outside] = edge_weights
     return weights
 
 
@@ -245,6 +252,7 @@ def corner_normals(mesh: TriangleMesh, crease: float) -> FloatArray:
     for start in range(0, len(used), _MAX_CORNERS):
         batch = used[start : start + _MAX_CORNERS]
         valences = count[vertex[batch]]
+        # all pairs of a corner of the batch and a corner at the same vertex
         row = np.repeat(np.arange(len(batch)), valences)
         corners_repeated = batch[row]
         ranks = np.arange(len(corners_repeated)) - np.repeat(np.cumsum(valences) - valences, valences)
@@ -271,8 +279,8 @@ def bisect_triangles(corners: FloatArray, size: float, max_pieces: int) -> tuple
     Returns:
         Pieces (P, 3, 3), and the triangle (P,) to which each belongs.
     """
-    given, owner = corners, np.arange(len(corners))
-    done: list[FloatArray] = []
+    original, owner = corners, np.arange(len(corners))
+    pieces: list[FloatArray] = []
     owners: list[IntArray] = []
     finished = 0
     while len(corners):
@@ -284,18 +292,20 @@ def bisect_triangles(corners: FloatArray, size: float, max_pieces: int) -> tuple
         longest = np.where(third_edge > larger_of_two, 2, (second_edge > first_edge).astype(np.int64))
         is_fine = np.sqrt(np.maximum(larger_of_two, third_edge)) <= size
         is_fine |= finished + 2 * len(corners) > max_pieces
-        kept, rows = np.flatnonzero(is_fine), np.flatnonzero(~is_fine)
-        if len(kept):
-            done.append(corners.take(kept, axis=0) if len(rows) or corners is given else corners)
-            owners.append(owner.take(kept))
-        finished += len(kept)
-        vertices, first, longest = corners.reshape(-1, 3), 3 * rows, longest.take(rows)
-        corners = np.empty((2 * len(rows), 3, 3))
-        first_half, second_half = corners[: len(rows)], corners[len(rows) :]
+        fine_rows, divided_rows = np.flatnonzero(is_fine), np.flatnonzero(~is_fine)
+        if len(fine_rows):
+            pieces.append(
+                corners.take(fine_rows, axis=0) if len(divided_rows) or corners is original else corners
+            )
+            owners.append(owner.take(fine_rows))
+        finished += len(fine_rows)
+        vertices, first, longest = corners.reshape(-1, 3), 3 * divided_rows, longest.take(divided_rows)
+        corners = np.empty((2 * len(divided_rows), 3, 3))
+        first_half, second_half = corners[: len(divided_rows)], corners[len(divided_rows) :]
         first_half[:, 0] = start = vertices.take(first + longest, axis=0)
         second_half[:, 1] = end = vertices.take(first + (longest + 1) % 3, axis=0)
         first_half[:, 2] = second_half[:, 2] = vertices.take(first + (longest + 2) % 3, axis=0)
         first_half[:, 1] = second_half[:, 0] = 0.5 * (start + end)
-        owner = np.tile(owner.take(rows), 2)
+        owner = np.tile(owner.take(divided_rows), 2)
         del vertices, start, end
-    return (done[0], owners[0]) if len(done) == 1 else (np.concatenate(done), np.concatenate(owners))
+    return (pieces[0], owners[0]) if len(pieces) == 1 else (np.concatenate(pieces), np.concatenate(owners))

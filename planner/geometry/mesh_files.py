@@ -137,8 +137,8 @@ def read_mesh(
             f"{size / 1e6:.0f} MB, allowed {MAX_MESH_BYTES / 1e6:.0f} MB; export it with fewer facets",
         )
     if kind not in (*PLAIN_SUFFIXES, *UNIT_SUFFIXES):
-        what = f"got '{path.suffix}', supported are OBJ, STL, PLY, GLB and 3MF; convert it"
-        raise _refuse("mesh.unreadable", path, what)
+        message = f"got '{path.suffix}', supported are OBJ, STL, PLY, GLB and 3MF; convert it"
+        raise _refuse("mesh.unreadable", path, message)
     metres = _length_unit(path, unit)
     try:
         vertices, faces = _read_arrays(path, kind)
@@ -147,8 +147,8 @@ def read_mesh(
     if len(faces) == 0:
         raise _refuse("mesh.empty", path, "has no faces; export the surface as a mesh of triangles or quads")
     if not np.isfinite(vertices).all():
-        bad = int(np.nonzero(~np.isfinite(vertices).all(axis=1))[0][0])
-        raise _refuse("problem.not_finite", path, f"vertex {bad} is not finite; repair the file")
+        bad_vertex = int(np.nonzero(~np.isfinite(vertices).all(axis=1))[0][0])
+        raise _refuse("problem.not_finite", path, f"vertex {bad_vertex} is not finite; repair the file")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise _refuse("mesh.unreadable", path, "a face names a missing vertex; export it again")
     mesh = merge_vertices(TriangleMesh(vertices * (metres * scale), faces))
@@ -156,12 +156,12 @@ def read_mesh(
         raise _refuse("mesh.empty", path, "none of its faces has an area; export it again")
     extent = float(np.ptp(mesh.vertices, axis=0).max())
     if not MIN_EXTENT_M <= extent <= max_extent:
-        whose = "its own" if kind in UNIT_SUFFIXES else "the stated"
+        unit_owner = "its own" if kind in UNIT_SUFFIXES else "the stated"
         remedy = "export it again" if kind in UNIT_SUFFIXES else "state the unit in which the file was made"
         raise _refuse(
             "mesh.unit",
             path,
-            f"is {extent * 1e3:.4g} mm long in {whose} unit, allowed {MIN_EXTENT_M * 1e3:g} to "
+            f"is {extent * 1e3:.4g} mm long in {unit_owner} unit, allowed {MIN_EXTENT_M * 1e3:g} to "
             f"{max_extent * 1e3:g} mm; {remedy}",
         )
     return mesh
@@ -171,17 +171,17 @@ def _length_unit(path: Path, unit: float | None) -> float:
     """Return the length unit of a file [m], which the file or the problem states."""
     if path.suffix.lower() in PLAIN_SUFFIXES:
         if unit is None:
-            what = f"a {path.suffix} file has no unit; state it, for example unit: mm"
-            raise _refuse("mesh.unit", path, what)
+            message = f"a {path.suffix} file has no unit; state it, for example unit: mm"
+            raise _refuse("mesh.unit", path, message)
         return unit
     file_unit = stated_unit(path)
     if unit is not None and abs(unit - file_unit.metres) > 1e-9 * file_unit.metres:
         stated_name = next((name for name, size in LENGTH_UNITS.items() if size == unit), f"{unit:g} m")
-        what = (
+        message = (
             f"{file_unit.note.split(' and ')[0]}, the problem states {stated_name}; remove unit, or export "
             f"it in {stated_name}"
         )
-        raise _refuse("mesh.unit", path, what)
+        raise _refuse("mesh.unit", path, message)
     return file_unit.metres
 
 
@@ -197,27 +197,30 @@ def _read_arrays(path: Path, kind: str) -> tuple[FloatArray, IntArray]:
     if kind == ".glb":
         _require_plain_glb(data)
     content = io.BytesIO(data)  # no folder, so that files named inside are not opened
-    more: dict[str, Any] = {"skip_materials": True} if kind == ".glb" else {}
-    loaded = trimesh.load(content, kind[1:], force="mesh", process=False, **more)
+    load_options: dict[str, Any] = {"skip_materials": True} if kind == ".glb" else {}
+    loaded = trimesh.load(content, kind[1:], force="mesh", process=False, **load_options)
     vertices = np.array(loaded.vertices, dtype=np.float64).reshape(-1, 3)
     faces = np.array(loaded.faces, dtype=np.int64).reshape(-1, 3)
     return (vertices @ _Y_UP.T if kind == ".glb" else vertices), faces
 
 
 def _require_plain_glb(data: bytes) -> None:
-    """Check that a GLB needs no unsupported extension.
+    """Check that a GLB file can be read without extensions and other files.
 
     Raises:
-        ValueError: The meshes need an extension or another file.
+        ValueError: The data are not glTF 2.0, or need an unsupported extension or another file.
     """
     if data[:4] != b"glTF" or data[16:20] != b"JSON":
         raise ValueError("it is not binary glTF of version 2")
     head = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
-    shown = ("KHR_materials", "KHR_texture", "EXT_texture", "KHR_lights")
-    needed = [item for item in head.get("extensionsRequired", ()) if not str(item).startswith(shown)]
-    if needed:
+    # these extensions change only the appearance
+    appearance = ("KHR_materials", "KHR_texture", "EXT_texture", "KHR_lights")
+    unsupported = [
+        item for item in head.get("extensionsRequired", ()) if not str(item).startswith(appearance)
+    ]
+    if unsupported:
         raise ValueError(
-            f"it needs {', '.join(needed)}, which is not supported; export it without compression"
+            f"it needs {', '.join(unsupported)}, which is not supported; export it without compression"
         )
     if any("uri" in item for item in head.get("buffers", ())):
         raise ValueError("its data are in another file; export it as one GLB")
@@ -267,7 +270,7 @@ class _Object3mf:
 
 
 def _read_3mf(path: Path) -> tuple[FloatArray, IntArray]:
-    """Return all objects that are to be built, where the file places them.
+    """Return vertices (V, 3) in the file's unit and faces (F, 3) of all objects to build, in their places.
 
     Raises:
         ValueError: The file is not valid; other exceptions are possible.
@@ -291,20 +294,20 @@ def _read_3mf(path: Path) -> tuple[FloatArray, IntArray]:
             raise ValueError(f"its components are placed over {_MAX_PLACEMENTS} times; export it as one mesh")
         if depth > _MAX_NESTING:
             raise ValueError("its components are nested too deep, or in themselves")
-        placed = objects.get(placed_object[:2])
-        if placed is None:
+        object_3mf = objects.get(placed_object[:2])
+        if object_3mf is None:
             raise ValueError(f"an object {placed_object[1]} that it names is missing")
-        if placed.kind in _UNREAD_OBJECTS:
+        if object_3mf.kind in _UNREAD_OBJECTS:
             return
         world_pose = _compose(placed_object[2], pose)
-        vertices.append(placed.vertices @ world_pose[:3] + world_pose[3])
+        vertices.append(object_3mf.vertices @ world_pose[:3] + world_pose[3])
         is_mirrored = np.linalg.det(world_pose[:3]) < 0.0
-        faces.append(count + (placed.faces[:, ::-1] if is_mirrored else placed.faces))
-        count, triangles = count + len(placed.vertices), triangles + len(placed.faces)
+        faces.append(count + (object_3mf.faces[:, ::-1] if is_mirrored else object_3mf.faces))
+        count, triangles = count + len(object_3mf.vertices), triangles + len(object_3mf.faces)
         if max(count, triangles) > _MAX_TRIANGLES:
             raise ValueError("its components make too many facets; export it with fewer")
-        for other in placed.components:
-            place_object(other, world_pose, depth + 1)
+        for component in object_3mf.components:
+            place_object(component, world_pose, depth + 1)
 
     for item in items:
         place_object(item, np.vstack([np.eye(3), np.zeros(3)]), 0)
@@ -312,6 +315,7 @@ def _read_3mf(path: Path) -> tuple[FloatArray, IntArray]:
 
 
 def _all_placed(objects: dict[tuple[str, str], _Object3mf], items: list[PlacedObject]) -> list[PlacedObject]:
+    """Return the items to build and the components of all objects."""
     return [*items, *(other for group in objects.values() for other in group.components)]
 
 
@@ -334,23 +338,23 @@ def _read_model(
     """Return objects of one part of a file by part and number, and the items to build."""
     objects: dict[tuple[str, str], _Object3mf] = {}
     items: list[PlacedObject] = []
-    spaces: dict[str, str] = {}
+    namespaces: dict[str, str] = {}
     core = ""  # namespace of the core specification, which differs between versions
     with pack.open(part) as stream:
         for event, value in ET.iterparse(stream, events=("start-ns", "start", "end")):
             if event == "start-ns":
-                spaces[value[0]] = value[1]
+                namespaces[value[0]] = value[1]
             elif event == "start" and not core:
                 core = value.tag.partition("}")[0] + "}"
                 required = value.get("requiredextensions", "").split()
-                other = [
+                unsupported = [
                     extension
                     for extension in required
-                    if spaces.get(extension, extension) not in (_PRODUCTION, _MATERIAL)
+                    if namespaces.get(extension, extension) not in (_PRODUCTION, _MATERIAL)
                 ]
-                if other:
-                    what = ", ".join(spaces.get(extension, extension) for extension in other)
-                    raise ValueError(f"it needs the extension {what}, which is not supported")
+                if unsupported:
+                    names = ", ".join(namespaces.get(extension, extension) for extension in unsupported)
+                    raise ValueError(f"it needs the extension {names}, which is not supported")
             elif event == "end" and value.tag == f"{core}object":
                 objects[part, value.get("id")] = _parse_object(value, part, core)
                 value.clear()
@@ -360,20 +364,24 @@ def _read_model(
 
 
 def _parse_object(node: Any, part: str, core: str) -> _Object3mf:
-    at = [[float(v.get(k)) for k in "xyz"] for v in node.iterfind(f"{core}mesh/{core}vertices/{core}vertex")]
-    of = [
+    """Return the object of an XML element in a part of a file. ``core`` is the core namespace, in braces."""
+    points = [
+        [float(v.get(k)) for k in "xyz"] for v in node.iterfind(f"{core}mesh/{core}vertices/{core}vertex")
+    ]
+    triangles = [
         [int(t.get(k)) for k in ("v1", "v2", "v3")]
         for t in node.iterfind(f"{core}mesh/{core}triangles/{core}triangle")
     ]
-    faces = np.array(of, dtype=np.int64).reshape(-1, 3)
-    if len(faces) and not (faces.min() >= 0 and faces.max() < len(at)):
+    faces = np.array(triangles, dtype=np.int64).reshape(-1, 3)
+    if len(faces) and not (faces.min() >= 0 and faces.max() < len(points)):
         raise ValueError("a face names a missing vertex")
-    inner = tuple(_parse_placement(c, part) for c in node.iterfind(f"{core}components/{core}component"))
+    components = tuple(_parse_placement(c, part) for c in node.iterfind(f"{core}components/{core}component"))
     kind = node.get("type", "model")
-    return _Object3mf(kind, np.array(at, dtype=np.float64).reshape(-1, 3), faces, inner)
+    return _Object3mf(kind, np.array(points, dtype=np.float64).reshape(-1, 3), faces, components)
 
 
 def _parse_placement(node: Any, part: str) -> PlacedObject:
+    """Return the placed object of an item or component in a part of a file, without a pose at the origin."""
     text = node.get("transform")
     pose = np.vstack([np.eye(3), np.zeros(3)])
     if text:
@@ -386,8 +394,8 @@ def _unreadable(path: Path, error: Exception) -> TandemError:
     return _refuse("mesh.unreadable", path, f"cannot be read ({reason}); export it again")
 
 
-def _refuse(code: str, path: Path, what: str) -> TandemError:
-    return issue_error(code, f"{path.name}: {what}", file=str(path))
+def _refuse(code: str, path: Path, message: str) -> TandemError:
+    return issue_error(code, f"{path.name}: {message}", file=str(path))
 
 
 def obj_objects(text: str) -> dict[str, Mesh]:
@@ -408,7 +416,7 @@ def obj_objects(text: str) -> dict[str, Mesh]:
         elif words[:1] == ["f"]:
             faces.setdefault(name, []).append([int(word.partition("/")[0]) - 1 for word in words[1:4]])
     vertices, out = np.array(points).reshape(-1, 3), {}
-    for name, rows in faces.items():
-        used, index = np.unique(np.array(rows), return_inverse=True)
+    for name, triangles in faces.items():
+        used, index = np.unique(np.array(triangles), return_inverse=True)
         out[name] = Mesh(vertices[used], index.reshape(-1, 3).astype(np.int64))
     return out

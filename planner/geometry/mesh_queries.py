@@ -33,15 +33,15 @@ class MeshDistance:
         self.normals = face_normals(mesh)
         corners = mesh.vertices[mesh.faces]
         face = np.arange(len(corners))
-        done, owner = [], []
+        samples, owner = [], []
         while len(corners):
             edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-            fine = (edge <= spacing) | (4 * len(corners) > _MAX_PIECES)
-            done.append(corners[fine].mean(axis=1))
-            owner.append(face[fine])
-            corners, face = _quarter_triangles(corners[~fine]), np.repeat(face[~fine], 4)
+            is_fine = (edge <= spacing) | (4 * len(corners) > _MAX_PIECES)
+            samples.append(corners[is_fine].mean(axis=1))
+            owner.append(face[is_fine])
+            corners, face = _quarter_triangles(corners[~is_fine]), np.repeat(face[~is_fine], 4)
         self._owner = np.concatenate(owner)
-        self._tree = KDTree(np.concatenate(done))
+        self._tree = KDTree(np.concatenate(samples))
 
     def distance(self, points: FloatArray) -> tuple[FloatArray, IntArray]:
         """Return distances (M,) [m] of points (M, 3), and the nearest faces (M,)."""
@@ -56,6 +56,7 @@ class MeshDistance:
 
 
 def _quarter_triangles(corners: FloatArray) -> FloatArray:
+    """Return the four quarters (4 T, 3, 3) of each triangle (T, 3, 3), next to each other."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
     parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
@@ -63,24 +64,27 @@ def _quarter_triangles(corners: FloatArray) -> FloatArray:
 
 
 def _triangle_distances(p: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
-    """Return distances of points from triangles (..., 3): from the plane or from the edges."""
+    """Return distances (...) of points p from triangles a, b, c (..., 3).
+
+    It is the distance from the plane if the foot is inside the triangle, else that from the nearest edge.
+    """
     normal = np.cross(b - a, c - a)
     square = np.maximum(np.sum(normal * normal, axis=-1), 1e-300)
     inside = np.ones(square.shape, dtype=np.bool_)
-    edge = np.full(square.shape, np.inf)
+    edge_distance = np.full(square.shape, np.inf)
     for start, end in ((a, b), (b, c), (c, a)):
-        edge_vector, rest = end - start, p - start
-        inside &= np.sum(np.cross(edge_vector, rest) * normal, axis=-1) >= 0.0
-        fraction = np.sum(rest * edge_vector, axis=-1) / np.maximum(
+        edge_vector, offset = end - start, p - start
+        inside &= np.sum(np.cross(edge_vector, offset) * normal, axis=-1) >= 0.0
+        fraction = np.sum(offset * edge_vector, axis=-1) / np.maximum(
             np.sum(edge_vector * edge_vector, axis=-1), 1e-300
         )
-        foot = rest - np.clip(fraction, 0.0, 1.0)[..., None] * edge_vector
-        edge = np.minimum(edge, np.linalg.norm(foot, axis=-1))
-    plane = np.abs(np.sum((p - a) * normal, axis=-1)) / np.sqrt(square)
-    return np.asarray(np.where(inside, plane, edge))
+        foot = offset - np.clip(fraction, 0.0, 1.0)[..., None] * edge_vector
+        edge_distance = np.minimum(edge_distance, np.linalg.norm(foot, axis=-1))
+    plane_distance = np.abs(np.sum((p - a) * normal, axis=-1)) / np.sqrt(square)
+    return np.asarray(np.where(inside, plane_distance, edge_distance))
 
 
-_MAX_PLANES = 32  # planes at a time, to bound memory
+_MAX_PLANES = 32  # maximum number of planes at a time, to bound memory
 
 
 @dataclasses.dataclass(frozen=True)
@@ -133,6 +137,11 @@ def slice_mesh(mesh: TriangleMesh, origin: FloatArray, normal: FloatArray) -> Me
 def _slice(
     mesh: TriangleMesh, edges: IntArray, edge_of: IntArray, origin: FloatArray, normal: FloatArray, first: int
 ) -> MeshSections:
+    """Return the sections by a few planes, of which ``first`` is the number of the first one.
+
+    Each face that a plane crosses leads from the edge where the section enters it to the edge where it leaves
+    it. These steps are joined to chains. ``edges`` (E, 2) has vertices, ``edge_of`` (F, 3) the faces' edges.
+    """
     above = normal @ mesh.vertices.T >= np.sum(origin * normal, axis=1)[:, None]
     a, b, c = (above[:, mesh.faces[:, i]] for i in range(3))
     plane, face = np.nonzero((a != b) | (b != c))
@@ -172,8 +181,8 @@ def _rank_chains(source: IntArray, target: IntArray, count: int) -> tuple[IntArr
         for _ in range(rounds):
             smallest = np.minimum(smallest, smallest[jump])
             jump = jump[jump]
-        cut = ring & (smallest[follow] == follow)
-        follow = np.where(cut, np.arange(count), follow)
+        is_last = ring & (smallest[follow] == follow)
+        follow = np.where(is_last, np.arange(count), follow)
     steps = (follow != np.arange(count)).astype(np.int64)
     for _ in range(rounds):
         steps = steps + steps[follow]
@@ -182,6 +191,7 @@ def _rank_chains(source: IntArray, target: IntArray, count: int) -> tuple[IntArr
 
 
 def _in_ring(follow: IntArray, rounds: int) -> BoolArray:
+    """Return which nodes (N,) are in a ring: those from which no number of steps reaches an end."""
     step = follow.copy()
     for _ in range(rounds):
         follow = follow[follow]
@@ -219,9 +229,9 @@ def outer_hull(points: FloatArray) -> TriangleMesh:
         return TriangleMesh(np.asarray(hull.vertices), np.asarray(hull.faces, dtype=np.int64))
     directions = _directions()
     corners = np.asarray(hull.vertices, dtype=np.float64)
-    middle = corners.mean(axis=0)
+    inner_point = corners.mean(axis=0)
     reach = (corners @ directions.T).max(axis=0)
-    vertices = HalfspaceIntersection(np.column_stack([directions, -reach]), middle).intersections
+    vertices = HalfspaceIntersection(np.column_stack([directions, -reach]), inner_point).intersections
     outer = trimesh.convex.convex_hull(vertices)
     return TriangleMesh(np.asarray(outer.vertices), np.asarray(outer.faces, dtype=np.int64))
 
@@ -230,9 +240,9 @@ def _directions() -> FloatArray:
     """Return unit vectors (K, 3) in all directions, including the six axes."""
     out = [np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])]
     for degrees, count in PLANE_RINGS:
-        turn = 2.0 * np.pi * np.arange(count) / count
+        azimuth = 2.0 * np.pi * np.arange(count) / count
         for sign in (1.0, -1.0) if degrees else (1.0,):
-            up = sign * np.deg2rad(degrees)
-            flat = np.cos(up) * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-            out.append(np.column_stack([flat, np.full(count, np.sin(up))]))
+            elevation = sign * np.deg2rad(degrees)
+            flat = np.cos(elevation) * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
+            out.append(np.column_stack([flat, np.full(count, np.sin(elevation))]))
     return np.concatenate(out)

@@ -69,28 +69,35 @@ def border_edges(faces: IntArray) -> IntArray:
 
 
 def level_rims(mesh: TriangleMesh, level: float, within: float) -> TriangleMesh:
-    """Return the mesh with corners of sharp rims, and low bumps, moved onto the flat beside them."""
+    """Return the mesh with corners of sharp rims, and low bumps, moved onto the flat beside them.
+
+    Args:
+        mesh: The mesh.
+        level: Height of the flat [m].
+        within: Maximum height above or below the flat of a vertex that is moved [m].
+    """
     heights = np.abs(mesh.vertices[:, 2] - level)
     doubtful = (heights > 0.0) & (heights <= within)
     if not doubtful.any():
         return mesh
-    sharp = np.zeros(len(heights), dtype=bool)
-    sharp[mesh.faces[np.abs(face_normals(mesh)[:, 2]) < SHARP_RIM_COSINE]] = True
+    is_sharp = np.zeros(len(heights), dtype=bool)
+    is_sharp[mesh.faces[np.abs(face_normals(mesh)[:, 2]) < SHARP_RIM_COSINE]] = True
     # a connected group that is off the flat and nowhere higher than the limit is a bump
     raised = heights > 0.0
     edges = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     edges = edges[raised[edges].all(axis=1)]
     graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(heights), len(heights)))
     _, label = connected_components(graph, directed=False)
-    high = np.zeros(int(label.max()) + 1)
-    np.maximum.at(high, label, heights)
-    chosen = doubtful & (sharp | (high[label] <= within))
+    max_height = np.zeros(int(label.max()) + 1)
+    np.maximum.at(max_height, label, heights)
+    is_moved = doubtful & (is_sharp | (max_height[label] <= within))
     vertices = mesh.vertices.copy()
-    vertices[chosen, 2] = level
+    vertices[is_moved, 2] = level
     return TriangleMesh(vertices, mesh.faces)
 
 
 def _count_loops(rim: IntArray) -> int:
+    """Return the number of connected groups of border edges (E, 2)."""
     used, index = np.unique(rim, return_inverse=True)
     ends = index.reshape(-1, 2)
     graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(len(used), len(used)))
@@ -98,7 +105,7 @@ def _count_loops(rim: IntArray) -> int:
 
 
 def _weld_borders(mesh: TriangleMesh, rim: IntArray) -> TriangleMesh:
-    """Merge vertices of borders at one position."""
+    """Merge vertices of the border edges ``rim`` (E, 2) that are within `CRACK_WIDTH_M` of each other."""
     used = np.unique(rim)
     pairs = cKDTree(mesh.vertices[used]).query_pairs(CRACK_WIDTH_M, output_type="ndarray")
     if not len(pairs):
@@ -107,15 +114,18 @@ def _weld_borders(mesh: TriangleMesh, rim: IntArray) -> TriangleMesh:
     _, label = connected_components(graph, directed=False)
     first = np.full(int(label.max()) + 1, len(mesh.vertices))
     np.minimum.at(first, label, used)
-    onto = np.arange(len(mesh.vertices))
-    onto[used] = first[label]
-    faces = onto[mesh.faces]
-    whole = (faces != np.roll(faces, -1, axis=1)).all(axis=1)
-    return merge_vertices(TriangleMesh(mesh.vertices, faces[whole]))
+    merged_index = np.arange(len(mesh.vertices))
+    merged_index[used] = first[label]
+    faces = merged_index[mesh.faces]
+    is_kept = (faces != np.roll(faces, -1, axis=1)).all(axis=1)
+    return merge_vertices(TriangleMesh(mesh.vertices, faces[is_kept]))
 
 
 def _divide_at_vertices(mesh: TriangleMesh) -> TriangleMesh:
-    """Divide faces at whose free edge vertices of others are, at one edge of each face."""
+    """Divide faces at vertices of other faces that are on their border edges.
+
+    Each face is divided at one edge only, the one with most vertices. Further edges follow in the next call.
+    """
     rim = border_edges(mesh.faces)
     used = np.unique(rim)
     start, edge_vector = mesh.vertices[rim[:, 0]], mesh.vertices[rim[:, 1]] - mesh.vertices[rim[:, 0]]
@@ -127,26 +137,26 @@ def _divide_at_vertices(mesh: TriangleMesh) -> TriangleMesh:
     for row, candidates in enumerate(near_vertices):
         others = used[np.array(candidates, dtype=np.int64)]
         others = others[~np.isin(others, rim[row])]
-        rest = mesh.vertices[others] - start[row]
-        fraction = rest @ edge_vector[row] / max(length[row] ** 2, 1e-30)
-        distance = np.linalg.norm(rest - fraction[:, None] * edge_vector[row], axis=1)
-        on = (
+        offsets = mesh.vertices[others] - start[row]
+        fraction = offsets @ edge_vector[row] / max(length[row] ** 2, 1e-30)
+        distance = np.linalg.norm(offsets - fraction[:, None] * edge_vector[row], axis=1)
+        is_on_edge = (
             (distance <= CRACK_WIDTH_M)
             & (fraction * length[row] > CRACK_WIDTH_M)
             & ((1.0 - fraction) * length[row] > CRACK_WIDTH_M)
         )
-        if on.any():
-            order = np.argsort(fraction[on])
-            divided[(int(rim[row, 0]), int(rim[row, 1]))] = others[on][order].tolist()
+        if is_on_edge.any():
+            order = np.argsort(fraction[is_on_edge])
+            divided[(int(rim[row, 0]), int(rim[row, 1]))] = others[is_on_edge][order].tolist()
     if not divided:
         return mesh
     faces = []
     for face in mesh.faces.tolist():
         sides = list(zip(face, face[1:] + face[:1], face[2:] + face[:2], strict=True))
-        between, (a, b, apex) = max(
+        edge_vertices, (a, b, apex) = max(
             ((divided.get((a, b), []), (a, b, c)) for a, b, c in sides), key=lambda item: len(item[0])
         )
-        line = [a, *(v for v in between if v != apex), b]
+        line = [a, *(v for v in edge_vertices if v != apex), b]
         faces += [[start_vertex, end_vertex, apex] for start_vertex, end_vertex in pairwise(line)]
     return TriangleMesh(mesh.vertices, np.array(faces, dtype=np.int64))
 
@@ -220,13 +230,14 @@ def vertex_noise(mesh: TriangleMesh) -> float:
     volume = np.abs(dots(np.cross(a, b), c))
     slopes = (np.cross(b, c), np.cross(c, a), np.cross(a, b))
     slope_square = sum(dots(s, s) for s in slopes)
-    rest = slopes[0] + slopes[1] + slopes[2]
-    size = volume / np.sqrt(np.maximum(slope_square + dots(rest, rest), 1e-300))
-    order = np.argsort(size)
+    slope_sum = slopes[0] + slopes[1] + slopes[2]
+    # least squares distance of the four vertices from a plane, to first order
+    distances = volume / np.sqrt(np.maximum(slope_square + dots(slope_sum, slope_sum), 1e-300))
+    order = np.argsort(distances)
     # slivers that divide an edge are exactly flat and carry no information
-    passed = np.cumsum(face_areas(mesh)[hinges.faces].min(axis=1)[order])
-    quantile_row = int(np.searchsorted(passed, _SMOOTH_HINGE_FRACTION * passed[-1]))
-    by_hinge = float(size[order[min(quantile_row, len(order) - 1)]]) / _NORMAL_QUANTILE
+    area_sum = np.cumsum(face_areas(mesh)[hinges.faces].min(axis=1)[order])
+    quantile_row = int(np.searchsorted(area_sum, _SMOOTH_HINGE_FRACTION * area_sum[-1]))
+    by_hinge = float(distances[order[min(quantile_row, len(order) - 1)]]) / _NORMAL_QUANTILE
     if by_hinge < MIN_NOISE_M:
         return 0.0
     noise = min(by_hinge, _quadric_noise(mesh))
@@ -234,6 +245,7 @@ def vertex_noise(mesh: TriangleMesh) -> float:
 
 
 def _quadric_noise(mesh: TriangleMesh) -> float:
+    """Return the noise [m] by the residuals of quadrics that fit neighbourhoods of vertices."""
     points = mesh.vertices
     if len(points) <= _QUADRIC_NEIGHBOURS:
         return 0.0
@@ -241,10 +253,10 @@ def _quadric_noise(mesh: TriangleMesh) -> float:
     _, neighbours = cKDTree(points).query(points[rows], k=_QUADRIC_NEIGHBOURS)
     normal = _smooth_normals(mesh, vertex_normals(mesh), 3)[rows]
     u, v = _tangent_vectors(normal)
-    rest = points[neighbours] - points[rows][:, None]
-    size = np.linalg.norm(rest, axis=2).max(axis=1)[:, None]
-    x, y = (np.einsum("nkd,nd->nk", rest, axis) / size for axis in (u, v))
-    z = np.einsum("nkd,nd->nk", rest, normal)
+    offsets = points[neighbours] - points[rows][:, None]
+    size = np.linalg.norm(offsets, axis=2).max(axis=1)[:, None]
+    x, y = (np.einsum("nkd,nd->nk", offsets, axis) / size for axis in (u, v))
+    z = np.einsum("nkd,nd->nk", offsets, normal)
     q, _ = np.linalg.qr(np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1))
     residual = z - np.einsum("nkc,nc->nk", q, np.einsum("nkc,nk->nc", q, z))
     sigma = np.sqrt((residual**2).sum(axis=1) / (_QUADRIC_NEIGHBOURS - 6))
@@ -252,7 +264,13 @@ def _quadric_noise(mesh: TriangleMesh) -> float:
 
 
 def fit_face(mesh: TriangleMesh, sigma: float, level: float) -> TriangleMesh:
-    """Return the intended face of a noisy mesh: the same triangles, moved along the face's normal."""
+    """Return the intended face of a noisy mesh: the same triangles, moved along the face's normal.
+
+    Args:
+        mesh: The mesh.
+        sigma: Standard deviation of the noise [m].
+        level: Height of the flat, to which the rim is moved [m].
+    """
     hinges, graph = _find_hinges(mesh), _adjacency(mesh)
     count = len(mesh.vertices)
     area = np.bincount(mesh.faces.reshape(-1), weights=np.repeat(face_areas(mesh) / 3.0, 3), minlength=count)
@@ -269,28 +287,34 @@ def fit_face(mesh: TriangleMesh, sigma: float, level: float) -> TriangleMesh:
     target[rim] = level - mesh.vertices[rim, 2]
     vertices, moved, stiffness_fraction = mesh.vertices, np.zeros(count), np.ones(count)
     for factor in _FOLD_FACTORS:
-        bend, stiff, angle, spacing = _hinge_bending(TriangleMesh(vertices, mesh.faces), hinges, sigma)
+        bend_weights, stiffness, angle, spacing = _hinge_bending(
+            TriangleMesh(vertices, mesh.faces), hinges, sigma
+        )
         limit = factor * np.maximum(spacing / _MIN_SMOOTH_RADIUS_M, np.deg2rad(3.0))
         hinge_weight = (
-            stiff * stiffness_fraction[hinges.ends[:, :2]].mean(axis=1) / (1.0 + (angle / limit) ** 2)
+            stiffness * stiffness_fraction[hinges.ends[:, :2]].mean(axis=1) / (1.0 + (angle / limit) ** 2)
         )
-        middle = _hinge_normals(vertices, mesh.faces, hinges)
-        values = bend * np.einsum("nkd,nd->nk", directions[hinges.ends], middle)
-        rows = np.arange(0, 4 * len(middle) + 1, 4)
-        matrix = csr_array((values.ravel(), hinges.ends.ravel(), rows), shape=(len(middle), count))
-        first = (bend[:, :, None] * mesh.vertices[hinges.ends]).sum(axis=1)
-        initial_bend = dots(first, middle)
+        hinge_normals = _hinge_normals(vertices, mesh.faces, hinges)
+        values = bend_weights * np.einsum("nkd,nd->nk", directions[hinges.ends], hinge_normals)
+        row_starts = np.arange(0, 4 * len(hinge_normals) + 1, 4)
+        matrix = csr_array(
+            (values.ravel(), hinges.ends.ravel(), row_starts), shape=(len(hinge_normals), count)
+        )
+        bend_vectors = (bend_weights[:, :, None] * mesh.vertices[hinges.ends]).sum(axis=1)
+        initial_bend = dots(bend_vectors, hinge_normals)
         operator = aslinearoperator(
             (matrix.T @ diags_array(hinge_weight) @ matrix + diags_array(weight)).tocsr()
         )
-        right = weight * target - matrix.T @ (hinge_weight * initial_bend)
-        scale = aslinearoperator(diags_array(1.0 / ((matrix * matrix).T @ hinge_weight + weight)))
-        moved, _ = cg(operator, right, x0=moved, M=scale, rtol=1e-5, maxiter=400)
+        right_side = weight * target - matrix.T @ (hinge_weight * initial_bend)
+        preconditioner = aslinearoperator(diags_array(1.0 / ((matrix * matrix).T @ hinge_weight + weight)))
+        moved, _ = cg(operator, right_side, x0=moved, M=preconditioner, rtol=1e-5, maxiter=400)
         vertices = mesh.vertices + moved[:, None] * directions
         # a mean deviation shows that the plate is too stiff for the face
-        biased = np.abs(_average_neighbours(graph, moved, _MEAN_RINGS))
+        mean_deviation = np.abs(_average_neighbours(graph, moved, _MEAN_RINGS))
         stiffness_fraction /= (
-            1.0 + (biased / max(_BIAS_FACTOR * float(np.median(biased)), _BIAS_FRACTION * sigma)) ** 2
+            1.0
+            + (mean_deviation / max(_BIAS_FACTOR * float(np.median(mean_deviation)), _BIAS_FRACTION * sigma))
+            ** 2
         )
         stiffness_fraction = np.exp(
             _average_neighbours(graph, np.log(np.maximum(stiffness_fraction, _MIN_STIFFNESS_FRACTION)), 1)
@@ -309,10 +333,10 @@ def largest_one_sided_group(mesh: TriangleMesh, deviation: FloatArray, limit: fl
         deviation: Deviations of the vertices (V,) [m].
         limit: Minimum deviation of the group [m].
     """
-    best, graph = np.zeros(0, dtype=np.int64), _adjacency(mesh)
+    largest, graph = np.zeros(0, dtype=np.int64), _adjacency(mesh)
     for side in (deviation, -deviation):
-        best = max([best, *_connected_groups(graph, side > limit)], key=len)
-    return best
+        largest = max([largest, *_connected_groups(graph, side > limit)], key=len)
+    return largest
 
 
 def level_flats(mesh: TriangleMesh, within: float, sheet: float) -> TriangleMesh:
@@ -332,31 +356,31 @@ def level_flats(mesh: TriangleMesh, within: float, sheet: float) -> TriangleMesh
     area = np.bincount(
         mesh.faces.reshape(-1), weights=np.repeat(face_areas(mesh) / 3.0, 3), minlength=len(normal)
     )
-    height, known = mesh.vertices[:, 2].copy(), [sheet]
+    height, levels = mesh.vertices[:, 2].copy(), [sheet]
     for flat in _connected_groups(graph, is_horizontal):
         if area[flat].sum() < _MIN_FLAT_AREA_M2:
             continue
         order = flat[np.argsort(height[flat])]
-        passed = np.cumsum(area[order]) / area[order].sum()
-        level = float(height[order[int(np.searchsorted(passed, 0.5))]])
+        area_fraction = np.cumsum(area[order]) / area[order].sum()
+        level = float(height[order[int(np.searchsorted(area_fraction, 0.5))]])
         if float(area[flat[np.abs(height[flat] - level) <= 3.0 * within]].sum()) < 0.9 * area[flat].sum():
             continue
-        level = next((known_level for known_level in known if abs(level - known_level) <= within), level)
-        known.append(level)
+        level = next((other_level for other_level in levels if abs(level - other_level) <= within), level)
+        levels.append(level)
         near_flat = np.abs(height - level) < 3.0 * within
-        inner = np.zeros(len(near_flat), dtype=bool)
-        inner[flat] = True
+        is_in_flat = np.zeros(len(near_flat), dtype=bool)
+        is_in_flat[flat] = True
         for piece in _connected_groups(graph, near_flat):
-            if inner[piece].any():
+            if is_in_flat[piece].any():
                 height_offset = height[piece] - level
                 blend = np.clip((np.abs(height_offset) - within) / (2.0 * within), 0.0, 1.0)
                 height[piece] = level + height_offset * blend * blend * (3.0 - 2.0 * blend)
     return TriangleMesh(np.column_stack([mesh.vertices[:, :2], height]), mesh.faces)
 
 
-def _connected_groups(graph: csr_array, chosen: BoolArray) -> list[IntArray]:
-    """Return the connected groups of the vertices that are ``chosen`` (V,)."""
-    rows = np.flatnonzero(chosen)
+def _connected_groups(graph: csr_array, is_chosen: BoolArray) -> list[IntArray]:
+    """Return the connected groups of the vertices that ``is_chosen`` (V,) marks."""
+    rows = np.flatnonzero(is_chosen)
     if not len(rows):
         return []
     _, label = connected_components(graph[rows][:, rows], directed=False)
@@ -377,12 +401,12 @@ def _untangle(mesh: TriangleMesh, directions: FloatArray, rim: IntArray) -> Floa
         cosine = dots(face_normals(current), up) / np.maximum(np.linalg.norm(up, axis=1), 1e-300)
         corner = vertices[mesh.faces]
         longest = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).max(axis=1)
-        thin = 2.0 * face_areas(current) < _SLIVER_RATIO * longest**2
-        bad = np.setdiff1d(mesh.faces[(cosine < _MAX_ROTATION_COSINE) | thin], rim)
-        if not len(bad):
+        is_sliver = 2.0 * face_areas(current) < _SLIVER_RATIO * longest**2
+        moved = np.setdiff1d(mesh.faces[(cosine < _MAX_ROTATION_COSINE) | is_sliver], rim)
+        if not len(moved):
             break
-        shift = (graph[bad] @ vertices) / degree[bad] - vertices[bad]
-        vertices[bad] += shift - dots(shift, directions[bad])[:, None] * directions[bad]
+        shift = (graph[moved] @ vertices) / degree[moved] - vertices[moved]
+        vertices[moved] += shift - dots(shift, directions[moved])[:, None] * directions[moved]
     return np.asarray(vertices)
 
 
@@ -397,7 +421,12 @@ def _stiffness_length(sigma: float, spacing: FloatArray | float) -> FloatArray:
 def _hinge_bending(
     mesh: TriangleMesh, hinges: _MeshHinges, sigma: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return weights (E, 4) of corners in hinges' bending, stiffness (E,), angle [rad] and spacing [m]."""
+    """Return quantities of each hinge for a noise of ``sigma`` [m].
+
+    Returns:
+        Weights (E, 4) of its vertices in its bending, stiffness (E,), angle (E,) [rad] and spacing of
+        vertices (E,) [m].
+    """
     i, j, k, m = (mesh.vertices[hinges.ends[:, n]] for n in range(4))
     cot_ik, cot_im = _cotangent(j - i, k - i), _cotangent(j - i, m - i)
     cot_jk, cot_jm = _cotangent(i - j, k - j), _cotangent(i - j, m - j)
@@ -411,6 +440,7 @@ def _hinge_bending(
 
 
 def _cotangent(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return limited cotangents (E,) of the angles between vectors (E, 3)."""
     cross = np.linalg.norm(np.cross(first, second), axis=1)
     return np.asarray(
         np.clip(dots(first, second) / np.maximum(cross, 1e-300), -_MAX_COTANGENT, _MAX_COTANGENT)
@@ -418,13 +448,15 @@ def _cotangent(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 def _hinge_normals(vertices: FloatArray, faces: IntArray, hinges: _MeshHinges) -> FloatArray:
+    """Return the mean unit normals (E, 3) of both faces of each hinge, weighted by area."""
     corners = vertices[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    both = cross[hinges.faces].sum(axis=1)
-    return np.asarray(both / np.maximum(np.linalg.norm(both, axis=1, keepdims=True), 1e-300))
+    normal_sum = cross[hinges.faces].sum(axis=1)
+    return np.asarray(normal_sum / np.maximum(np.linalg.norm(normal_sum, axis=1, keepdims=True), 1e-300))
 
 
 def _find_hinges(mesh: TriangleMesh) -> _MeshHinges:
+    """Return the edges that two faces share."""
     faces, count = mesh.faces, len(mesh.vertices)
     directed = np.concatenate([faces[:, [0, 1, 2]], faces[:, [1, 2, 0]], faces[:, [2, 0, 1]]])
     owner = np.tile(np.arange(len(faces)), 3)

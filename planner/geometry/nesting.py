@@ -21,9 +21,10 @@ MAX_EXACT_BOXES: Final = 40
 """Number of boxes up to which an exact two-stage model also searches for fewer blocks, or excludes them."""
 MAX_CHECKS: Final = 8_000_000
 """Maximum number of free rectangles that are checked, as a bound on time (5 s)."""
-_FIRST_FRACTION: Final = 0.4  # of the looks that orders and rules may take
-_ITERATIONS_PER_BOX: Final = 150  # of the search, for each box
-_MAX_IDLE_PER_BOX: Final = 75  # of them that free no block, for each box: none was freed after more than 61
+_FIRST_FRACTION: Final = 0.4  # of MAX_CHECKS, for all orders and rules before the search
+_ITERATIONS_PER_BOX: Final = 150  # maximum number of iterations of the search, for each box
+_MAX_IDLE_PER_BOX: Final = 75
+"""Number of iterations without a freed block, for each box, after which the search ends (measured: 61)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,9 +111,9 @@ def min_blocks(boxes: Sequence[NestBox], block: NestBlock, kerf: float) -> int:
         block: Kind of block.
         kerf: Width of a cut [m].
     """
-    room = _block_steps(block, kerf)
+    block_size = _block_steps(block, kerf)
     area = sum(a * b for a, b, _ in (_box_steps(box, kerf) for box in boxes))
-    return -(-area // (room[0] * room[1]))
+    return -(-area // (block_size[0] * block_size[1]))
 
 
 def nest_boxes(boxes: Sequence[NestBox], blocks: Sequence[NestBlock], rules: NestRules) -> BoxNest:
@@ -134,11 +135,11 @@ def nest_boxes(boxes: Sequence[NestBox], blocks: Sequence[NestBlock], rules: Nes
     search = _NestSearch(boxes, blocks, rules)
     open_blocks = search.improve(search.best_by_rules())
     optimality: Literal["bound", "two-stage"] | None = None
-    plenty = [i for i, block in enumerate(blocks) if block.count is None]
+    unlimited_kinds = [i for i, block in enumerate(blocks) if block.count is None]
     if len(blocks) == 1:
         bound = min_blocks(boxes, blocks[0], rules.kerf)
         if len(open_blocks) > bound and len(boxes) <= MAX_EXACT_BOXES:
-            open_blocks, is_proven = search.try_exact(open_blocks, bound, plenty[0])
+            open_blocks, is_proven = search.try_exact(open_blocks, bound, unlimited_kinds[0])
             optimality = "two-stage" if is_proven else None
         if len(open_blocks) == bound:
             optimality = "bound"
@@ -161,6 +162,7 @@ def _box_steps(box: NestBox, kerf: float) -> tuple[int, int, int]:
 
 
 def _block_steps(block: NestBlock, kerf: float) -> tuple[int, int, int]:
+    """Return the sides of a block with one slot more, and its thickness, in steps."""
     a, b, t = (math.floor(v / STEP_M + 1e-4) for v in (block.length, block.width, block.thickness))
     slot = math.ceil(kerf / STEP_M - 1e-4)
     return a + slot, b + slot, t
@@ -197,9 +199,9 @@ _ORDERS: Final[tuple[Callable[[int, int], tuple[float, ...]], ...]] = (
     lambda a, b: (max(a, b) / min(a, b),),
 )
 """Sort keys, largest first: short side, area, long side, sum, difference and ratio of sides."""
-_FIT_RULES: Final = 3  # rules which free rectangle is best: least short rest, least long rest, least area
+_FIT_RULES: Final = 3  # smallest shorter remainder, longer remainder, area of a free rectangle
 _CUT_RULES: Final = (
-    6  # which cut comes first: by sides of the rectangle, by rests, by area of the larger rest
+    6  # the first cut by sides, by remainders, by area of the larger remainder, see `_first_cut`
 )
 
 
@@ -219,7 +221,16 @@ class _PackingRule:
 
 
 class _NestSearch:
-    """Boxes and blocks in steps, and the number of checks so far."""
+    """Search for the fewest blocks, with sizes in steps.
+
+    Attributes:
+        boxes: Sides with one slot more, and thickness of each box.
+        rooms: Sides with one slot more, and thickness of each kind of block.
+        level: Number of kinds of blocks that are too thin for each box.
+        weights: Sizes of all boxes by the first three orders.
+        limited: Kinds of the blocks of limited count, once for each block.
+        checks: Number of free rectangles checked so far.
+    """
 
     def __init__(self, boxes: Sequence[NestBox], blocks: Sequence[NestBlock], rules: NestRules) -> None:
         self.rules = rules
@@ -250,10 +261,10 @@ class _NestSearch:
     def best_by_rules(self) -> list[_OpenBlock]:
         """Return the best result of all orders and rules."""
         best: list[_OpenBlock] | None = None
-        everything = range(len(self.boxes))
+        all_boxes = range(len(self.boxes))
         for placement in range(2):
-            for by in _ORDERS:
-                order = sorted(everything, key=lambda i: self._rank(by, i))
+            for sort_key in _ORDERS:
+                order = sorted(all_boxes, key=lambda i: self._rank(sort_key, i))
                 for rule in range(_FIT_RULES * _CUT_RULES):
                     for kind in self.unlimited:
                         kinds = [kind, *(i for i in self.unlimited if i != kind)]
@@ -267,62 +278,73 @@ class _NestSearch:
             raise ValueError("boxes fit no block")
         return best
 
-    def _rank(self, by: Callable[[int, int], tuple[float, ...]], i: int) -> tuple[float, ...]:
-        return (-self.level[i], *(-value for value in by(*self.boxes[i][:2])))
+    def _rank(self, sort_key: Callable[[int, int], tuple[float, ...]], i: int) -> tuple[float, ...]:
+        return (-self.level[i], *(-value for value in sort_key(*self.boxes[i][:2])))
 
     def improve(self, blocks: list[_OpenBlock]) -> list[_OpenBlock]:
         """Return the best result after nesting a few blocks again at a time."""
-        chance = random.Random(1)
+        rng = random.Random(1)
         bound = sum(a * b for a, b, _ in self.boxes)
         by_fill: list[int] | None = None  # blocks by their fill, until one is changed
         last_success = 0
-        for turn in range(_ITERATIONS_PER_BOX * len(self.boxes)):
-            enough = len(blocks) < 2 or (len(self.rooms) == 1 and -(-bound // blocks[0].area) == len(blocks))
+        for iteration in range(_ITERATIONS_PER_BOX * len(self.boxes)):
+            is_optimal = len(blocks) < 2 or (
+                len(self.rooms) == 1 and -(-bound // blocks[0].area) == len(blocks)
+            )
             if (
-                enough
+                is_optimal
                 or self.checks > MAX_CHECKS
-                or turn - last_success > _MAX_IDLE_PER_BOX * len(self.boxes)
+                or iteration - last_success > _MAX_IDLE_PER_BOX * len(self.boxes)
             ):
                 break
             if by_fill is None:
                 by_fill = sorted(range(len(blocks)), key=[block.fill for block in blocks].__getitem__)
-            picked = {by_fill[min(int(chance.expovariate(0.5)), len(by_fill) - 1)]}
-            while len(picked) < min(chance.choice((2, 3, 3, 4, 5)), len(blocks)):
-                picked.add(chance.randrange(len(blocks)))
+            picked = {by_fill[min(int(rng.expovariate(0.5)), len(by_fill) - 1)]}
+            while len(picked) < min(rng.choice((2, 3, 3, 4, 5)), len(blocks)):
+                picked.add(rng.randrange(len(blocks)))
             old = [blocks[i] for i in sorted(picked)]
-            by = self.weights[chance.randrange(3)]
-            noise = chance.choice((0.02, 0.1, 0.3))
+            weights = self.weights[rng.randrange(3)]
+            noise = rng.choice((0.02, 0.1, 0.3))
             low_factor, span, level = 1.0 - noise, (1.0 + noise) - (1.0 - noise), self.level
             ranked = [
-                (-level[i], -by[i] * (low_factor + span * chance.random()), i)
+                (-level[i], -weights[i] * (low_factor + span * rng.random()), i)
                 for block in old
                 for _, i, _, _, _ in block.placed
             ]
             order = [i for _, _, i in sorted(ranked)]
-            rule = _PackingRule(
-                chance.randrange(_FIT_RULES), chance.randrange(_CUT_RULES), chance.randrange(2)
-            )
+            rule = _PackingRule(rng.randrange(_FIT_RULES), rng.randrange(_CUT_RULES), rng.randrange(2))
             kinds = sorted((block.kind for block in old), key=lambda i: (self.price[i], i))
-            if len(self.unlimited) > 1 and chance.random() < 0.3:  # another kind in place of one
-                kinds[-1] = chance.choice(self.unlimited)
+            if len(self.unlimited) > 1 and rng.random() < 0.3:  # another kind in place of one
+                kinds[-1] = rng.choice(self.unlimited)
             new = self.pack(order, rule, kinds, [])
             if new is not None and (cost := self.cost(new)) <= (old_cost := self.cost(old)):
-                last_success = turn if cost[:2] < old_cost[:2] else last_success
+                last_success = iteration if cost[:2] < old_cost[:2] else last_success
                 blocks = [block for i, block in enumerate(blocks) if i not in picked] + new
                 by_fill = None
         return blocks
 
     def pack(
-        self, order: Sequence[int], rule: _PackingRule, opened: Sequence[int], more: Sequence[int]
+        self,
+        order: Sequence[int],
+        rule: _PackingRule,
+        opened_kinds: Sequence[int],
+        extra_kinds: Sequence[int],
     ) -> list[_OpenBlock] | None:
-        """Nest boxes in an order into the blocks ``opened`` and as many ``more`` as they take.
+        """Nest boxes one after the other.
 
-        New blocks are of the first kind that fits. Returns None if the boxes do not fit.
+        Args:
+            order: Numbers of the boxes in their order.
+            rule: Rule by which they are placed.
+            opened_kinds: Kinds of the blocks to fill.
+            extra_kinds: Kinds of additional blocks, in any number. The first kind that fits is used.
+
+        Returns:
+            The blocks with boxes, or None if the boxes do not fit.
         """
-        blocks = [_OpenBlock(kind, self.rooms[kind]) for kind in opened]
+        blocks = [_OpenBlock(kind, self.rooms[kind]) for kind in opened_kinds]
         sides = [self.boxes[i] for i in order]
-        smallest = min(min(a, b) for a, b, _ in sides)
-        spare = sum(block.area for block in blocks) - sum(a * b for a, b, _ in sides)
+        min_side = min(min(a, b) for a, b, _ in sides)
+        spare_area = sum(block.area for block in blocks) - sum(a * b for a, b, _ in sides)
         for i in order:
             a, b, thick = self.boxes[i]
             orientations = ((a, b), (b, a)) if self.rules.may_rotate and a != b else ((a, b),)
@@ -332,8 +354,9 @@ class _NestSearch:
                     best = self._best_position(orientations, block, number, rule, best)
                     if rule.placement == 0 and best is not None:
                         break
-            for strict in (True, False) if more and best is None else ():
-                for kind in more:
+            # first with cuts that the bow reaches, then with any
+            for strict in (True, False) if extra_kinds and best is None else ():
+                for kind in extra_kinds:
                     if best is None and self.rooms[kind][2] >= thick:
                         new_block = _OpenBlock(kind, self.rooms[kind])
                         best = self._best_position(orientations, new_block, len(blocks), rule, None, strict)
@@ -341,8 +364,8 @@ class _NestSearch:
                             blocks.append(new_block)
             if best is None:
                 return None
-            spare -= self._place_box(i, blocks[best[1]], best, smallest)
-            if spare < 0 and not more:  # the remaining area cannot hold the other boxes
+            spare_area -= self._place_box(i, blocks[best[1]], best, min_side)
+            if spare_area < 0 and not extra_kinds:  # the remaining area cannot hold the other boxes
                 return None
         return [block for block in blocks if block.placed]
 
@@ -355,13 +378,23 @@ class _NestSearch:
         best: tuple[int, int, int, int, int, int] | None,
         strict: bool = True,
     ) -> tuple[int, int, int, int, int, int] | None:
-        """Return the best position of a box in one of its orientations.
+        """Return the best position of a box in a block.
 
-        It is badness, block, free rectangle, its sides, and the first cut.
+        Args:
+            orientations: Sides of the box along x and y.
+            block: The block.
+            number: Number of the block.
+            rule: Rule of the best position.
+            best: Best position so far.
+            strict: Whether the bow has to reach both cuts.
+
+        Returns:
+            Badness, number of the block, index of its free rectangle, sides of the box along x and y, and 1
+            if the cut at its end along x comes first, else 0. It is ``best`` if no position is better.
         """
         fit, cut = rule.fit, rule.cut
         self.checks += len(block.free)
-        for where, (long, wide, _leaf) in enumerate(block.free):
+        for free_index, (long, wide, _leaf) in enumerate(block.free):
             for x, y in orientations:
                 if x > long or y > wide:
                     continue
@@ -370,26 +403,35 @@ class _NestSearch:
                 if best is None or badness < best[0]:
                     first = _first_cut(cut, long, wide, r, s)
                     if self.bow is not None and strict:
-                        reached = self._reachable_first_cut(first, block.thick, long, wide, x, y)
-                        if reached is None:
+                        reachable = self._reachable_first_cut(first, block.thick, long, wide, x, y)
+                        if reachable is None:
                             continue
-                        first = reached
-                    best = badness, number, where, x, y, first
+                        first = reachable
+                    best = badness, number, free_index, x, y, first
         return best
 
     def _reachable_first_cut(
         self, first: int, thick: int, long: int, wide: int, x: int, y: int
     ) -> int | None:
-        """Return which cut may come first for the bow, preferably ``best_by_rules``; None if neither may."""
+        """Return the cut that may come first for the bow, preferably ``first``, or None if neither may."""
         for candidate in (first, 1 - first):
             outer, inner = ((x, long), (y, wide)) if candidate else ((y, wide), (x, long))
-            across = outer[0], (wide if candidate else long)
-            if self._reaches_cut(outer, across[1], thick) and self._reaches_cut(inner, across[0], thick):
+            outer_length = wide if candidate else long
+            inner_length = outer[0]  # the second cut divides only the piece of the first one
+            if self._reaches_cut(outer, outer_length, thick) and self._reaches_cut(
+                inner, inner_length, thick
+            ):
                 return candidate
         return None
 
     def _reaches_cut(self, along: tuple[int, int], across: int, thick: int) -> bool:
-        """Return whether the bow reaches a cut after the first of ``along``, the whole length."""
+        """Return whether the bow reaches a cut, or none is necessary.
+
+        Args:
+            along: Size of the lower piece, and of the part, across the cut. If equal, nothing is cut.
+            across: Length of the cut.
+            thick: Thickness of the part.
+        """
         if self.bow is None or along[0] == along[1]:
             return True
         rest = max(along[1] - along[0] - self.kerf, 0)
@@ -398,9 +440,12 @@ class _NestSearch:
     def _place_box(
         self, i: int, block: _OpenBlock, best: tuple[int, int, int, int, int, int], smallest: int
     ) -> int:
-        """Place a box, and return how much of the rest is narrower than the ``smallest`` box."""
-        _, _, where, x, y, first = best
-        long, wide, leaf = block.free.pop(where)
+        """Place box ``i`` at its ``best`` position, and return the area that is lost.
+
+        Remainders narrower than ``smallest`` are lost.
+        """
+        _, _, free_index, x, y, first = best
+        long, wide, leaf = block.free.pop(free_index)
         block.placed.append((leaf, i, x, y, first))
         block.used += x * y
         lost = 0
@@ -413,7 +458,7 @@ class _NestSearch:
         return lost
 
     def try_exact(self, blocks: list[_OpenBlock], bound: int, kind: int) -> tuple[list[_OpenBlock], bool]:
-        """Return fewer blocks if the exact model of strips finds them, and whether there are none."""
+        """Return the fewest blocks that the exact model of strips finds, and whether fewer are impossible."""
         room = self.rooms[kind]
         sides = [box[:2] for box in self.boxes]
         while len(blocks) > bound:
@@ -429,16 +474,16 @@ class _NestSearch:
     def _block_of_strips(self, kind: int, strips: Sequence[Strip]) -> _OpenBlock:
         """Return a block by its strips, each cut off by its highest box."""
         block = _OpenBlock(kind, self.rooms[kind])
-        whole = 0
+        uncut_leaf = 0
         for axis, strip_boxes in strips:
-            leaf = whole
+            leaf = uncut_leaf
             for n, (i, x, y) in enumerate(strip_boxes):
-                where = next(w for w, free in enumerate(block.free) if free[2] == leaf)
+                free_index = next(w for w, free in enumerate(block.free) if free[2] == leaf)
                 first = int((axis == 0) == (n == 0))
                 if n == 0:
-                    whole = block.leaves
+                    uncut_leaf = block.leaves
                 leaf = block.leaves + (1 if n == 0 else 0)
-                self._place_box(i, block, (0, 0, where, x, y, first), self.smallest)
+                self._place_box(i, block, (0, 0, free_index, x, y, first), self.smallest)
         return block
 
     def _all_reached(self, block: _OpenBlock) -> bool:
@@ -447,7 +492,7 @@ class _NestSearch:
 
     def cut_tree(self, block: _OpenBlock) -> CutTree:
         """Return the cuts of a filled block."""
-        at = {logged[0]: n for n, logged in enumerate(block.placed)}
+        placed_index = {placed_box[0]: n for n, placed_box in enumerate(block.placed)}
         parts: list[BlockPart] = []
         room = self.rooms[block.kind]
         stack: list[tuple[int, int, int, int, int, int]] = [(0, 0, room[0], room[1], 0, -1)]
@@ -455,13 +500,13 @@ class _NestSearch:
             x, y, long, wide, leaf, parent = stack.pop()
             if parent >= 0:
                 parts[parent] = dataclasses.replace(parts[parent], high=len(parts))
-            if leaf not in at:
+            if leaf not in placed_index:
                 parts.append(self._part(x, y, long, wide))
                 continue
-            _, i, a, b, first = block.placed[at[leaf]]
-            later = []
-            rests = _remainders(long, wide, a, b, first)
-            for side, (axis, rest) in enumerate(zip((1 - first, first), rests, strict=True)):
+            _, i, a, b, first = block.placed[placed_index[leaf]]
+            remainder_entries = []
+            remainders = _remainders(long, wide, a, b, first)
+            for side, (axis, rest) in enumerate(zip((1 - first, first), remainders, strict=True)):
                 if (long - a, wide - b)[axis] == 0:
                     continue
                 end, number, part = (x + a, y + b)[axis], len(parts), self._part(x, y, long, wide)
@@ -469,11 +514,12 @@ class _NestSearch:
                 parts.append(dataclasses.replace(part, axis=axis, position=slot_start, low=number + 1))
                 if min(rest) > self.kerf:
                     corner = (end, y) if axis == 0 else (x, end)
-                    later.append((*corner, *rest, 1 + 2 * at[leaf] + side, number))
+                    # numbers of leaves are those of _place_box
+                    remainder_entries.append((*corner, *rest, 1 + 2 * placed_index[leaf] + side, number))
                 long, wide = (a, wide) if axis == 0 else (long, b)
             is_rotated = (a, b) != self.boxes[i][:2]
             parts.append(dataclasses.replace(self._part(x, y, a, b), box=i, is_rotated=is_rotated))
-            stack += later
+            stack += remainder_entries
         return CutTree(tuple(parts))
 
     def _part(self, x: int, y: int, long: int, wide: int) -> BlockPart:

@@ -52,13 +52,13 @@ class NurbsCurve:
         points = self.points(t)
         for _ in range(MAX_HALVINGS):
             middle = 0.5 * (t[1:] + t[:-1])
-            at = self.points(middle)
-            too_far = np.linalg.norm(at - 0.5 * (points[1:] + points[:-1]), axis=1) > chord
+            middle_points = self.points(middle)
+            too_far = np.linalg.norm(middle_points - 0.5 * (points[1:] + points[:-1]), axis=1) > chord
             if not too_far.any():
                 break
             order = np.argsort(np.concatenate([t, middle[too_far]]), kind="stable")
             t = np.concatenate([t, middle[too_far]])[order]
-            points = np.concatenate([points, at[too_far]])[order]
+            points = np.concatenate([points, middle_points[too_far]])[order]
         return points
 
 
@@ -133,8 +133,8 @@ class NurbsSurface:
             return False  # a line of no length has no direction
         unit = chord / length
         offsets = lines - start
-        on_it = np.sum(offsets * unit, axis=2, keepdims=True)
-        return bool(np.linalg.norm(offsets - on_it * unit, axis=2).max() <= STRAIGHTNESS_M)
+        projection = np.sum(offsets * unit, axis=2, keepdims=True)
+        return bool(np.linalg.norm(offsets - projection * unit, axis=2).max() <= STRAIGHTNESS_M)
 
     def is_closed(self, along: int) -> bool:
         """Return whether the complete surface ends where it starts along u (0) or v (1)."""
@@ -163,6 +163,7 @@ class NurbsSurface:
         return self._line(along, 0, t), self._line(along, 1, t)
 
     def _line(self, along: int, side: int, t: FloatArray) -> FloatArray:
+        """Return points (N, 3) of the region's side at its start (0) or end (1) along u (0) or v (1)."""
         end = np.full(len(t), self.region[along][side])
         return self.points(end, t) if along == 0 else self.points(t, end)
 
@@ -208,19 +209,20 @@ class NurbsSurface:
         for k, (at, chord) in enumerate(zip((along, across, inner), chords, strict=True)):
             offsets = self.points(*at) - chord
             largest[k] = np.abs(np.sum(offsets * self.normals(*at), axis=-1)).max()
-            if k < 2:
+            if k < 2:  # at the sides of the region, deviations in the surface count too
                 edges = np.diff(corner, axis=k)
                 unit = edges / np.maximum(np.linalg.norm(edges, axis=-1, keepdims=True), 1e-300)
-                aside = np.linalg.norm(
+                lateral = np.linalg.norm(
                     offsets - np.sum(offsets * unit, axis=-1, keepdims=True) * unit, axis=-1
                 )
-                largest[k] = max(largest[k], np.take(aside, [0, -1], axis=1 - k).max())
+                largest[k] = max(largest[k], np.take(lateral, [0, -1], axis=1 - k).max())
         if largest[2] > largest[:2].max():  # twisted: the longer cells are halved
             sides = [np.linalg.norm(np.diff(corner, axis=k), axis=2).max() for k in (0, 1)]
             largest[int(np.argmax(sides))] = largest[2]
         return largest
 
     def _grid(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Return vertices (V, 3), normals (V, 3) and faces (F, 3) of the grid of parameters u and v."""
         uu, vv = np.meshgrid(u, v, indexing="ij")
         index = np.arange(uu.size).reshape(uu.shape)
         a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
@@ -237,19 +239,19 @@ class NurbsSurface:
         t = [_spaced_parameters(np.unique(np.clip(self.knots[k], *ends[k])), FIRST_CHORDS) for k in (0, 1)]
         uu, vv = (grid.ravel() for grid in np.meshgrid(*t, indexing="ij"))
         nearest = np.argmin(np.linalg.norm(self.points(uu, vv)[None] - points[:, None], axis=2), axis=1)
-        at = np.stack([uu[nearest], vv[nearest]], axis=1)
+        parameters = np.stack([uu[nearest], vv[nearest]], axis=1)
         low, high = np.array(ends).T
         for _ in range(30):
-            residuals = points - self.points(at[:, 0], at[:, 1])
-            along, across = self.tangents(at[:, 0], at[:, 1])
+            residuals = points - self.points(parameters[:, 0], parameters[:, 1])
+            along, across = self.tangents(parameters[:, 0], parameters[:, 1])
             aa, ab, bb = (
                 np.sum(x * y, axis=1) for x, y in ((along, along), (along, across), (across, across))
             )
             ra, rb = np.sum(along * residuals, axis=1), np.sum(across * residuals, axis=1)
             size = np.maximum(aa * bb - ab * ab, 1e-300)
             step = np.stack([(bb * ra - ab * rb) / size, (aa * rb - ab * ra) / size], axis=1)
-            at = np.clip(at + step, low, high)
-        return at, np.linalg.norm(points - self.points(at[:, 0], at[:, 1]), axis=1)
+            parameters = np.clip(parameters + step, low, high)
+        return parameters, np.linalg.norm(points - self.points(parameters[:, 0], parameters[:, 1]), axis=1)
 
 
 def _spaced_parameters(spans: FloatArray, count: int) -> FloatArray:
@@ -260,17 +262,17 @@ def _spaced_parameters(spans: FloatArray, count: int) -> FloatArray:
 
 
 def bounding_rectangle(at: Sequence[FloatArray], within: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Return the least and largest parameters (2,) of a loop of edges along the sides of a rectangle.
+    """Return the smallest and largest parameters (2,) of a loop of edges that bounds a rectangle.
 
     Args:
         at: Parameters (N, 2) of points of each edge.
         within: Tolerances (2,) of the parameters.
 
     Returns:
-        None if an edge is not on a side of the rectangle.
+        Both, or None if an edge is not on a side of the rectangle.
     """
-    everything = np.concatenate(at)
-    low, high = everything.min(axis=0), everything.max(axis=0)
+    all_parameters = np.concatenate(at)
+    low, high = all_parameters.min(axis=0), all_parameters.max(axis=0)
     for edge in at:
         on_side = (np.abs(edge - low) <= within).all(axis=0) | (np.abs(edge - high) <= within).all(axis=0)
         if not on_side.any():

@@ -87,14 +87,15 @@ def dual_pattern(surface: FineSurface, label: IntArray, count: int) -> PanelPatt
     starts: dict[tuple[int, int], int] = {}
     ends: dict[tuple[int, int], int] = {}
 
-    def add(book: dict[tuple[int, int], int], key: tuple[int, int], knot: int) -> None:
-        if key in book:
-            at = 1e3 * np.asarray(positions[knot])
+    def add(joint_ends: dict[tuple[int, int], int], key: tuple[int, int], knot: int) -> None:
+        """Set the knot at which the joint of two panels starts or ends."""
+        if key in joint_ends:
+            position_mm = 1e3 * np.asarray(positions[knot])
             raise PatternError(
-                f"two panels meet twice near ({at[0]:.0f}, {at[1]:.0f}, {at[2]:.0f}) mm: "
-                "the surface is narrower than its panels there"
+                f"two panels meet twice near ({position_mm[0]:.0f}, {position_mm[1]:.0f}, "
+                f"{position_mm[2]:.0f}) mm: the surface is narrower than its panels there"
             )
-        book[key] = knot
+        joint_ends[key] = knot
 
     for knot, (a, b, c) in enumerate(panels):
         for x, y, z in ((a, b, c), (b, c, a), (c, a, b)):
@@ -126,6 +127,10 @@ def dual_pattern(surface: FineSurface, label: IntArray, count: int) -> PanelPatt
 
 
 def _trace_ring(panel: int, steps: dict[int, tuple[int, int]]) -> tuple[list[int], list[int]]:
+    """Return the knots of a panel in order, and the panel beyond each side.
+
+    ``steps`` has the next knot and the panel beyond, by knot. Raises `PatternError` if they are not a ring.
+    """
     if not steps:
         raise PatternError(f"panel {panel} has no cell, or no side: request more panels")
     first = min(steps)
@@ -151,7 +156,13 @@ def _add_rim_knots(
     panels: list[tuple[int, int, int]],
     rim_chains: dict[tuple[int, int], list[int]],
 ) -> None:
-    """Add the knots of one closed rim: where the cell changes, and corners within a cell."""
+    """Add the knots of one closed rim: where the cell changes, and corners within a cell.
+
+    ``positions``, ``panels`` and ``rim_chains`` (knots of a panel by panel and first knot) are extended.
+
+    Raises:
+        PatternError: The rim is in one cell.
+    """
     points = surface.mesh.vertices[ring]
     step = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
     along = np.concatenate([[0.0], np.cumsum(step)])
@@ -160,23 +171,23 @@ def _add_rim_knots(
     if len(change) < 2:
         raise PatternError(f"a rim of {1e3 * along[-1]:.0f} mm lies in one panel: request more panels")
     corner = np.flatnonzero(turning_angles(points, True) > RIM_CORNER_RAD)
-    where = 0.5 * (along[change] + along[change + 1])
-    middle = 0.5 * (points[change] + np.roll(points, -1, axis=0)[change])
-    free = []
+    change_distance = 0.5 * (along[change] + along[change + 1])
+    change_points = 0.5 * (points[change] + np.roll(points, -1, axis=0)[change])
+    inner_corners = []
     for at in corner.tolist():
-        distances = np.abs(where - along[at])
+        distances = np.abs(change_distance - along[at])
         distances = np.minimum(distances, along[-1] - distances)
         k = int(np.argmin(distances))
         if distances[k] < _SNAP_FRACTION * surface.spacing:
-            middle[k] = points[at]
+            change_points[k] = points[at]
         else:
-            free.append(at)
+            inner_corners.append(at)
     order: list[tuple[float, int]] = []
     for k, at in enumerate(change.tolist()):
-        order.append((float(where[k]), len(panels)))
-        positions.append(middle[k])
+        order.append((float(change_distance[k]), len(panels)))
+        positions.append(change_points[k])
         panels.append((int(cells[at]), int(cells[(at + 1) % len(ring)]), -1))
-    for at in free:
+    for at in inner_corners:
         order.append((float(along[at]), len(panels)))
         positions.append(points[at])
         panels.append((int(cells[at]), -1, -1))
@@ -193,10 +204,10 @@ def _add_rim_knots(
 
 def panel_joints(pattern: PanelPattern) -> IntArray:
     """Return joints (J, 4): panel a, panel b beyond (a < b), and their first and last knot in a."""
-    rows = [
+    joints = [
         (a, int(b), int(ring[i]), int(ring[(i + 1) % len(ring)]))
         for a, (ring, beyond) in enumerate(zip(pattern.ring, pattern.across, strict=True))
         for i, b in enumerate(beyond)
         if b > a
     ]
-    return np.array(rows, dtype=np.int64).reshape(-1, 4)
+    return np.array(joints, dtype=np.int64).reshape(-1, 4)

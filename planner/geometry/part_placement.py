@@ -42,11 +42,11 @@ def pose_in_block(front: TriangleMesh, points: FloatArray, size: FloatArray) -> 
     def tilted(tilt: FloatArray) -> FloatArray:
         return np.asarray(exp_rotation(np.array([tilt[0], tilt[1], 0.0])) @ start)
 
-    def height(tilt: FloatArray) -> float:
+    def height_mm(tilt: FloatArray) -> float:
         return float(np.ptp(hull @ tilted(tilt)[2])) * 1e3
 
-    best = minimize(
-        height,
+    flattest_tilt = minimize(
+        height_mm,
         np.zeros(2),
         method="Nelder-Mead",
         options={
@@ -55,7 +55,7 @@ def pose_in_block(front: TriangleMesh, points: FloatArray, size: FloatArray) -> 
             "initial_simplex": np.array([[0.0, 0.0], [0.05, 0.0], [0.0, 0.05]]),
         },
     )
-    flattest = tilted(best.x) if np.linalg.norm(best.x) < 0.8 else start
+    flattest = tilted(flattest_tilt.x) if np.linalg.norm(flattest_tilt.x) < 0.8 else start
     axis = int(np.argmax(np.abs(up)))
     axis_up = _upright(np.sign(up[axis]) * np.eye(3)[axis])
 
@@ -66,19 +66,22 @@ def pose_in_block(front: TriangleMesh, points: FloatArray, size: FloatArray) -> 
     def overhang_mm(tilt: FloatArray) -> float:
         return overhang_and_pose(tilted(tilt))[0] * 1e3
 
-    out, pose = overhang_and_pose(flattest)
+    max_overhang, pose = overhang_and_pose(flattest)
     for rotation in (axis_up, start):
-        if out > _FACES_OVERHANG_M and (other := overhang_and_pose(rotation))[0] <= _FACES_OVERHANG_M:
-            out, pose = other
-    if out > _FACES_OVERHANG_M:
+        if (
+            max_overhang > _FACES_OVERHANG_M
+            and (alternative := overhang_and_pose(rotation))[0] <= _FACES_OVERHANG_M
+        ):
+            max_overhang, pose = alternative
+    if max_overhang > _FACES_OVERHANG_M:
         smallest = minimize(
             overhang_mm,
-            best.x,
+            flattest_tilt.x,
             method="Nelder-Mead",
-            options={"initial_simplex": best.x + np.array([[0.0, 0.0], [0.05, 0.0], [0.0, 0.05]])},
+            options={"initial_simplex": flattest_tilt.x + np.array([[0.0, 0.0], [0.05, 0.0], [0.0, 0.05]])},
         )
-        other = overhang_and_pose(tilted(smallest.x))
-        pose = other[1] if other[0] <= _FACES_OVERHANG_M else pose
+        alternative = overhang_and_pose(tilted(smallest.x))
+        pose = alternative[1] if alternative[0] <= _FACES_OVERHANG_M else pose
     return pose
 
 
@@ -87,8 +90,8 @@ def _centred_pose(hull: FloatArray, rotation: FloatArray, size: FloatArray) -> F
     yaw = _yaw(hull @ rotation[:2].T, bool(size[1] >= size[0]))
     rotation = exp_rotation(np.array([0.0, 0.0, yaw])) @ rotation
     rotated = hull @ rotation.T
-    middle = 0.5 * (rotated.min(axis=0) + rotated.max(axis=0))
-    return from_parts(rotation, np.array([0.0, 0.0, 0.5 * size[2]]) - middle)
+    centre = 0.5 * (rotated.min(axis=0) + rotated.max(axis=0))
+    return from_parts(rotation, np.array([0.0, 0.0, 0.5 * size[2]]) - centre)
 
 
 def overhang(points: FloatArray, size: FloatArray) -> FloatArray:
@@ -115,11 +118,11 @@ def _yaw(flat: FloatArray, long_along_y: bool) -> float:
     edge = np.roll(corner, -1, axis=0) - corner
     angle = -np.arctan2(edge[:, 1], edge[:, 0])
     c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    wide = np.ptp(corner[:, 0] * c - corner[:, 1] * s, axis=1)
-    high = np.ptp(corner[:, 0] * s + corner[:, 1] * c, axis=1)
-    best = int(np.argmin(np.round(wide * high, 12)))
-    yaw = float(angle[best])
-    if (high[best] >= wide[best]) != long_along_y:
+    width = np.ptp(corner[:, 0] * c - corner[:, 1] * s, axis=1)
+    height = np.ptp(corner[:, 0] * s + corner[:, 1] * c, axis=1)
+    best_edge = int(np.argmin(np.round(width * height, 12)))
+    yaw = float(angle[best_edge])
+    if (height[best_edge] >= width[best_edge]) != long_along_y:
         yaw += 0.5 * np.pi
     return float((yaw + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
 
@@ -146,8 +149,8 @@ def pose_along_rulings(parts: Sequence[RuledSurface], size: FloatArray, longest_
         size: Size of the block (3,) [m].
         longest_first: Whether the block's longest axis is tried first, else its shortest.
     """
-    cloud = np.concatenate([p for part in parts for p in (part.start, part.end)])
-    hull = cloud[ConvexHull(cloud, qhull_options="QJ").vertices]
+    points = np.concatenate([line for part in parts for line in (part.start, part.end)])
+    hull = points[ConvexHull(points, qhull_options="QJ").vertices]
     direction = np.concatenate([part.end - part.start for part in parts]).mean(axis=0)
     if np.linalg.norm(direction) < 1e-9:
         direction = parts[0].end[0] - parts[0].start[0]
@@ -156,14 +159,16 @@ def pose_along_rulings(parts: Sequence[RuledSurface], size: FloatArray, longest_
     directions = [direction]
     if frame_axis @ direction >= np.cos(_ALIGNED_ANGLE_RAD) * np.linalg.norm(direction):
         directions.insert(0, frame_axis)  # planes of the part's frame stay planes of the block if it fits
-    plain = [_rotation_onto_axis(each, int(axis)) for axis in order for each in directions]
-    for rotation in plain:
+    rotations = [_rotation_onto_axis(candidate, int(axis)) for axis in order for candidate in directions]
+    for rotation in rotations:
         if _excess(rotation, hull, size) <= _RULED_OVERHANG_M:
             return _box_centred_pose(rotation, hull, size)
-    tilted = [_tilted(rotation, hull, size) for rotation in plain]
-    worst = [_excess(rotation, hull, size) for rotation in tilted]
-    first = next((i for i, w in enumerate(worst) if w <= _RULED_OVERHANG_M), int(np.argmin(worst)))
-    return _box_centred_pose(tilted[first], hull, size)
+    tilted = [_tilted(rotation, hull, size) for rotation in rotations]
+    excesses = [_excess(rotation, hull, size) for rotation in tilted]
+    chosen = next(
+        (i for i, excess in enumerate(excesses) if excess <= _RULED_OVERHANG_M), int(np.argmin(excesses))
+    )
+    return _box_centred_pose(tilted[chosen], hull, size)
 
 
 def _rotation_onto_axis(direction: FloatArray, axis: int) -> FloatArray:
@@ -173,12 +178,13 @@ def _rotation_onto_axis(direction: FloatArray, axis: int) -> FloatArray:
     up = up - (up @ unit) * unit
     up = up / np.linalg.norm(up)
     source = np.stack([unit, up, np.cross(unit, up)])
-    there_up = np.eye(3)[2] if axis != 2 else np.eye(3)[0]
-    target = np.stack([np.eye(3)[axis], there_up, np.cross(np.eye(3)[axis], there_up)])
+    target_up = np.eye(3)[2] if axis != 2 else np.eye(3)[0]
+    target = np.stack([np.eye(3)[axis], target_up, np.cross(np.eye(3)[axis], target_up)])
     return np.asarray(target.T @ source)
 
 
 def _excess(rotation: FloatArray, hull: FloatArray, size: FloatArray) -> float:
+    """Return by how much [m] rotated points exceed the block's size, along the worst axis."""
     return float((np.ptp(hull @ rotation.T, axis=0) - size).max())
 
 
@@ -187,17 +193,18 @@ def _tilted(rotation: FloatArray, hull: FloatArray, size: FloatArray) -> FloatAr
     simplex = np.vstack([np.zeros(3), 0.1 * np.eye(3)])
     options: Any = {"initial_simplex": simplex, "xatol": 1e-6, "fatol": 1e-6}
 
-    def out(turn: FloatArray) -> float:
-        return 1e3 * _excess(np.asarray(exp_rotation(turn) @ rotation), hull, size)
+    def excess_mm(tilt: FloatArray) -> float:
+        return 1e3 * _excess(np.asarray(exp_rotation(tilt) @ rotation), hull, size)
 
-    best = minimize(out, np.zeros(3), method="Nelder-Mead", options=options)
+    best = minimize(excess_mm, np.zeros(3), method="Nelder-Mead", options=options)
     return np.asarray(exp_rotation(best.x) @ rotation)
 
 
 def _box_centred_pose(rotation: FloatArray, hull: FloatArray, size: FloatArray) -> FloatArray:
+    """Return the pose (4, 4) with a rotation that centres points (V, 3) in the block."""
     rotated = hull @ rotation.T
-    middle = 0.5 * (rotated.min(axis=0) + rotated.max(axis=0))
-    return from_parts(rotation, np.array([0.0, 0.0, 0.5 * size[2]]) - middle)
+    centre = 0.5 * (rotated.min(axis=0) + rotated.max(axis=0))
+    return from_parts(rotation, np.array([0.0, 0.0, 0.5 * size[2]]) - centre)
 
 
 def surfaces_overhang(parts: Sequence[RuledSurface], size: FloatArray) -> FloatArray:
@@ -207,43 +214,43 @@ def surfaces_overhang(parts: Sequence[RuledSurface], size: FloatArray) -> FloatA
 
 def check_ruled(part: RuledSurface, field: str) -> Iterator[Issue]:
     """Yield issues of a surface: size, rulings without length, rings that cross themselves, folds."""
-    sight = ruling_points(part, np.array([0.0, 0.5, 1.0]))
-    extent = float(np.ptp(sight.reshape(-1, 3), axis=0).max())
+    samples = ruling_points(part, np.array([0.0, 0.5, 1.0]))
+    extent = float(np.ptp(samples.reshape(-1, 3), axis=0).max())
     length = np.linalg.norm(part.end - part.start, axis=1)
     if extent > MAX_EXTENT_M or length.min() < MIN_RULING_LENGTH_M:
-        what = (
+        text = (
             f"surface {part.name} is too long or has too short rulings (got an extent of "
             f"{extent / MM:.4g} mm and rulings from {length.min() / MM:.3g} mm, allowed up to "
             f"{MAX_EXTENT_M / MM:g} mm and rulings of at least {MIN_RULING_LENGTH_M / MM:g} mm); "
             "correct its dimensions, or separate its guides"
         )
-        yield Issue("part.ruled_shape", what, field=field)
+        yield Issue("part.ruled_shape", text, field=field)
         return
-    turn = np.diff(sight[:, 1], axis=0)
-    area = float(np.linalg.norm(np.cross(turn, (part.end - part.start)[1:]), axis=1).sum())
+    steps = np.diff(samples[:, 1], axis=0)
+    area = float(np.linalg.norm(np.cross(steps, (part.end - part.start)[1:]), axis=1).sum())
     if area < 1e-4 * extent * extent:
-        what = f"surface {part.name} has hardly any area: its guides and rulings lie in one line; correct it"
-        yield Issue("part.ruled_shape", what, field=field)
+        text = f"surface {part.name} has hardly any area: its guides and rulings lie in one line; correct it"
+        yield Issue("part.ruled_shape", text, field=field)
         return
     direction = (part.end - part.start).mean(axis=0)
     if part.closed and np.linalg.norm(direction) > 1e-9:
-        flat = sight @ _normal_plane(direction)
+        flat = samples @ _normal_plane(direction)
         for column, name in ((0, "start"), (1, "middle"), (2, "end")):
             if not _is_simple(flat[:, column]):
-                what = (
+                text = (
                     f"surface {part.name}: its ring at the {name} of the rulings crosses itself; correct it"
                 )
-                yield Issue("part.guide", what, field=field)
+                yield Issue("part.guide", text, field=field)
                 return
     fold = _first_fold(part)
     if fold is not None:
-        at = sight[fold, 1] / MM
-        what = (
-            f"surface {part.name} folds over itself near ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm, "
-            "where its "
-            "guides run in opposite directions; reverse one of them, or use another matching"
+        position_mm = samples[fold, 1] / MM
+        text = (
+            f"surface {part.name} folds over itself near ({position_mm[0]:.1f}, {position_mm[1]:.1f}, "
+            f"{position_mm[2]:.1f}) mm, where its guides run in opposite directions; reverse one of them, "
+            "or use another matching"
         )
-        yield Issue("part.ruled_shape", what, field=field)
+        yield Issue("part.ruled_shape", text, field=field)
 
 
 def _is_simple(ring: FloatArray) -> bool:
@@ -257,14 +264,14 @@ def _first_fold(part: RuledSurface) -> int | None:
     """Return the index of the first ruling whose ends face opposite sides, or None."""
     following = np.roll(np.arange(len(part.start)), -1)
     rows = np.arange(len(part.start)) if part.closed else np.arange(len(part.start) - 1)
-    next_one = following[rows]
+    next_rows = following[rows]
     rulings = part.end[rows] - part.start[rows]
-    first, last = (np.cross(e[next_one] - e[rows], rulings) for e in (part.start, part.end))
+    first, last = (np.cross(e[next_rows] - e[rows], rulings) for e in (part.start, part.end))
     size = np.linalg.norm(first, axis=1) * np.linalg.norm(last, axis=1)
     opposite = np.sum(first * last, axis=1) < -1e-6 * size
     moving = size > (1e-7 * np.linalg.norm(rulings, axis=1)) ** 2
-    bad = np.flatnonzero(opposite & moving)
-    return int(rows[bad[0]]) if len(bad) else None
+    folded = np.flatnonzero(opposite & moving)
+    return int(rows[folded[0]]) if len(folded) else None
 
 
 def _normal_plane(direction: FloatArray) -> FloatArray:

@@ -152,14 +152,14 @@ def planar_shell(
         pattern = quad_pattern(
             surface_layout(refine_surface(mesh, count, _LAYOUT_EDGES_PER_SIDE)), count, least_width
         )
-        middle = np.array([pattern.position[ring].mean(axis=0) for ring in pattern.ring])
+        centres = np.array([pattern.position[ring].mean(axis=0) for ring in pattern.ring])
     else:
         points = distribute_points(surface, count)
         label = assign_cells(surface, points)
-        middle = cell_centroids(surface, label, points)
+        centres = cell_centroids(surface, label, points)
         pattern = dual_pattern(surface, label, len(points))
     nearness = MeshDistance(mesh, 0.25 * surface.spacing)
-    return _best_shell(surface, pattern, middle, required, rim, nearness)
+    return _best_shell(surface, pattern, centres, required, rim, nearness)
 
 
 def _best_shell(
@@ -183,7 +183,7 @@ def _best_shell(
         results.append((int(shell.check.faulty(required.min_edge).sum()), shell))
         if results[-1][0] == 0:
             break
-    return min(results, key=lambda pair: pair[0])[1]
+    return min(results, key=lambda result: result[0])[1]
 
 
 def measure_panels(
@@ -198,20 +198,20 @@ def measure_panels(
         bottoms_on_surface: Whether the panels' bottoms are on the surface, else their tops.
     """
     corners = np.array([len(panel.bottom) for panel in panels])
-    measured = np.zeros((8, len(panels)))
+    values = np.zeros((8, len(panels)))
     for count in np.unique(corners).tolist():
-        chosen = np.flatnonzero(corners == count)
-        measured[:, chosen] = _measurements([panels[k] for k in chosen.tolist()])
-    off_plane, off_side, concave, simple, shortest, width, tilt, stretch = measured
+        selected = np.flatnonzero(corners == count)
+        values[:, selected] = _measurements([panels[k] for k in selected.tolist()])
+    off_plane, off_side, concave, simple, shortest, width, tilt, stretch = values
     samples, owner = [], []
     for k, panel in enumerate(panels):
         ring = panel.bottom if bottoms_on_surface else panel.top
         middle = ring.mean(axis=0)
-        both = np.concatenate(
+        points = np.concatenate(
             [ring, 0.5 * (ring + np.roll(ring, -1, axis=0)), 0.5 * (ring + middle), middle[None]]
         )
-        samples.append(both)
-        owner.append(np.full(len(both), k))
+        samples.append(points)
+        owner.append(np.full(len(points), k))
     distances = np.zeros(len(panels))
     np.maximum.at(distances, np.concatenate(owner), surface.distance(np.concatenate(samples))[0])
     return PanelMeasurements(
@@ -230,7 +230,7 @@ def measure_panels(
 
 
 def _measurements(panels: Sequence[ThickPanel]) -> FloatArray:
-    """Return the first eight fields (8, N) of `PanelMeasurements` except ``off_surface``.
+    """Return the first nine fields of `PanelMeasurements` except ``off_surface``, as rows (8, N).
 
     All panels have the same number of corners.
     """
@@ -245,9 +245,9 @@ def _measurements(panels: Sequence[ThickPanel]) -> FloatArray:
         off_plane = np.maximum(off_plane, np.ptp((ring @ n[..., None])[..., 0], axis=1))
         flat = ring @ axes
         edge = np.roll(flat, -1, axis=1) - flat
-        after = np.roll(edge, -1, axis=1)
+        next_edge = np.roll(edge, -1, axis=1)
         size = np.linalg.norm(edge, axis=2)
-        sine = (edge[..., 0] * after[..., 1] - edge[..., 1] * after[..., 0]) / np.maximum(
+        sine = (edge[..., 0] * next_edge[..., 1] - edge[..., 1] * next_edge[..., 0]) / np.maximum(
             size * np.roll(size, -1, axis=1), 1e-300
         )
         concave |= (sine < -1e-9).any(axis=1)
@@ -261,9 +261,9 @@ def _measurements(panels: Sequence[ThickPanel]) -> FloatArray:
     tilt = np.arccos(np.clip(cosine.min(axis=1), -1.0, 1.0))
     stretch = np.where(free, size / np.maximum(np.abs(up), 1e-300), 1.0).max(axis=1)
     quads = np.array([side_quads(panel) for panel in panels])
-    rest = quads - quads.mean(axis=2, keepdims=True)
-    across = np.linalg.svd(rest, full_matrices=False)[2][..., 2, :]
-    off_side = np.abs(rest @ across[..., None]).max(axis=(1, 2, 3))
+    side_offsets = quads - quads.mean(axis=2, keepdims=True)
+    side_normals = np.linalg.svd(side_offsets, full_matrices=False)[2][..., 2, :]
+    off_side = np.abs(side_offsets @ side_normals[..., None]).max(axis=(1, 2, 3))
     return np.array([off_plane, off_side, concave, simple, shortest, _widths(bottom @ axes), tilt, stretch])
 
 
@@ -281,18 +281,18 @@ def _widths(flat: FloatArray) -> FloatArray:
     return np.asarray(np.where(size > 0.0, spans, np.inf).min(axis=1))
 
 
-def _zones(panels: tuple[ThickPanel, ...], chosen: BoolArray) -> tuple[IntArray, ...]:
-    """Return ids of chosen panels that are adjacent to each other, the largest zone first."""
+def _zones(panels: tuple[ThickPanel, ...], is_chosen: BoolArray) -> tuple[IntArray, ...]:
+    """Return the ids of each connected group of panels that ``is_chosen`` (N,) marks, the largest first."""
     pairs = [
         (a, b)
         for a, panel in enumerate(panels)
         for b in panel.across.tolist()
-        if b > a and chosen[a] and chosen[b]
+        if b > a and is_chosen[a] and is_chosen[b]
     ]
     rows = np.array(pairs, dtype=np.int64).reshape(-1, 2)
     size = (len(panels), len(panels))
     _, part = connected_components(
         coo_array((np.ones(len(rows)), (rows[:, 0], rows[:, 1])), shape=size), False
     )
-    groups = [np.flatnonzero(chosen & (part == p)) for p in np.unique(part[chosen])]
+    groups = [np.flatnonzero(is_chosen & (part == p)) for p in np.unique(part[is_chosen])]
     return tuple(sorted(groups, key=lambda group: (-len(group), int(group[0]))))

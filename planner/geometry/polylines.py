@@ -9,17 +9,17 @@ from planner.geometry.units import DEG
 
 
 def thin_rows(points: FloatArray, chord: float, step: float) -> IntArray:
-    """Select rows so that straight moves between them keep a chord error.
+    """Select poses of a tool so that straight moves between them keep a chord error.
 
-    Both ends are kept.
+    The first and the last pose are kept.
 
     Args:
-        points: Rows (N, P, 3) [m] with P points of a tool each.
-        chord: Maximum distance of left-out rows from the straight moves, for each point [m].
-        step: Maximum length of a move [m], unless rows are farther apart.
+        points: P points of the tool at each pose (N, P, 3) [m].
+        chord: Maximum distance of left-out poses from the straight moves, for each point [m].
+        step: Maximum length of a move [m], unless poses are farther apart.
 
     Returns:
-        Indices of the rows (K,).
+        Indices of the selected poses (K,).
     """
     count = len(points)
     lengths = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1, initial=0.0)
@@ -35,16 +35,16 @@ def thin_rows(points: FloatArray, chord: float, step: float) -> IntArray:
     return np.array(kept, dtype=np.int64)
 
 
-def _chord_error(rows: FloatArray, along: FloatArray) -> float:
-    """Return the distance [m] of rows (K, P, 3) from the straight move between both ends.
+def _chord_error(poses: FloatArray, along: FloatArray) -> float:
+    """Return the largest distance [m] of poses (K, P, 3) from the straight move between both ends.
 
     All points of the tool have the same fraction of their paths at a time.
     """
-    start, chord = rows[0], rows[-1] - rows[0]
-    rest = rows - start
+    start, chord = poses[0], poses[-1] - poses[0]
+    offsets = poses - start
     square = max(float((chord * chord).sum()), 1e-18)
-    fraction = np.clip((rest * chord).sum(axis=(1, 2)) / square, 0.0, 1.0)
-    return float(np.linalg.norm(rest - fraction[:, None, None] * chord, axis=2).max())
+    fraction = np.clip((offsets * chord).sum(axis=(1, 2)) / square, 0.0, 1.0)
+    return float(np.linalg.norm(offsets - fraction[:, None, None] * chord, axis=2).max())
 
 
 SHARP_ANGLE_RAD: Final = 31.0 * DEG
@@ -54,20 +54,20 @@ MIN_MOVE_M: Final = 1e-6
 
 
 def stop_flags(tip: FloatArray) -> BoolArray:
-    """Return where a tool stops (N,) in any job: at both ends, at sharp corners, and at rotations in place.
+    """Return whether a tool stops at each point (N,): at both ends, sharp corners, and rotations in place.
 
     Args:
         tip: Positions of the tip (N, 3) [m].
     """
-    out = np.zeros(len(tip), dtype=bool)
-    out[[0, -1]] = True
+    stops = np.zeros(len(tip), dtype=bool)
+    stops[[0, -1]] = True
     step = np.diff(tip, axis=0)
     length = np.linalg.norm(step, axis=1)
-    long_rows = np.flatnonzero(length > MIN_MOVE_M)
-    if len(long_rows) > 1:
-        direction = step[long_rows] / length[long_rows, None]
+    moves = np.flatnonzero(length > MIN_MOVE_M)
+    if len(moves) > 1:
+        direction = step[moves] / length[moves, None]
         cosine = dots(direction[1:], direction[:-1])
-        out[long_rows[1:][cosine < np.cos(SHARP_ANGLE_RAD)]] = True
+        stops[moves[1:][cosine < np.cos(SHARP_ANGLE_RAD)]] = True
     moving = length > MIN_MOVE_M
-    out[1:-1] |= moving[1:] != moving[:-1]  # before and after rotations in place
-    return out
+    stops[1:-1] |= moving[1:] != moving[:-1]  # before and after rotations in place
+    return stops

@@ -103,38 +103,39 @@ def quad_pattern(layout: SurfaceLayout, count: int, least_width: float = 0.0) ->
         PatternError: The layout folds, or the surface is narrower than its panels.
     """
     domain = _domain(layout)
-    size = round(0.5 * float(np.log(domain.area.area / count)) / _LOG_SIZE_STEP)
-    steps = range(size - _SIZE_STEPS, size + _SIZE_STEPS + 1)
-    tried: list[tuple[int, float, int, _Grid]] = []
+    log_size = round(0.5 * float(np.log(domain.area.area / count)) / _LOG_SIZE_STEP)
+    steps = range(log_size - _SIZE_STEPS, log_size + _SIZE_STEPS + 1)
+    candidates: list[tuple[int, float, int, _Grid]] = []
     for step, ratio, p, q in itertools.product(steps, _RATIOS, _PHASES, _PHASES):
         side = np.exp(_LOG_SIZE_STEP * step) * np.array([np.sqrt(ratio), 1.0 / np.sqrt(ratio)])
         grid = _grid(domain, side, (p, q))
-        tried.append((abs(int(grid.cells.sum()) - count), grid.cost, len(tried), grid))
+        candidates.append((abs(int(grid.cells.sum()) - count), grid.cost, len(candidates), grid))
     patterns: list[tuple[float, PanelPattern]] = []
     error: PatternError | None = None
-    for *_, grid in sorted(tried, key=lambda row: row[:3])[:_MAX_PATTERNS]:
+    for *_, grid in sorted(candidates, key=lambda row: row[:3])[:_MAX_PATTERNS]:
         try:
             pattern = _pattern(layout, domain, grid)
-        except PatternError as fault:
-            error = error or fault
+        except PatternError as pattern_error:
+            error = error or pattern_error
             continue
         patterns.append((min(_least_width(pattern.position[ring]) for ring in pattern.ring), pattern))
         if patterns[-1][0] >= _WIDTH_FACTOR * least_width:
             return pattern
     if patterns:
-        return max(patterns, key=lambda pair: pair[0])[1]
+        return max(patterns, key=lambda width_and_pattern: width_and_pattern[0])[1]
     raise error or PatternError("the surface has no room for panels with four sides: request more panels")
 
 
 def _least_width(ring: FloatArray) -> float:
-    """Return the least width [m] of a panel: the least height over one of its sides."""
+    """Return the least width [m] of a panel, which is its smallest height above one of its sides."""
     side = np.roll(ring, -1, axis=0) - ring
-    rest = ring[None] - ring[:, None]
-    heights = np.linalg.norm(np.cross(side[:, None], rest), axis=2)
+    offsets = ring[None] - ring[:, None]
+    heights = np.linalg.norm(np.cross(side[:, None], offsets), axis=2)
     return float((heights.max(axis=1) / np.maximum(np.linalg.norm(side, axis=1), 1e-9)).min())
 
 
 def _domain(layout: SurfaceLayout) -> _Domain:
+    """Return the outline of a layout. Raises `PatternError` if the layout folds or overlaps itself."""
     mesh = layout.surface.mesh
     if len(folded := layout.folded_faces()):
         raise PatternError(
@@ -148,50 +149,54 @@ def _domain(layout: SurfaceLayout) -> _Domain:
     if not area.is_valid:
         # GEOS says where, as in Self-intersection[1.5 2]
         at = np.array([[float(v) for v in shapely.is_valid_reason(area).split("[")[1].rstrip("]").split()]])
-        where = _format_mm(_surface_points(layout, at)[0])
-        raise PatternError(f"the layout along the lines of panels overlaps itself near {where}")
+        position_text = _format_mm(_surface_points(layout, at)[0])
+        raise PatternError(f"the layout along the lines of panels overlaps itself near {position_text}")
     shapely.prepare(area)
     corners = [
         line[np.flatnonzero(turning_angles(mesh.vertices[ring], True) > RIM_CORNER_RAD)]
         for ring, line in zip(rings, outlines, strict=True)
     ]
     step = 0.05 * layout.surface.spacing
-    dense = shapely.get_coordinates(shapely.segmentize(area.boundary, step))
-    return _Domain(area, dense, KDTree(dense), np.concatenate(corners))
+    rim_points = shapely.get_coordinates(shapely.segmentize(area.boundary, step))
+    return _Domain(area, rim_points, KDTree(rim_points), np.concatenate(corners))
 
 
 def _grid(domain: _Domain, side: FloatArray, phase: tuple[float, float]) -> _Grid:
+    """Return a grid over the layout, with corners near the rim moved onto it.
+
+    ``side`` (2,) are the sides of a cell, ``phase`` the offset of a line from the layout's middle [cells].
+    """
     low, high = domain.rim.min(axis=0), domain.rim.max(axis=0)
     middle = 0.5 * (low + high) + np.array(phase) * side
     first, last = np.floor((low - middle) / side - 0.5), np.ceil((high - middle) / side + 0.5)
     u, v = (middle[k] + side[k] * np.arange(first[k], last[k] + 1.0) for k in range(2))
-    at = np.stack(np.meshgrid(u, v, indexing="ij"), axis=2)
-    flat = at.reshape(-1, 2)
+    corners = np.stack(np.meshgrid(u, v, indexing="ij"), axis=2)
+    flat = corners.reshape(-1, 2)
     kind = np.where(shapely.contains_xy(domain.area, flat[:, 0], flat[:, 1]), IN, OUT)
     rim_distance, nearest = domain.tree.query(flat)
     shorter_side = float(side.min())
-    on = np.asarray(rim_distance < _RIM_SNAP_FRACTION * shorter_side)
-    moved_corners = np.where(on[:, None], domain.rim[nearest], flat)
+    is_on_rim = np.asarray(rim_distance < _RIM_SNAP_FRACTION * shorter_side)
+    moved_corners = np.where(is_on_rim[:, None], domain.rim[nearest], flat)
     if len(domain.corners):
         # each corner of the rim takes the corner of the grid that is nearest to it
         corner_distance = np.linalg.norm(flat[:, None] - domain.corners, axis=2)
         nearest_corner = corner_distance.argmin(axis=0)
         for k in np.flatnonzero(corner_distance.min(axis=0) < _CORNER_SNAP_FRACTION * shorter_side).tolist():
-            on[nearest_corner[k]] = True
+            is_on_rim[nearest_corner[k]] = True
             moved_corners[nearest_corner[k]] = domain.corners[k]
-    kind[on] = ON
-    kind, moved_corners = kind.reshape(at.shape[:2]), moved_corners.reshape(at.shape)
+    kind[is_on_rim] = ON
+    kind, moved_corners = kind.reshape(corners.shape[:2]), moved_corners.reshape(corners.shape)
     ring = np.stack([kind[:-1, :-1], kind[1:, :-1], kind[1:, 1:], kind[:-1, 1:]], axis=2)
-    crossed = ((ring == IN) & (np.roll(ring, -1, axis=2) == OUT)).sum(axis=2)
-    crossed += ((ring == OUT) & (np.roll(ring, -1, axis=2) == IN)).sum(axis=2)
-    knots = (ring > OUT).sum(axis=2) + crossed
+    crossing_count = ((ring == IN) & (np.roll(ring, -1, axis=2) == OUT)).sum(axis=2)
+    crossing_count += ((ring == OUT) & (np.roll(ring, -1, axis=2) == IN)).sum(axis=2)
+    knots = (ring > OUT).sum(axis=2) + crossing_count
     cells = (knots >= 3) & ((ring == IN).any(axis=2) | _has_surface_between(domain, ring, moved_corners))
-    moved = np.linalg.norm(moved_corners - at, axis=2) / shorter_side
-    used = np.zeros(kind.shape, dtype=np.bool_)
+    displacement = np.linalg.norm(moved_corners - corners, axis=2) / shorter_side
+    is_used = np.zeros(kind.shape, dtype=np.bool_)
     for i, j in itertools.product((0, 1), (0, 1)):
-        used[i : i + cells.shape[0], j : j + cells.shape[1]] |= cells
-    cost = float((moved[used] ** 2).sum() + _UNEVEN_COST * (cells & (knots != 4)).sum())
-    return _Grid(side, at, moved_corners, kind, cells, cost)
+        is_used[i : i + cells.shape[0], j : j + cells.shape[1]] |= cells
+    cost = float((displacement[is_used] ** 2).sum() + _UNEVEN_COST * (cells & (knots != 4)).sum())
+    return _Grid(side, corners, moved_corners, kind, cells, cost)
 
 
 def _has_surface_between(domain: _Domain, ring: IntArray, moved_corners: FloatArray) -> BoolArray:
@@ -206,41 +211,43 @@ def _has_surface_between(domain: _Domain, ring: IntArray, moved_corners: FloatAr
         [moved_corners[:-1, :-1], moved_corners[1:, :-1], moved_corners[1:, 1:], moved_corners[:-1, 1:]],
         axis=2,
     )
-    on = (ring == ON)[..., None]
-    middle = (corner * on).sum(axis=2) / np.maximum(on.sum(axis=2), 1)
+    is_on_rim = (ring == ON)[..., None]
+    middle = (corner * is_on_rim).sum(axis=2) / np.maximum(is_on_rim.sum(axis=2), 1)
     # corners off the surface count as the ones before them
-    corner = np.where(on, corner, np.roll(corner, 1, axis=2))
-    after = np.roll(corner, -1, axis=2)
-    double = (corner[..., 0] * after[..., 1] - corner[..., 1] * after[..., 0]).sum(axis=2)
+    corner = np.where(is_on_rim, corner, np.roll(corner, 1, axis=2))
+    following = np.roll(corner, -1, axis=2)
+    double_area = (corner[..., 0] * following[..., 1] - corner[..., 1] * following[..., 0]).sum(axis=2)
     size = np.ptp(corner[..., 0], axis=2) * np.ptp(corner[..., 1], axis=2)
     within = shapely.contains_xy(domain.area, middle[..., 0], middle[..., 1])
-    return np.asarray(within & (double > _MIN_FILL * size))
+    return np.asarray(within & (double_area > _MIN_FILL * size))
 
 
 def _pattern(layout: SurfaceLayout, domain: _Domain, grid: _Grid) -> PanelPattern:
+    """Return the panels of a grid. Knots are its corners, and its lines' crossings with the rim."""
     knots: dict[tuple[int, ...], int] = {}
     positions: list[FloatArray] = []
 
     def knot(key: tuple[int, ...], at: FloatArray) -> int:
+        """Return the number of the knot at a corner, or between two corners, which is added if it is new."""
         if key not in knots:
             knots[key] = len(positions)
             positions.append(at)
         return knots[key]
 
     rings: list[list[int]] = []
-    number: dict[tuple[int, int], int] = {}
+    panel_of_cell: dict[tuple[int, int], int] = {}
     for i, j in np.argwhere(grid.cells).tolist():
         ring: list[int] = []
-        around = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
-        for start, end in zip(around, [*around[1:], around[0]], strict=True):
+        cell_corners = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
+        for start, end in zip(cell_corners, [*cell_corners[1:], cell_corners[0]], strict=True):
             if grid.kind[start] != OUT:
                 ring.append(knot((*start, 0, 0), grid.moved_corners[start]))
             if {int(grid.kind[start]), int(grid.kind[end])} == {IN, OUT}:
                 a, b = (start, end) if grid.kind[start] == IN else (end, start)
                 ring.append(knot((*a, *b), _crossing(domain, grid.corners[a], grid.corners[b])))
-        number[i, j] = len(rings)
+        panel_of_cell[i, j] = len(rings)
         rings.append(ring)
-    corner = _mark_corners(domain, grid, number, rings, positions)
+    corner = _mark_corners(domain, grid, panel_of_cell, rings, positions)
     rings = _trimmed(rings, corner)
     _check_covered(layout, domain, grid, rings, positions)
     beyond = {
@@ -266,7 +273,7 @@ def _pattern(layout: SurfaceLayout, domain: _Domain, grid: _Grid) -> PanelPatter
 
 
 def _crossing(domain: _Domain, inside: FloatArray, outside: FloatArray) -> FloatArray:
-    """Return the point at which the line from a corner inside to one outside crosses the rim."""
+    """Return the point nearest to ``inside`` at which the line to ``outside`` crosses the rim."""
     line = shapely.LineString([inside, outside]).intersection(domain.area.boundary)
     crossings = shapely.get_coordinates(line)
     return (
@@ -277,32 +284,32 @@ def _crossing(domain: _Domain, inside: FloatArray, outside: FloatArray) -> Float
 def _mark_corners(
     domain: _Domain,
     grid: _Grid,
-    number: dict[tuple[int, int], int],
+    panel_of_cell: dict[tuple[int, int], int],
     rings: list[list[int]],
     positions: list[FloatArray],
 ) -> BoolArray:
-    """Return which knots are corners of the rim, and add those in the middle of a cell to its panel."""
+    """Add corners of the rim within a cell to its panel, and return which knots (K,) are corners."""
     for at in domain.corners:
-        if min(np.linalg.norm(at - each) for each in positions) < 1e-9:
+        if min(np.linalg.norm(at - position) for position in positions) < 1e-9:
             continue
         cell = np.floor((at - grid.corners[0, 0]) / grid.side).astype(np.int64)
-        panel = number.get((int(cell[0]), int(cell[1])))
+        panel = panel_of_cell.get((int(cell[0]), int(cell[1])))
         if panel is None:
             continue
         ring = rings[panel]
         # between the two knots where it lengthens the outline least
-        longer = [
+        detours = [
             np.linalg.norm(at - positions[a])
             + np.linalg.norm(at - positions[b])
             - np.linalg.norm(positions[a] - positions[b])
             for a, b in zip(ring, [*ring[1:], ring[0]], strict=True)
         ]
-        ring.insert(int(np.argmin(longer)) + 1, len(positions))
+        ring.insert(int(np.argmin(detours)) + 1, len(positions))
         positions.append(at)
-    every = np.array(positions)
+    knots = np.array(positions)
     if not len(domain.corners):
-        return np.zeros(len(every), dtype=np.bool_)
-    return np.asarray(np.linalg.norm(every[:, None] - domain.corners, axis=2).min(axis=1) < 1e-9)
+        return np.zeros(len(knots), dtype=np.bool_)
+    return np.asarray(np.linalg.norm(knots[:, None] - domain.corners, axis=2).min(axis=1) < 1e-9)
 
 
 def _trimmed(rings: list[list[int]], corner: BoolArray) -> list[list[int]]:
@@ -316,13 +323,14 @@ def _trimmed(rings: list[list[int]], corner: BoolArray) -> list[list[int]]:
 def _check_covered(
     layout: SurfaceLayout, domain: _Domain, grid: _Grid, rings: list[list[int]], positions: list[FloatArray]
 ) -> None:
+    """Raise a `PatternError` if a panel crosses itself or is inverted, or a part of the surface is bare."""
     panels = [shapely.Polygon([positions[k] for k in ring]) for ring in rings]
-    poor = [p for p in panels if not (p.is_valid and p.exterior.is_ccw)]
+    faulty = [p for p in panels if not (p.is_valid and p.exterior.is_ccw)]
     bare = domain.area.difference(shapely.union_all([p for p in panels if p.is_valid]))
     bare = bare.buffer(-_UNCOVERED_FRACTION * float(grid.side.min()))
-    wrong = poor[0].centroid if poor else bare.representative_point() if not bare.is_empty else None
-    if wrong is not None:
-        at = _surface_points(layout, shapely.get_coordinates(wrong))[0]
+    fault = faulty[0].centroid if faulty else bare.representative_point() if not bare.is_empty else None
+    if fault is not None:
+        at = _surface_points(layout, shapely.get_coordinates(fault))[0]
         raise PatternError(f"the surface is narrower than its panels near {_format_mm(at)}")
 
 
@@ -334,10 +342,10 @@ def _surface_points(layout: SurfaceLayout, at: FloatArray) -> FloatArray:
         len(at), -1
     )
     a, b, c = (corner[nearest, k] for k in range(3))
-    first, second, rest = b - a, c - a, at[:, None] - a
-    double = first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
-    s = (rest[..., 0] * second[..., 1] - rest[..., 1] * second[..., 0]) / double
-    t = (first[..., 0] * rest[..., 1] - first[..., 1] * rest[..., 0]) / double
+    first, second, offset = b - a, c - a, at[:, None] - a
+    double_area = first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
+    s = (offset[..., 0] * second[..., 1] - offset[..., 1] * second[..., 0]) / double_area
+    t = (first[..., 0] * offset[..., 1] - first[..., 1] * offset[..., 0]) / double_area
     barycentric = np.stack([1.0 - s - t, s, t], axis=2)
     best = barycentric.min(axis=2).argmax(axis=1)
     rows = np.arange(len(at))

@@ -79,8 +79,8 @@ class Patch:
         crossings = crossings[np.diff(crossings, prepend=-1.0) > 2.0 * _PARAMETER_TOLERANCE]
         constant = np.full((len(crossings), 3), at)
         other = crossings[:, None] + _PARAMETER_TOLERANCE * np.array([-1.0, 0.0, 1.0])
-        sight = self.points(constant, other) if across == 0 else self.points(other, constant)
-        steps = np.diff(sight, axis=1)
+        samples = self.points(constant, other) if across == 0 else self.points(other, constant)
+        steps = np.diff(samples, axis=1)
         cross = np.linalg.norm(np.cross(steps[:, 0], steps[:, 1]), axis=1)
         return crossings, np.arctan2(cross, np.sum(steps[:, 0] * steps[:, 1], axis=1))
 
@@ -92,7 +92,15 @@ def patch_of_surface(
     mesh: TriangleMesh,
     flip: bool,
 ) -> Patch:
-    """Return the region of a surface, with its tessellation."""
+    """Return a rectangular region of a surface as a patch.
+
+    Args:
+        surface: The surface.
+        u: Range of u.
+        v: Range of v.
+        mesh: Tessellation of the region, with normals away from the part.
+        flip: Whether dS/du x dS/dv points into the part.
+    """
 
     def points(a: FloatArray, b: FloatArray) -> FloatArray:
         a, b = np.broadcast_arrays(a, b)
@@ -107,22 +115,26 @@ def patch_of_mesh(mesh: TriangleMesh, field: str) -> Patch:
     Corners are where the boundary turns most, by 20 degrees or more. u = 0 is the first side of the longer
     pair.
 
+    Args:
+        mesh: The mesh.
+        field: Field of the issue.
+
     Raises:
-        TandemError: The boundary has no four such corners (``part.patch``).
+        TandemError: The mesh has several boundaries, or not exactly four such corners (``part.patch``).
     """
     rings = boundary_rings(mesh)
     if len(rings) != 1:
-        what = f"the mesh has {len(rings)} boundaries, a patch has 1; close its holes, or cut it open if it "
-        raise _refuse(field, what + "is closed around an axis")
+        text = f"the mesh has {len(rings)} boundaries, a patch has 1; close its holes, or cut it open if it "
+        raise _refuse(field, text + "is closed around an axis")
     ring = rings[0]
-    turn = turning_angles(mesh.vertices[ring], True)
-    order = np.argsort(-turn, kind="stable")
-    count = int((turn >= 20.0 * DEG).sum())
-    what = f"the boundary has {count} corners of 20 degrees or more, a patch has 4"
+    angles = turning_angles(mesh.vertices[ring], True)
+    order = np.argsort(-angles, kind="stable")
+    count = int((angles >= 20.0 * DEG).sum())
+    text = f"the boundary has {count} corners of 20 degrees or more, a patch has 4"
     if len(ring) < 4 or count < 4:
-        raise _refuse(field, f"{what}; cut it so that it has four sides")
-    if len(ring) > 4 and turn[order[4]] > 0.7 * turn[order[3]] and turn[order[4]] > 20.0 * DEG:
-        raise _refuse(field, f"{what}; smooth the others, or cut it so that it has four sides")
+        raise _refuse(field, f"{text}; cut it so that it has four sides")
+    if len(ring) > 4 and angles[order[4]] > 0.7 * angles[order[3]] and angles[order[4]] > 20.0 * DEG:
+        raise _refuse(field, f"{text}; smooth the others, or cut it so that it has four sides")
     corner = np.sort(order[:4])
     ring = np.roll(ring, -int(corner[0]))
     corner = np.append(corner - corner[0], len(ring))
@@ -140,14 +152,14 @@ def patch_of_mesh(mesh: TriangleMesh, field: str) -> Patch:
         out = inside(np.stack([u, v], axis=-1))
         # the square's sides counterclockwise: v = 0, u = 1, v = 1, u = 0
         rims = ((v <= 1e-9, u), (u >= 1 - 1e-9, v), (v >= 1 - 1e-9, 1 - u), (u <= 1e-9, 1 - v))
-        for (at, fractions), (side, side_fractions) in zip(rims, sides, strict=True):
-            if at.any():
-                out[at] = interpolate_polyline(side, side_fractions, fractions[at])
+        for (on_side, fractions), (side, side_fractions) in zip(rims, sides, strict=True):
+            if on_side.any():
+                out[on_side] = interpolate_polyline(side, side_fractions, fractions[on_side])
         return out
 
     pairs = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    once, used = np.unique(pairs, axis=0, return_counts=True)
-    return Patch(points, mesh, True, uv[once[used > 1]])
+    edges, use_count = np.unique(pairs, axis=0, return_counts=True)
+    return Patch(points, mesh, True, uv[edges[use_count > 1]])
 
 
 def _facet_points(mesh: TriangleMesh, uv: FloatArray) -> Callable[[FloatArray], FloatArray]:
@@ -164,10 +176,10 @@ def _facet_points(mesh: TriangleMesh, uv: FloatArray) -> Callable[[FloatArray], 
     side = flat[:, 1:] - flat[:, :1]
     area = side[:, 0, 0] * side[:, 1, 1] - side[:, 0, 1] * side[:, 1, 0]
 
-    def at(coordinates: FloatArray) -> FloatArray:
-        rows = coordinates.reshape(-1, 2)
-        facet = tree.nearest(shapely.points(rows))
-        offsets = rows - flat[facet, 0]
+    def points_at(coordinates: FloatArray) -> FloatArray:
+        flat_points = coordinates.reshape(-1, 2)
+        facet = tree.nearest(shapely.points(flat_points))
+        offsets = flat_points - flat[facet, 0]
         first, second = side[facet, 0], side[facet, 1]
         size = np.where(np.abs(area[facet]) > 1e-300, area[facet], 1e-300)
         b = (offsets[:, 0] * second[:, 1] - offsets[:, 1] * second[:, 0]) / size
@@ -176,7 +188,7 @@ def _facet_points(mesh: TriangleMesh, uv: FloatArray) -> Callable[[FloatArray], 
         out = np.sum(weight * mesh.vertices[mesh.faces[facet]], axis=1)
         return np.asarray(out.reshape(*coordinates.shape[:-1], 3))
 
-    return at
+    return points_at
 
 
 def _rim_coordinates(mesh: TriangleMesh, ring: IntArray, corner: IntArray) -> FloatArray:
@@ -192,19 +204,19 @@ def _rim_coordinates(mesh: TriangleMesh, ring: IntArray, corner: IntArray) -> Fl
 
 
 def _flattened(mesh: TriangleMesh, ring: IntArray, flat: FloatArray) -> FloatArray:
-    """Return coordinates (V, 2) of all vertices, by mean value weights."""
+    """Return coordinates (V, 2) of all vertices from those of the boundary (n, 2), by mean value weights."""
     count = len(mesh.vertices)
     corner = mesh.vertices[mesh.faces]
     edge = np.roll(corner, -1, axis=1) - corner
     length = np.maximum(np.linalg.norm(edge, axis=2), 1e-300)
     unit = edge / length[..., None]
     cosine = np.clip(-np.sum(unit * np.roll(unit, 1, axis=1), axis=2), -1.0, 1.0)
-    half = np.tan(0.5 * np.arccos(cosine))  # tangent of half the angle at every corner
+    tangent = np.tan(0.5 * np.arccos(cosine))  # of the angle at every corner
     vertices = mesh.faces
     following, previous = np.roll(vertices, -1, axis=1), np.roll(vertices, 1, axis=1)
     row = np.concatenate([vertices.ravel(), vertices.ravel()])
     column = np.concatenate([following.ravel(), previous.ravel()])
-    weight = np.concatenate([(half / length).ravel(), (half / np.roll(length, 1, axis=1)).ravel()])
+    weight = np.concatenate([(tangent / length).ravel(), (tangent / np.roll(length, 1, axis=1)).ravel()])
     matrix = csr_array(coo_array((weight, (row, column)), shape=(count, count)))
     total = np.asarray(matrix.sum(axis=1)).ravel()
     free = np.setdiff1d(np.arange(count), ring)
@@ -218,8 +230,8 @@ def _flattened(mesh: TriangleMesh, ring: IntArray, flat: FloatArray) -> FloatArr
     return uv
 
 
-def _refuse(field: str, what: str) -> TandemError:
-    return issue_error("part.patch", what, field=field)
+def _refuse(field: str, message: str) -> TandemError:
+    return issue_error("part.patch", message, field=field)
 
 
 Across = Literal["u", "v"]
@@ -281,23 +293,23 @@ def cut_strips(patch: Patch, across: Across, tolerance: float, count: int | None
         if strips.deviation.max() <= tolerance:
             break
         if number >= MAX_STRIPS:
-            what = (
+            message = (
                 f"{MAX_STRIPS} strips deviate too far from the surface (got "
                 f"{strips.deviation.max() / MM:.3g} mm, allowed {tolerance / MM:g} mm); "
                 "increase the tolerance, or cut a smaller region"
             )
             raise issue_error(
                 "part.strips",
-                what,
+                message,
                 field=field,
                 **measurement(float(strips.deviation.max() / MM), tolerance / MM, "mm"),
             )
         low, number = number, min(MAX_STRIPS, 2 * number)
     while number - low > 1:
         middle = (number + low) // 2
-        tried = _measured_strips(patch, across, fractions, middle, nearness)
-        if tried.deviation.max() <= tolerance:
-            number, strips = middle, tried
+        trial = _measured_strips(patch, across, fractions, middle, nearness)
+        if trial.deviation.max() <= tolerance:
+            number, strips = middle, trial
         else:
             low = middle
     return _with_fold_rulings(patch, across, strips)
@@ -337,17 +349,23 @@ def _strip_fractions(patch: Patch, across: Across) -> FloatArray:
 def _measured_strips(
     patch: Patch, across: Across, fractions: FloatArray, count: int, nearness: MeshDistance
 ) -> RuledStrips:
+    """Return a surface in ``count`` strips, with their deviations and kinks.
+
+    ``fractions`` are those of :func:`_strip_fractions`.
+    """
     breaks = np.interp(np.linspace(0.0, 1.0, count + 1), fractions, np.linspace(0.0, 1.0, len(fractions)))
     breaks[[0, -1]] = 0.0, 1.0
-    rows = parameter_grid(patch, across, breaks, np.linspace(0.0, 1.0, _RULINGS_PER_STRIP + 1))
+    curves = parameter_grid(patch, across, breaks, np.linspace(0.0, 1.0, _RULINGS_PER_STRIP + 1))
     # tangent x ruling is dS/du x dS/dv for strips across v and its opposite for strips across u
     if (across == "u") == patch.outward:
-        rows = rows[:, ::-1]
-    bent = np.array([turning_angles(row, False) > CORNER_ANGLE_RAD for row in rows])
-    strips = tuple(RuledSurface("strip", rows[k], rows[k + 1], bent[k] | bent[k + 1]) for k in range(count))
+        curves = curves[:, ::-1]
+    is_corner = np.array([turning_angles(curve, False) > CORNER_ANGLE_RAD for curve in curves])
+    strips = tuple(
+        RuledSurface("strip", curves[k], curves[k + 1], is_corner[k] | is_corner[k + 1]) for k in range(count)
+    )
     inner = np.linspace(0.0, 1.0, 7)[1:-1]
-    sight = np.concatenate([ruling_points(s, inner)[::8].reshape(-1, 3) for s in strips])
-    distances = nearness.distance(sight)[0].reshape(count, -1).max(axis=1)
+    samples = np.concatenate([ruling_points(s, inner)[::8].reshape(-1, 3) for s in strips])
+    distances = nearness.distance(samples)[0].reshape(count, -1).max(axis=1)
     normals = [outward_normals(s) for s in strips]
     kink = [_angle(first[1], second[0]).max() for first, second in itertools.pairwise(normals)]
     return RuledStrips(strips, distances, np.array(kink), breaks)
@@ -366,11 +384,11 @@ def _with_fold_rulings(patch: Patch, across: Across, strips: RuledStrips) -> Rul
         near_kink = np.abs(even[:, None] - kinks).min(axis=1, initial=np.inf) < 0.25 / _RULINGS_PER_STRIP
         near_kink[[0, -1]] = False
         parameters = np.sort(np.concatenate([even[~near_kink], kinks]))
-        rows = parameter_grid(patch, across, strips.breaks[k : k + 2], parameters)
+        curves = parameter_grid(patch, across, strips.breaks[k : k + 2], parameters)
         corner = np.isin(parameters, kinks)
         if (across == "u") == patch.outward:
-            rows, corner = rows[:, ::-1], corner[::-1]
-        out.append(RuledSurface(strip.name, rows[0], rows[1], corner))
+            curves, corner = curves[:, ::-1], corner[::-1]
+        out.append(RuledSurface(strip.name, curves[0], curves[1], corner))
     return dataclasses.replace(strips, strips=tuple(out))
 
 
@@ -380,13 +398,15 @@ def _kinks(patch: Patch, across: Across, at: float) -> FloatArray:
     If all facets are so small that folds are closer together than `SMOOTH_FACET_LENGTH_M`, they represent a
     smooth curve.
     """
-    crossings, turn = patch.folds(0 if across == "u" else 1, at)
-    crossings, turn = crossings[turn > KINK_ANGLE_RAD], turn[turn > KINK_ANGLE_RAD]
+    crossings, angles = patch.folds(0 if across == "u" else 1, at)
+    crossings, angles = crossings[angles > KINK_ANGLE_RAD], angles[angles > KINK_ANGLE_RAD]
     ends = np.concatenate([[0.0], crossings, [1.0]])
     points = parameter_grid(patch, across, np.array([at]), ends)[0]
     lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
     return np.asarray(
-        crossings[(np.maximum(lengths[:-1], lengths[1:]) > SMOOTH_FACET_LENGTH_M) | (turn > CORNER_ANGLE_RAD)]
+        crossings[
+            (np.maximum(lengths[:-1], lengths[1:]) > SMOOTH_FACET_LENGTH_M) | (angles > CORNER_ANGLE_RAD)
+        ]
     )
 
 
@@ -400,8 +420,7 @@ def strip_notes(strips: RuledStrips) -> str:
     kinks = ", ".join(f"{v / DEG:.2f}" for v in strips.kink) or "none"
     return (
         f"{len(strips.strips)} ruled strips; largest deviation of each from the surface [mm]: {deviations}; "
-        "kinks between "
-        f"neighbours [deg]: {kinks}"
+        f"kinks between neighbours [deg]: {kinks}"
     )
 
 
@@ -456,13 +475,15 @@ def find_rulings(patch: Patch, name: str) -> tuple[RuledSurface, RuledDeviation]
 def deviation(ruled: RuledSurface, mesh: TriangleMesh, nearness: MeshDistance) -> RuledDeviation:
     """Return the distance between the ruled surface and the mesh, measured from both."""
     resampled = resample(ruled, 1e-4, max(2.0 * deviation_step(mesh), 1e-3))
-    sight = ruling_points(resampled, np.linspace(0.0, 1.0, 21)).reshape(-1, 3)
+    samples = ruling_points(resampled, np.linspace(0.0, 1.0, 21)).reshape(-1, 3)
     facets = tessellate(resampled, 1e-5)
     other = MeshDistance(TriangleMesh(facets.vertices, facets.faces), _spacing(mesh))
-    seen = np.concatenate([sight, mesh.vertices])
-    distances = np.concatenate([nearness.distance(sight)[0], other.distance(mesh.vertices)[0]])
-    worst = int(np.argmax(distances))
-    return RuledDeviation(float(distances[worst]), float(np.quantile(distances, 0.95)), seen[worst])
+    points = np.concatenate([samples, mesh.vertices])
+    distances = np.concatenate([nearness.distance(samples)[0], other.distance(mesh.vertices)[0]])
+    worst_index = int(np.argmax(distances))
+    return RuledDeviation(
+        float(distances[worst_index]), float(np.quantile(distances, 0.95)), points[worst_index]
+    )
 
 
 def deviation_step(mesh: TriangleMesh) -> float:
@@ -471,35 +492,37 @@ def deviation_step(mesh: TriangleMesh) -> float:
 
 
 def _spacing(mesh: TriangleMesh) -> float:
+    """Return the spacing [m] of samples for distances from a mesh."""
     return float(np.ptp(mesh.vertices, axis=0).max()) / 150.0
 
 
 def _matched(name: str, start: RuledGuide, end: RuledGuide, nearness: MeshDistance) -> RuledSurface:
+    """Return the ruled surface between two guides that is nearest to the surface of ``nearness``."""
     fractions = [arc_length(g.points) / g.length for g in (start, end)]
     size = max(start.length, end.length)
 
-    def ruling(s: FloatArray, t: FloatArray) -> FloatArray:
-        """Distances (K, A) of points along rulings from the surface, per size."""
-        a, b = (
-            interpolate_polyline(start.points, fractions[0], s),
-            interpolate_polyline(end.points, fractions[1], t),
-        )
-        sight = (1.0 - _RULING_FRACTIONS[:, None]) * a[:, None] + _RULING_FRACTIONS[:, None] * b[:, None]
-        return nearness.distance(sight.reshape(-1, 3))[0].reshape(len(s), -1) / size
+    def ruling_distances(s: FloatArray, t: FloatArray) -> FloatArray:
+        """Return distances (K, A) of points along rulings from the surface, per length of the guides."""
+        a = interpolate_polyline(start.points, fractions[0], s)
+        b = interpolate_polyline(end.points, fractions[1], t)
+        samples = (1.0 - _RULING_FRACTIONS[:, None]) * a[:, None] + _RULING_FRACTIONS[:, None] * b[:, None]
+        return nearness.distance(samples.reshape(-1, 3))[0].reshape(len(s), -1) / size
 
     even = np.linspace(0.0, 1.0, _CURVE_GRID_INTERVALS + 1)
     s, t = (w.ravel() for w in np.meshgrid(even, even, indexing="ij"))
-    cost = np.sum(ruling(s, t) ** 2, axis=1).reshape(_CURVE_GRID_INTERVALS + 1, _CURVE_GRID_INTERVALS + 1)
+    cost = np.sum(ruling_distances(s, t) ** 2, axis=1).reshape(
+        _CURVE_GRID_INTERVALS + 1, _CURVE_GRID_INTERVALS + 1
+    )
     cost += 1e-9 * (even[:, None] - even[None, :]) ** 2
-    s, t = best_path(cost, ruling, 1e-9, 1e-11)
+    s, t = best_path(cost, ruling_distances, 1e-9, 1e-11)
     path = np.unique(np.concatenate([s + t, np.linspace(0.0, 2.0, _INTERVALS_PER_SIDE + 1)]))
-    own_s, own_t = np.interp(path, s + t, s), np.interp(path, s + t, t)
-    smooth = np.zeros(len(path), dtype=np.bool_)
+    path_s, path_t = np.interp(path, s + t, s), np.interp(path, s + t, t)
+    no_corner = np.zeros(len(path), dtype=np.bool_)
     ruled = RuledSurface(
         name,
-        interpolate_polyline(start.points, fractions[0], own_s),
-        interpolate_polyline(end.points, fractions[1], own_t),
-        smooth,
+        interpolate_polyline(start.points, fractions[0], path_s),
+        interpolate_polyline(end.points, fractions[1], path_t),
+        no_corner,
     )
     return resample(ruled, 0.5e-5, 1.0)
 

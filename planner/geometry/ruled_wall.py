@@ -15,7 +15,15 @@ CHORD_ERROR_M: Final = 3e-5
 
 @dataclasses.dataclass(frozen=True)
 class RuledWall:
-    """A ruled surface over (u, t): length along it, and fraction of the ruling from its start."""
+    """A ruled surface over (u, t): length along it, and fraction of the ruling from its start.
+
+    Attributes:
+        nodes: Values of u at its rulings (M,) [m].
+        ends: Start and end of these rulings (M, 2, 3) [m].
+        slopes: Derivatives of the ends by u (M, 2, 3).
+        mitres: Vectors from the back to the front of a wall of thickness 1 at the ends (M, 2, 3), None if
+            they are the normals.
+    """
 
     nodes: FloatArray
     ends: FloatArray
@@ -33,16 +41,16 @@ class RuledWall:
         return np.concatenate([[low], inside, [high]])
 
     def points(self, u: FloatArray, t: FloatArray) -> FloatArray:
-        """Return points (..., 3) [m] at u, t (...)."""
-        at = self._interpolate(self.ends, u) + (u - np.clip(u, *self.nodes[[0, -1]]))[
+        """Return points (..., 3) [m] at u, t (...). The surface is extended along its slopes at both ends."""
+        ends = self._interpolate(self.ends, u) + (u - np.clip(u, *self.nodes[[0, -1]]))[
             ..., None, None
         ] * self._interpolate(self.slopes, u)
-        return _along_rulings(at, t)
+        return _along_rulings(ends, t)
 
     def tangents(self, u: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return derivatives (..., 3) by u, and by t [m], at u, t (...)."""
-        at = self._interpolate(self.ends, u)
-        return _along_rulings(self._interpolate(self.slopes, u), t), at[..., 1, :] - at[..., 0, :]
+        ends = self._interpolate(self.ends, u)
+        return _along_rulings(self._interpolate(self.slopes, u), t), ends[..., 1, :] - ends[..., 0, :]
 
     def normals(self, u: FloatArray, t: FloatArray) -> FloatArray:
         """Return outward unit normals (..., 3) at u, t (...)."""
@@ -66,6 +74,7 @@ class RuledWall:
 
 
 def _along_rulings(ends: FloatArray, t: FloatArray) -> FloatArray:
+    """Return values (..., 3) at the fractions t (...) between those at both ends (..., 2, 3)."""
     fraction = t[..., None]
     return np.asarray((1.0 - fraction) * ends[..., 0, :] + fraction * ends[..., 1, :])
 

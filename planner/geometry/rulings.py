@@ -95,38 +95,38 @@ def _kept_indices(start: FloatArray, end: FloatArray, chord: float, step: float)
         bend = np.zeros(len(start))
         unit = np.diff(lines, axis=0) / np.maximum(length, 1e-15)[:, :, None]
         moving = (length[1:] > _STILL_DISTANCE_M) & (length[:-1] > _STILL_DISTANCE_M)
-        turn = np.linalg.norm(np.diff(unit, axis=0), axis=2) * moving
-        # the chord of a bow of turn t over the way w has the sagitta t w / 8
-        bend[1:-1] = (turn / np.maximum(0.5 * (length[1:] + length[:-1]), 1e-15)).max(axis=1)
+        turning = np.linalg.norm(np.diff(unit, axis=0), axis=2) * moving
+        # an arc that turns by t over the length w has the sagitta t w / 8
+        bend[1:-1] = (turning / np.maximum(0.5 * (length[1:] + length[:-1]), 1e-15)).max(axis=1)
         bend[0], bend[-1] = bend[1], bend[-2]
         density = np.maximum(density, np.sqrt(np.maximum(bend[1:], bend[:-1]) / (8.0 * chord)))
-    spent = np.concatenate([[0.0], np.cumsum(density * travel)])
-    whole = np.concatenate([[0.0], np.cumsum(travel)])
-    cells = max(1, int(np.ceil(spent[-1] - 1e-9)))
-    sight = ruling_points(
+    total = np.concatenate([[0.0], np.cumsum(density * travel)])
+    distance = np.concatenate([[0.0], np.cumsum(travel)])
+    cells = max(1, int(np.ceil(total[-1] - 1e-9)))
+    samples = ruling_points(
         RuledSurface("", start, end, np.zeros(len(start), dtype=np.bool_)), _FRACTIONS_ALONG
     )
     while True:
-        indices = np.interp(np.linspace(0.0, spent[-1], cells + 1), spent, np.arange(len(spent)))
-        longest_step = np.diff(np.interp(indices, np.arange(len(whole)), whole)).max()
-        excess = max(_deviation(sight, indices) / chord, (longest_step / step) ** 2)
+        indices = np.interp(np.linspace(0.0, total[-1], cells + 1), total, np.arange(len(total)))
+        longest_step = np.diff(np.interp(indices, np.arange(len(distance)), distance)).max()
+        excess = max(_deviation(samples, indices) / chord, (longest_step / step) ** 2)
         if excess <= 1.0 + 1e-6 or cells >= 8 * len(start):
             return np.asarray(indices)
         cells = max(cells + 1, int(np.ceil(cells * min(2.0, np.sqrt(excess)))))
 
 
-def _deviation(sight: FloatArray, indices: FloatArray) -> float:
+def _deviation(samples: FloatArray, indices: FloatArray) -> float:
     """Return the largest distance [m] of given points (M, K, 3) from the patches between rulings.
 
     Args:
-        sight: The points.
+        samples: The points.
         indices: Fractional indices of the rulings.
     """
-    count = len(sight)
-    ends = _rows_at(sight.reshape(count, -1), indices).reshape(len(indices), *sight.shape[1:])
+    count = len(samples)
+    ends = _rows_at(samples.reshape(count, -1), indices).reshape(len(indices), *samples.shape[1:])
     cell = np.clip(np.searchsorted(indices, np.arange(count), side="right") - 1, 0, len(indices) - 2)
     base, rulings = ends[cell], ends[cell + 1] - ends[cell]
-    offset = sight - base
+    offset = samples - base
     square = np.maximum(np.sum(rulings * rulings, axis=2, keepdims=True), 1e-300)
     fractions = np.clip(np.sum(offset * rulings, axis=2, keepdims=True) / square, 0.0, 1.0)
     return float(np.linalg.norm(offset - fractions * rulings, axis=2).max())
@@ -183,9 +183,9 @@ def outward_sides(ruled: RuledSurface) -> tuple[FloatArray, FloatArray]:
     lines = np.stack([ruled.start, ruled.end], axis=1)
     previous, following = np.zeros_like(lines), np.zeros_like(lines)
     for piece in smooth_pieces(ruled):
-        whole = ruled.closed and len(piece) == len(lines) + 1 and not ruled.corner.any()
-        tangent = _ring_tangents(lines) if whole else _tangents(lines[piece])
-        if whole:
+        is_smooth_ring = ruled.closed and len(piece) == len(lines) + 1 and not ruled.corner.any()
+        tangent = _ring_tangents(lines) if is_smooth_ring else _tangents(lines[piece])
+        if is_smooth_ring:
             return (_normals(tangent, lines),) * 2
         normal = _normals(tangent, lines[piece])
         following[piece[:-1]] = normal[:-1]
@@ -218,13 +218,14 @@ def _tangents(lines: FloatArray) -> FloatArray:
 
 
 def _normals(tangent: FloatArray, lines: FloatArray) -> FloatArray:
+    """Return unit normals (M, 2, 3) of both ends. An end without one, as a cone's tip, gets the other's."""
     direction = (lines[:, 1] - lines[:, 0])[:, None]
     cross = np.cross(tangent, direction)
     size = np.linalg.norm(cross, axis=2, keepdims=True)
     length = np.maximum(np.linalg.norm(direction, axis=2, keepdims=True), _STILL_DISTANCE_M)
-    good = size > 1e-6 * length
-    normal = np.where(good, cross / np.maximum(size, 1e-300), 0.0)
-    return np.asarray(np.where(good, normal, normal[:, ::-1]))
+    has_normal = size > 1e-6 * length
+    normal = np.where(has_normal, cross / np.maximum(size, 1e-300), 0.0)
+    return np.asarray(np.where(has_normal, normal, normal[:, ::-1]))
 
 
 EDGES_NAME: Final = "edges"
@@ -269,29 +270,29 @@ def edge_surface(front: TriangleMesh, back: TriangleMesh, displaced_front: bool)
     rings = boundary_rings(front), boundary_rings(back)
     for name, boundaries_of_face in zip(("front", "back"), rings, strict=True):
         if len(boundaries_of_face) != 1:
-            why = f"the {name} face has {len(boundaries_of_face)} boundaries instead of 1"
-            return _no_edges_note(why, "close its holes and remove other pieces")
+            reason = f"the {name} face has {len(boundaries_of_face)} boundaries instead of 1"
+            return _no_edges_note(reason, "close its holes and remove other pieces")
     # seen from the front clockwise, so that this direction x the rulings, to the back, points outwards
-    first = rings[0][0][::-1]
+    front_ring = rings[0][0][::-1]
     if displaced_front:
-        start, end = front.vertices[first], back.vertices[first]
+        start, end = front.vertices[front_ring], back.vertices[front_ring]
         corner = (turning_angles(start, True) > CORNER_ANGLE_RAD) | (
             turning_angles(end, True) > CORNER_ANGLE_RAD
         )
         return resample(RuledSurface(EDGES_NAME, start, end, corner, closed=True), _GUIDE_CHORD_M, 1.0)
-    guide = polyline_guide(front.vertices[first], closed=True)
-    other = polyline_guide(back.vertices[rings[1][0]], closed=True)
-    counts = int(guide.corner.sum()), int(other.corner.sum())
+    front_guide = polyline_guide(front.vertices[front_ring], closed=True)
+    back_guide = polyline_guide(back.vertices[rings[1][0]], closed=True)
+    counts = int(front_guide.corner.sum()), int(back_guide.corner.sum())
     if counts[0] != counts[1]:
-        why = f"the front's boundary has {counts[0]} corners and the back's {counts[1]}"
-        return _no_edges_note(why, "make the numbers of corners equal")
-    guide, other, _ = align_guides(guide, other, "arc_length")
-    return resample(join_guides(EDGES_NAME, guide, other), _GUIDE_CHORD_M, 1.0)
+        reason = f"the front's boundary has {counts[0]} corners and the back's {counts[1]}"
+        return _no_edges_note(reason, "make the numbers of corners equal")
+    front_guide, back_guide, _ = align_guides(front_guide, back_guide, "arc_length")
+    return resample(join_guides(EDGES_NAME, front_guide, back_guide), _GUIDE_CHORD_M, 1.0)
 
 
-def _no_edges_note(why: str, do: str) -> Issue:
-    what = format_message("part.edges", reason=why, remedy=do)
-    return Issue("part.edges", what, Severity.NOTE, field="part.back")
+def _no_edges_note(reason: str, remedy: str) -> Issue:
+    message = format_message("part.edges", reason=reason, remedy=remedy)
+    return Issue("part.edges", message, Severity.NOTE, field="part.back")
 
 
 def _length(points: FloatArray) -> float:

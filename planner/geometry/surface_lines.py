@@ -78,38 +78,38 @@ def smooth_lines(
     extents = [_mean_distances(rough), _mean_distances(rough.swapaxes(0, 1))]
     for ends in (rough[[0, -1]], rough[:, [0, -1]].swapaxes(0, 1)):
         if lengths(ends[1] - ends[0]).max() < CLOSED_DISTANCE_M:
-            what = "the surface is closed: two of its sides coincide; divide it into two halves"
-            raise issue_error("element.surface", what, field="surface")
+            text = "the surface is closed: two of its sides coincide; divide it into two halves"
+            raise issue_error("element.surface", text, field="surface")
     for axis in (0, 1):
         if lengths(np.diff(rough, axis=axis)).sum(axis=axis).min() < CLOSED_DISTANCE_M:
-            what = "the surface comes to a point: one of its sides has no length; trim it before that point"
-            raise issue_error("element.surface", what, field="surface")
+            text = "the surface comes to a point: one of its sides has no length; trim it before that point"
+            raise issue_error("element.surface", text, field="surface")
     count = int(np.clip(np.ceil(extents[0][-1] / LINE_STEP_M), *LINE_INTERVALS))
     distances = np.linspace(0.0, extents[0][-1], count + 1)
     parameters = np.interp(distances, extents[0], even)
-    sight = np.linspace(0.0, 1.0, int(np.clip(np.ceil(extents[1][-1] / LINE_STEP_M), *SAMPLE_INTERVALS)) + 1)
-    samples = parameter_grid(patch, across, parameters, sight)
-    max_knots = max(1, int(min(extents[1][-1] / MIN_KNOT_STEP_M, len(sight) / 3)))
+    along = np.linspace(0.0, 1.0, int(np.clip(np.ceil(extents[1][-1] / LINE_STEP_M), *SAMPLE_INTERVALS)) + 1)
+    samples = parameter_grid(patch, across, parameters, along)
+    max_knots = max(1, int(min(extents[1][-1] / MIN_KNOT_STEP_M, len(along) / 3)))
     knots = min(4, max_knots)
     while True:
-        spline = _spline(sight, samples, knots)
-        smoothed = spline(sight).swapaxes(0, 1)
+        spline = _spline(along, samples, knots)
+        smoothed = spline(along).swapaxes(0, 1)
         # inner lines may slide in the surface, rims may not
-        slid = nearness.distance(smoothed[::4, ::4].reshape(-1, 3))[0].max()
-        rims = lengths(smoothed[[0, -1]] - samples[[0, -1]]).max()
-        if max(slid, rims) <= SMOOTHING_FRACTION * tolerance or knots == max_knots:
+        max_slip = nearness.distance(smoothed[::4, ::4].reshape(-1, 3))[0].max()
+        rim_deviation = lengths(smoothed[[0, -1]] - samples[[0, -1]]).max()
+        if max(max_slip, rim_deviation) <= SMOOTHING_FRACTION * tolerance or knots == max_knots:
             break
         knots = min(2 * knots, max_knots)
-    at = _nodes(spline, sight, step)
+    nodes = _nodes(spline, along, step)
     if (across == "u") == patch.outward:  # tangent x ruling is dS/du x dS/dv across v, its opposite across u
-        at = at[::-1]
-    lines = np.ascontiguousarray(spline(at).swapaxes(0, 1))
+        nodes = nodes[::-1]
+    lines = np.ascontiguousarray(spline(nodes).swapaxes(0, 1))
     return SurfaceLines(lines, parameters, distances, _mean_distances(lines.swapaxes(0, 1)))
 
 
-def _mean_distances(rows: FloatArray) -> FloatArray:
-    """Return the mean distance (A,) [m] of rows of points (A, B, 3) from the first."""
-    steps = lengths(np.diff(rows, axis=0)).mean(axis=1)
+def _mean_distances(lines: FloatArray) -> FloatArray:
+    """Return the mean distance (A,) [m] of lines of points (A, B, 3) from the first line."""
+    steps = lengths(np.diff(lines, axis=0)).mean(axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
@@ -120,24 +120,24 @@ def _spline(at: FloatArray, samples: FloatArray, intervals: int) -> BSpline:
     return make_lsq_spline(at, samples.swapaxes(0, 1), knots, k=3)
 
 
-def _nodes(spline: BSpline, sight: FloatArray, step: float) -> FloatArray:
-    """Return values (M,) of the parameter for chords within ``CHORD`` and up to ``step`` [m] long."""
-    fine = np.linspace(0.0, 1.0, 4 * (len(sight) - 1) + 1)
+def _nodes(spline: BSpline, along: FloatArray, step: float) -> FloatArray:
+    """Return parameters (M,) for chords within `CHORD_ERROR_M` of the curves, up to ``step`` [m] long."""
+    fine = np.linspace(0.0, 1.0, 4 * (len(along) - 1) + 1)
     speed = lengths(spline(fine, 1)).max(axis=1)
     bend = lengths(spline(fine, 2)).max(axis=1)  # a chord over dt is off by bend dt^2 / 8 at most
     density = np.maximum(speed / step, np.sqrt(bend / (8.0 * CHORD_ERROR_M)))
-    spent = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(fine))])
-    return np.asarray(np.interp(np.linspace(0.0, spent[-1], int(np.ceil(spent[-1])) + 1), spent, fine))
+    total = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(fine))])
+    return np.asarray(np.interp(np.linspace(0.0, total[-1], int(np.ceil(total[-1])) + 1), total, fine))
 
 
 def mitred(walls: Sequence[RuledWall]) -> tuple[list[RuledWall], FloatArray]:
     """Return strips side by side with their mitres, and the angles (N - 1, M) [rad] between neighbours."""
     normals = [[wall.normals(wall.nodes, np.full(len(wall.nodes), t)) for t in (0.0, 1.0)] for wall in walls]
     pairs = [(first[1], second[0]) for first, second in itertools.pairwise(normals)]
-    halves = [normals[0][0], *(unit(a + b) for a, b in pairs), normals[-1][1]]
+    half_normals = [normals[0][0], *(unit(a + b) for a, b in pairs), normals[-1][1]]
     out = []
     for k, wall in enumerate(walls):
-        mitres = [halves[k + t] / dots(halves[k + t], normals[k][t])[:, None] for t in (0, 1)]
+        mitres = [half_normals[k + t] / dots(half_normals[k + t], normals[k][t])[:, None] for t in (0, 1)]
         out.append(dataclasses.replace(wall, mitres=np.stack(mitres, axis=1)))
     kinks = [2.0 * np.arctan2(lengths(b - a), lengths(b + a)) for a, b in pairs]
     return out, np.array(kinks).reshape(len(pairs), len(walls[0].nodes))

@@ -99,7 +99,8 @@ class GroupLevel:
 
     Attributes:
         size: Number of poses in a group.
-        rows: Rows of (14, G): m, u, the part of h beside u, g, f, and the loss beside the axis, as above.
+        rows: Numbers of each group (14, G): m, u, the part of h normal to u, g, f, and the loss
+            d + l e + f |g| of the distance beside the axis, with the module docstring's symbols.
     """
 
     size: int
@@ -124,18 +125,18 @@ class GroupLevel:
             The bounds, and the position (M,) from -1 to 1 in the group at which the body is about nearest.
         """
         g = self.rows.take(group, axis=1)
-        rest = points - g[:3]
-        depth = column_dots(rest, g[3:6])
+        offset = points - g[:3]
+        depth = column_dots(offset, g[3:6])
         segment = depth * g[9:12]
         segment += g[6:9]
-        along, square = column_dots(rest, segment), column_dots(segment, segment)
-        position = along / np.maximum(square, 1e-300)
+        projection, square = column_dots(offset, segment), column_dots(segment, segment)
+        position = projection / np.maximum(square, 1e-300)
         np.clip(position, -1.0, 1.0, out=position)
         # squared remainder beside the segment: |rest - fraction * segment|^2
         square *= position
-        square -= 2.0 * along
+        square -= 2.0 * projection
         square *= position
-        square += column_dots(rest, rest)
+        square += column_dots(offset, offset)
         square -= depth * depth
         radial = np.sqrt(np.maximum(square, 0.0))
         radial -= g[13]
@@ -165,24 +166,24 @@ def group_levels(swept: SweptBody, sight: float) -> list[GroupLevel]:
         length = np.linalg.norm(mean, axis=1, keepdims=True)
         unit = np.where(length > 1e-3, mean / np.maximum(length, 1e-3), axis[rows[:, 0]])
         middle = 0.5 * (pivot[rows[:, 0]] + pivot[rows[:, -1]])
-        half, turn = (0.5 * (of[rows[:, -1]] - of[rows[:, 0]]) for of in (pivot, axis))
-        turn -= dots(turn, unit)[:, None] * unit
+        half, tilt = (0.5 * (vectors[rows[:, -1]] - vectors[rows[:, 0]]) for vectors in (pivot, axis))
+        tilt -= dots(tilt, unit)[:, None] * unit
         pivot_offsets, axis_offsets = pivot[rows] - middle[:, None], axis[rows] - unit[:, None]
         chord = np.sqrt(dots(axis_offsets, axis_offsets).max(axis=1))
         depth = np.abs(np.einsum("gkd,gd->gk", pivot_offsets, unit)).max(axis=1)
         depth += radial_reach * chord + 0.5 * axial_reach * chord * chord
         position = np.einsum("gkd,gd->gk", pivot_offsets, half) + axial_reach**2 * np.einsum(
-            "gkd,gd->gk", axis_offsets, turn
+            "gkd,gd->gk", axis_offsets, tilt
         )
-        position /= np.maximum(dots(half, half) + axial_reach**2 * dots(turn, turn), 1e-300)[:, None]
+        position /= np.maximum(dots(half, half) + axial_reach**2 * dots(tilt, tilt), 1e-300)[:, None]
         np.clip(position, -1.0, 1.0, out=position)
         pivot_offsets -= position[..., None] * half[:, None]
-        axis_offsets -= position[..., None] * turn[:, None]
+        axis_offsets -= position[..., None] * tilt[:, None]
         loss = np.sqrt(dots(pivot_offsets, pivot_offsets).max(axis=1))
         loss += axial_reach * np.sqrt(dots(axis_offsets, axis_offsets).max(axis=1))
-        loss += depth * np.linalg.norm(turn, axis=1)
+        loss += depth * np.linalg.norm(tilt, axis=1)
         half -= dots(half, unit)[:, None] * unit
-        out.append(GroupLevel(size, np.vstack([middle.T, unit.T, half.T, turn.T, depth, loss])))
+        out.append(GroupLevel(size, np.vstack([middle.T, unit.T, half.T, tilt.T, depth, loss])))
         size *= GROUPS_JOINED
     return out
 
@@ -240,8 +241,8 @@ def _in_box(points: FloatArray, swept: SweptBody, sight: float) -> IntArray:
     """Return which of the points (3, P) are in the box around the body along its path."""
     tip, axis, body = swept.tip, swept.axis, swept.body
     ends = np.stack([tip + body.start * axis, tip + body.end * axis])
-    room = body.max_radius + sight
-    low, high = ends.min(axis=(0, 1)) - room, ends.max(axis=(0, 1)) + room
+    margin = body.max_radius + sight
+    low, high = ends.min(axis=(0, 1)) - margin, ends.max(axis=(0, 1)) + margin
     return np.flatnonzero(((points >= low[:, None]) & (points <= high[:, None])).all(axis=0))
 
 
@@ -250,7 +251,7 @@ def points_near(
 ) -> tuple[FloatArray, IntArray, int]:
     """Return points (P, 3) of triangles near a body at some of its poses, their triangle (P,) and count.
 
-    The points are the middles of all pieces of triangles there.
+    The points are the centroids of all small pieces of triangles there.
 
     Args:
         corners: Corners of the triangles (T, 3, 3) [m].
@@ -262,12 +263,12 @@ def points_near(
     coarse_pieces, owner, count = _pieces_near(corners, swept, sight, size, max_pieces)
     if count > max_pieces or not len(coarse_pieces):
         return corners[:0, 0], owner[:0], count
-    middles, owners = [corners[:0, 0]], [owner[:0]]
+    centres, owners = [corners[:0, 0]], [owner[:0]]
     for rows in np.array_split(np.arange(len(coarse_pieces)), len(coarse_pieces) // PIECES_AT_ONCE + 1):
         pieces, rows_of_pieces = bisect_triangles(coarse_pieces[rows], size, UNLIMITED)
-        middles.append(pieces.mean(axis=1))
+        centres.append(pieces.mean(axis=1))
         owners.append(owner[rows][rows_of_pieces])
-    points = np.concatenate(middles)
+    points = np.concatenate(centres)
     return points, np.concatenate(owners), len(points)
 
 
@@ -315,8 +316,8 @@ def _near_body(corners: FloatArray, swept: SweptBody, sight: float) -> BoolArray
     middle = corners.mean(axis=1)
     size = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
     reach = sight + float(size.max())
-    away, _ = least_distances(middle, swept, reach, reach)
-    return np.asarray(away - size < sight)
+    distances, _ = least_distances(middle, swept, reach, reach)
+    return np.asarray(distances - size < sight)
 
 
 def _estimated_count(corners: FloatArray, size: float) -> int:
@@ -325,13 +326,13 @@ def _estimated_count(corners: FloatArray, size: float) -> int:
         return 0
     sample = corners[:: max(1, len(corners) // SAMPLED_TRIANGLES)]
     longest = np.linalg.norm(sample - np.roll(sample, 1, axis=1), axis=2).max(axis=1)
-    # very large triangles are divided only so far: each further halving makes four times as many pieces
+    # large triangles are divided only to 16 sizes: each further halving makes four times as many pieces
     halves = np.maximum(np.ceil(np.log2(longest / size / 16.0)), 0.0)
-    few = [
+    piece_counts = [
         len(bisect_triangles(sample[halves == half], size * 2.0**half, UNLIMITED)[0]) * 4.0**half
         for half in np.unique(halves)
     ]
-    return int(np.ceil(np.sum(few) * len(corners) / len(sample)))
+    return int(np.ceil(np.sum(piece_counts) * len(corners) / len(sample)))
 
 
 def _path_centres(swept: SweptBody, sight: float) -> tuple[cKDTree, float]:
@@ -341,11 +342,14 @@ def _path_centres(swept: SweptBody, sight: float) -> tuple[cKDTree, float]:
     """
     tip, axis, body = swept.tip, swept.axis, swept.body
     count = max(int(np.ceil((body.end - body.start) / max(body.max_radius, COARSE_PIECE_M))), 1)
-    back = body.start + (body.end - body.start) * (np.arange(count) + 0.5) / count
-    cells = [np.unique(np.floor((tip + b * axis) / COARSE_PIECE_M).astype(np.int64), axis=0) for b in back]
-    every = np.unique(np.concatenate(cells), axis=0)
+    depths = body.start + (body.end - body.start) * (np.arange(count) + 0.5) / count
+    cells = [
+        np.unique(np.floor((tip + depth * axis) / COARSE_PIECE_M).astype(np.int64), axis=0)
+        for depth in depths
+    ]
+    occupied = np.unique(np.concatenate(cells), axis=0)
     half = 0.5 * (body.end - body.start) / count
-    return cKDTree((every + 0.5) * COARSE_PIECE_M), float(
+    return cKDTree((occupied + 0.5) * COARSE_PIECE_M), float(
         np.hypot(body.max_radius, half)
     ) + sight + COARSE_PIECE_M
 
@@ -354,8 +358,8 @@ def _within(corners: FloatArray, centre: cKDTree, reach: float) -> BoolArray:
     """Return which triangles (T, 3, 3) may come within ``reach`` [m] of some centre."""
     middle = corners.mean(axis=1)
     size = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
-    away, _ = centre.query(middle, distance_upper_bound=reach + float(size.max(initial=0.0)))
-    return np.asarray(away - size <= reach)
+    distances, _ = centre.query(middle, distance_upper_bound=reach + float(size.max(initial=0.0)))
+    return np.asarray(distances - size <= reach)
 
 
 @dataclasses.dataclass
@@ -363,7 +367,7 @@ class _DistanceQuery:
     """Which distances a search has to find.
 
     Attributes:
-        sight: Distance below which they are [m].
+        sight: Distance within which points are in sight of the body [m].
         below: Distance from which on only the least of all is needed [m].
         lowest: Least distance known so far [m].
     """
@@ -394,7 +398,8 @@ class _NearestPoses:
 class _DistanceSearch:
     """The search of one block of poses, the first of which has the index ``first``.
 
-    Points, tips and axes have x, y and z in rows, for speed.
+    Subjects are cells of points at first, then points. Points, tips and axes have x, y and z in rows, for
+    speed.
     """
 
     def __init__(
@@ -408,7 +413,7 @@ class _DistanceSearch:
     ) -> None:
         self.body, self.query, self.pose_count = swept.body, query, len(swept.tip)
         self.tip, self.axis = np.ascontiguousarray(swept.tip.T), np.ascontiguousarray(swept.axis.T)
-        self.best, self.where, self.first = nearest.distance, nearest.pose, first
+        self.best, self.nearest_pose, self.first = nearest.distance, nearest.pose, first
         points = points.take(chosen, axis=1)
         order, start = _cells(points)
         self.point_ids, self.points = chosen[order], points.take(order, axis=1)
@@ -431,58 +436,65 @@ class _DistanceSearch:
             (True, top, np.repeat(part, count), np.tile(np.arange(count), len(part)))
             for part in np.array_split(cells, -(-len(cells) // 512))
         ]
+        # an entry has pairs of a subject and a group of one level; below level 0 groups are poses
         while stack:
-            cell, level, subjects, group = stack.pop()
+            is_cell, level, subjects, group = stack.pop()
             if len(subjects) > PAIRS_AT_ONCE and subjects[0] != subjects[-1]:
-                cut = int(np.searchsorted(subjects, subjects[len(subjects) // 2], side="left"))
-                cut = cut or int(np.searchsorted(subjects, subjects[0], side="right"))
+                middle = int(np.searchsorted(subjects, subjects[len(subjects) // 2], side="left"))
+                middle = middle or int(np.searchsorted(subjects, subjects[0], side="right"))
                 stack += [
-                    (cell, level, subjects[:cut], group[:cut]),
-                    (cell, level, subjects[cut:], group[cut:]),
+                    (is_cell, level, subjects[:middle], group[:middle]),
+                    (is_cell, level, subjects[middle:], group[middle:]),
                 ]
                 continue
             if level < 0:
                 self._evaluate_all(subjects, group)
                 continue
-            keep = self._open_groups(cell, level, subjects, group)
+            keep = self._open_groups(is_cell, level, subjects, group)
             subjects, group = subjects[keep], group[keep]
             if not len(subjects):
                 continue
-            if cell and self.levels[level].size <= SPLIT_POSES:
+            if is_cell and self.levels[level].size <= SPLIT_POSES:
                 stack.append((False, level, *self._split_cells(subjects, group)))
                 continue
             below = self.levels[level - 1].count if level else self.pose_count
             parts = GROUPS_JOINED if level else GROUP_POSES
-            subjects, group = np.repeat(subjects, parts), (parts * group[:, None] + np.arange(parts)).ravel()
+            subjects, group = (
+                np.repeat(subjects, parts),
+                (parts * group[:, None] + np.arange(parts)).ravel(),
+            )
             exists = group < below
-            stack.append((cell, level - 1, subjects[exists], group[exists]))
+            stack.append((is_cell, level - 1, subjects[exists], group[exists]))
 
     def _split_cells(self, cell_rows: IntArray, group: IntArray) -> tuple[IntArray, IntArray]:
         """Return the points of cells, each with the groups of its cell, ordered by point."""
         first = np.flatnonzero(np.diff(cell_rows, prepend=-1))
         groups = np.diff(np.append(first, len(cell_rows)))
         cells = cell_rows[first]
-        many = self.start[cells + 1] - self.start[cells]
-        point = np.repeat(self.start[cells] - (np.cumsum(many) - many), many) + np.arange(int(many.sum()))
-        per = np.repeat(groups, many)
-        base = np.repeat(np.repeat(first, many) - (np.cumsum(per) - per), per)
-        return np.repeat(point, per), group[base + np.arange(int(per.sum()))]
+        sizes = self.start[cells + 1] - self.start[cells]
+        point = np.repeat(self.start[cells] - (np.cumsum(sizes) - sizes), sizes) + np.arange(int(sizes.sum()))
+        counts = np.repeat(groups, sizes)
+        base = np.repeat(np.repeat(first, sizes) - (np.cumsum(counts) - counts), counts)
+        return np.repeat(point, counts), group[base + np.arange(int(counts.sum()))]
 
-    def _open_groups(self, cell: bool, level: int, subjects: IntArray, group: IntArray) -> BoolArray:
-        """Return which groups may have a nearer pose than is known, and search the best group."""
-        points = (self.middle if cell else self.points).take(subjects, axis=1)
+    def _open_groups(self, is_cell: bool, level: int, subjects: IntArray, group: IntArray) -> BoolArray:
+        """Return which pairs may have a nearer pose than is known.
+
+        To lower the known distances, the body is evaluated at the most promising pose of each subject.
+        """
+        points = (self.middle if is_cell else self.points).take(subjects, axis=1)
         low, positions = self.levels[level].bound(points, group, self.body)
-        if cell:
+        if is_cell:
             low -= self.size[subjects]
         first = np.flatnonzero(np.diff(subjects, prepend=-1))
         best = np.repeat(np.minimum.reduceat(low, first), np.diff(np.append(first, len(subjects))))
         hit = np.flatnonzero(low == best)
-        known = self.cell_bounds if cell else self.point_distances
-        hit = hit[low[hit] < known[subjects[hit]]]
+        known_distance = self.cell_bounds if is_cell else self.point_distances
+        hit = hit[low[hit] < known_distance[subjects[hit]]]
         size = self.levels[level].size
         poses = size * group[hit] + np.rint((positions[hit] + 1.0) * 0.5 * (size - 1)).astype(np.int64)
         np.minimum(poses, self.pose_count - 1, out=poses)
-        if cell:
+        if is_cell:
             upper_bound = (
                 self._distances(self.middle.take(subjects[hit], axis=1), poses) + self.size[subjects[hit]]
             )
@@ -497,6 +509,7 @@ class _DistanceSearch:
         )
 
     def _evaluate_all(self, subjects: IntArray, poses: IntArray) -> None:
+        """Evaluate all pairs of a point and a pose, and record the nearest pose of each point."""
         distances = self._distances(self.points.take(subjects, axis=1), poses)
         first = np.flatnonzero(np.diff(subjects, prepend=-1))
         best = np.repeat(np.minimum.reduceat(distances, first), np.diff(np.append(first, len(subjects))))
@@ -512,34 +525,34 @@ class _DistanceSearch:
         subjects, poses, distances = subjects[nearer], poses[nearer], distances[nearer]
         self.point_distances[subjects] = distances
         rows = self.point_ids[subjects]
-        self.best[rows], self.where[rows] = distances, poses + self.first
+        self.best[rows], self.nearest_pose[rows] = distances, poses + self.first
         # a point that occurs twice has one of its poses recorded, not always the nearer one
         self.query.lowest = min(self.query.lowest, float(self.point_distances[subjects].min(initial=np.inf)))
 
     def _distances(self, points: FloatArray, poses: IntArray) -> FloatArray:
         """Return distances (M,) [m] of points (3, M) from the body at poses (M,)."""
-        rest, axis = points - self.tip.take(poses, axis=1), self.axis.take(poses, axis=1)
-        back = column_dots(rest, axis)
-        square = column_dots(rest, rest) - back * back
-        return self.body.distance(back, np.sqrt(np.maximum(square, 0.0)))
+        offset, axis = points - self.tip.take(poses, axis=1), self.axis.take(poses, axis=1)
+        depth = column_dots(offset, axis)
+        square = column_dots(offset, offset) - depth * depth
+        return self.body.distance(depth, np.sqrt(np.maximum(square, 0.0)))
 
 
 def _cells(points: FloatArray) -> tuple[IntArray, IntArray]:
     """Return the order of points (3, P) by cells of a grid, and where in it each cell begins."""
     low = points.min(axis=1)[:, None]
-    rest = points - low
-    side = max(float(rest.max()) / 64.0, 1e-9)
-    key, many = _cell_numbers(rest, side)
-    taken = np.zeros(many, dtype=bool)
-    taken[key] = True
+    offsets = points - low
+    side = max(float(offsets.max()) / 64.0, 1e-9)
+    key, cell_count = _cell_numbers(offsets, side)
+    is_occupied = np.zeros(cell_count, dtype=bool)
+    is_occupied[key] = True
     # the points are on faces, so the number of cells falls with the square of their sides
-    key, _ = _cell_numbers(rest, side * float(np.sqrt(taken.sum() * POINTS_PER_CELL / len(key))))
+    key, _ = _cell_numbers(offsets, side * float(np.sqrt(is_occupied.sum() * POINTS_PER_CELL / len(key))))
     order = np.argsort(key)
     return order, np.flatnonzero(np.diff(key[order], prepend=-1))
 
 
-def _cell_numbers(rest: FloatArray, side: float) -> tuple[IntArray, int]:
-    """Return numbers (P,) of the grid cells of points ``rest`` (3, P) from its corner, and their count."""
-    x, y, z = (rest / side).astype(np.int64)
-    wide = [int(row.max()) + 1 for row in (x, y, z)]
-    return x + wide[0] * (y + wide[1] * z), wide[0] * wide[1] * wide[2]
+def _cell_numbers(offsets: FloatArray, side: float) -> tuple[IntArray, int]:
+    """Return numbers (P,) of the grid cells of points ``offsets`` (3, P) from its corner, and their count."""
+    x, y, z = (offsets / side).astype(np.int64)
+    cell_counts = [int(row.max()) + 1 for row in (x, y, z)]
+    return x + cell_counts[0] * (y + cell_counts[1] * z), cell_counts[0] * cell_counts[1] * cell_counts[2]

@@ -78,14 +78,18 @@ def naca_section(digits: str, count: int = 160) -> FloatArray:
     x = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, count + 1)))
     height, slope = _camber_4(digits, x) if len(digits) == 4 else _camber_5(digits, x)
     powers = np.stack([np.sqrt(x), x, x**2, x**3, x**4])
-    half = 5.0 * thickness * (np.array(THICKNESS_COEFFICIENTS) @ powers)
+    half_thickness = 5.0 * thickness * (np.array(THICKNESS_COEFFICIENTS) @ powers)
     angle = np.arctan(slope)
-    away = half[:, None] * np.stack([-np.sin(angle), np.cos(angle)], axis=1)
-    middle = np.stack([x, height], axis=1)
-    return np.concatenate([(middle + away)[::-1], (middle - away)[1:]])
+    offset = half_thickness[:, None] * np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+    camber_line = np.stack([x, height], axis=1)
+    return np.concatenate([(camber_line + offset)[::-1], (camber_line - offset)[1:]])
 
 
 def _camber_4(digits: str, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return height and slope (N,) of the camber line of four digits at x (N,), per chord.
+
+    Raises ``part.naca`` if there is no such line.
+    """
     m, p = int(digits[0]) / 100.0, int(digits[1]) / 10.0
     if m == 0.0:
         return np.zeros_like(x), np.zeros_like(x)
@@ -93,30 +97,34 @@ def _camber_4(digits: str, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         raise _refuse_digits(
             digits, "camber without a position; set the second digit, the position in tenths of the chord"
         )
-    rest = np.where(x < p, p * p, (1.0 - p) ** 2)
-    height = m / rest * np.where(x < p, 2 * p * x - x * x, 1 - 2 * p + 2 * p * x - x * x)
-    return height, 2.0 * m / rest * (p - x)
+    scale = np.where(x < p, p * p, (1.0 - p) ** 2)
+    height = m / scale * np.where(x < p, 2 * p * x - x * x, 1 - 2 * p + 2 * p * x - x * x)
+    return height, 2.0 * m / scale * (p - x)
 
 
 def _camber_5(digits: str, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    line = f"2{digits[1:3]}"
+    """Return height and slope (N,) of the camber line of five digits at x (N,), per chord.
+
+    Raises ``part.naca`` if there is no such line.
+    """
+    name = f"2{digits[1:3]}"
     lift = 0.15 * int(digits[0]) / 0.3  # of the tabulated camber lines, which are for 0.3
-    if int(digits[0]) == 0 or line not in SIMPLE_CAMBER | REFLEXED_CAMBER:
-        known = ", ".join(sorted(SIMPLE_CAMBER | REFLEXED_CAMBER))
+    if int(digits[0]) == 0 or name not in SIMPLE_CAMBER | REFLEXED_CAMBER:
+        known_names = ", ".join(sorted(SIMPLE_CAMBER | REFLEXED_CAMBER))
         raise _refuse_digits(
-            digits, f"no such camber line; of five digits {known} are known (first digit 1 to 9)"
+            digits, f"no such camber line; of five digits {known_names} are known (first digit 1 to 9)"
         )
-    if line in SIMPLE_CAMBER:
-        m, k = SIMPLE_CAMBER[line]
+    if name in SIMPLE_CAMBER:
+        m, k = SIMPLE_CAMBER[name]
         front = x**3 - 3 * m * x**2 + m * m * (3 - m) * x
         height = np.where(x < m, front, m**3 * (1 - x))
         slope = np.where(x < m, 3 * x**2 - 6 * m * x + m * m * (3 - m), -(m**3))
     else:
-        m, k, ratio = REFLEXED_CAMBER[line]
-        line_down = ratio * (1 - m) ** 3 + m**3
+        m, k, ratio = REFLEXED_CAMBER[name]
+        linear_coefficient = ratio * (1 - m) ** 3 + m**3
         factor = np.where(x < m, 1.0, ratio)
-        height = factor * (x - m) ** 3 - line_down * x + m**3
-        slope = 3 * factor * (x - m) ** 2 - line_down
+        height = factor * (x - m) ** 3 - linear_coefficient * x + m**3
+        slope = 3 * factor * (x - m) ** 2 - linear_coefficient
     return lift * k / 6.0 * height, lift * k / 6.0 * slope
 
 
@@ -128,10 +136,10 @@ def thickened(points: FloatArray, min_thickness: float) -> FloatArray:
     gap = float(np.linalg.norm(points[0] - points[-1]))
     if gap >= min_thickness:
         return points
-    top = np.arange(len(points)) <= leading_point(points)
+    is_upper = np.arange(len(points)) <= leading_point(points)
     fraction = np.clip(points[:, 0], 0.0, 1.0)
-    away = 0.5 * (min_thickness - gap) * fraction * np.where(top, 1.0, -1.0)
-    return points + np.stack([np.zeros(len(points)), away], axis=1)
+    offset = 0.5 * (min_thickness - gap) * fraction * np.where(is_upper, 1.0, -1.0)
+    return points + np.stack([np.zeros(len(points)), offset], axis=1)
 
 
 def leading_point(points: FloatArray) -> int:
@@ -175,9 +183,9 @@ def section_guide(points: FloatArray, chord: float, tolerance: float, blunt: boo
     corner[0] = True
     corner[-1] = blunt
     anchor[len(upper) - 1] = True
-    spread = np.concatenate([flat, np.zeros((count, 1))], axis=1)
+    points_3d = np.concatenate([flat, np.zeros((count, 1))], axis=1)
     parameter = np.arange(count) / count
-    return RuledGuide(spread, corner, parameter, closed=True, anchor=anchor)
+    return RuledGuide(points_3d, corner, parameter, closed=True, anchor=anchor)
 
 
 def _fine_parameters(curve: CubicSpline, start: float, stop: float, tolerance: float) -> FloatArray:
@@ -193,8 +201,8 @@ def _fine_parameters(curve: CubicSpline, start: float, stop: float, tolerance: f
     return parameters
 
 
-def _refuse_digits(digits: str, what: str) -> TandemError:
-    message = format_message("part.naca", digits=digits, reason=what)
+def _refuse_digits(digits: str, reason: str) -> TandemError:
+    message = format_message("part.naca", digits=digits, reason=reason)
     return issue_error("part.naca", message, field="part.wing")
 
 
@@ -204,7 +212,7 @@ class WingPanel:
 
     Attributes:
         root: Points of the root section (N, 2) per chord, in Selig's order.
-        tip: Points of the tip section, likewise.
+        tip: Points of the tip section (M, 2) per chord, in Selig's order.
         root_chord: Chord of the root [m].
         tip_chord: Chord of the tip [m].
         span: Distance of the sections [m].
@@ -238,18 +246,18 @@ def wing_surface(panel: WingPanel, match: Match = "arc_length", tolerance: float
     """
     guides = []
     sections = ((panel.root, panel.root_chord), (panel.tip, panel.tip_chord))
-    thick = [thickened(points, panel.trailing_edge / chord) for points, chord in sections]
+    thickened_sections = [thickened(points, panel.trailing_edge / chord) for points, chord in sections]
     gaps = [
         float(np.linalg.norm(points[0] - points[-1])) * chord
-        for points, (_, chord) in zip(thick, sections, strict=True)
+        for points, (_, chord) in zip(thickened_sections, sections, strict=True)
     ]
-    for points, (_, chord) in zip(thick, sections, strict=True):
+    for points, (_, chord) in zip(thickened_sections, sections, strict=True):
         guides.append(section_guide(points, chord, 0.2 * tolerance, max(gaps) > SHARP_EDGE_M))
     root, tip = guides
     quarter = np.array([0.25 * panel.root_chord, 0.0])
-    across = quarter + np.array([np.tan(panel.sweep), np.tan(panel.dihedral)]) * panel.span
+    tip_quarter = quarter + np.array([np.tan(panel.sweep), np.tan(panel.dihedral)]) * panel.span
     start = _placed(root, panel.root_chord, quarter, 0.0, 0.0)
-    end = _placed(tip, panel.tip_chord, across, panel.twist, panel.span)
+    end = _placed(tip, panel.tip_chord, tip_quarter, panel.twist, panel.span)
     # lower side first, so that its direction x the rulings, from root to tip, points outwards
     return resample(
         join_guides("skin", reverse_guide(start), reverse_guide(end), match),
@@ -306,22 +314,23 @@ def read_airfoil(path: Path, field: str) -> tuple[FloatArray, list[Issue]]:
             "problem.too_large", path, field, "more than 2 MB; an airfoil has some hundred points"
         )
     notes: list[Issue] = []
-    rows = _read_coordinates(path, field)
-    points = _sides(rows, path, field)
+    coordinates = _read_coordinates(path, field)
+    points = _sides(coordinates, path, field)
     repeated = np.concatenate([[False], np.linalg.norm(np.diff(points, axis=0), axis=1) < 1e-9])
     if repeated.any():
         points = points[~repeated]
         notes.append(_note(path, field, f"left out {int(repeated.sum())} points that repeat the one before"))
     if not MIN_SECTION_POINTS <= len(points) <= MAX_SECTION_POINTS:
-        what = f"has {len(points)} points, allowed {MIN_SECTION_POINTS} to {MAX_SECTION_POINTS}; "
-        what += "use another file of the same section"
-        raise _refuse_file("part.airfoil_points", path, field, what)
+        reason = f"has {len(points)} points, allowed {MIN_SECTION_POINTS} to {MAX_SECTION_POINTS}; "
+        reason += "use another file of the same section"
+        raise _refuse_file("part.airfoil_points", path, field, reason)
     points = _ordered(points, path, field, notes)
     _check_trailing_edge_and_crossing(points, path, field)
     return _unit_chord(points, path, field, notes), notes
 
 
 def _read_coordinates(path: Path, field: str) -> FloatArray:
+    """Return the pairs of numbers (M, 2) of a file. Raises ``part.airfoil_format`` for text between them."""
     lines = path.read_bytes().decode("utf-8", errors="replace").lstrip("\ufeff").splitlines()
     pairs: list[tuple[float, float]] = []
     remark: tuple[int, str] | None = None
@@ -334,12 +343,12 @@ def _read_coordinates(path: Path, field: str) -> FloatArray:
                 remark = number, line.strip()[:40]
             continue  # a name above the points or remarks below them, however many lines long
         if remark is not None:
-            what = f"line {remark[0]} has no x and y ({remark[1]!r}); remove or correct it"
-            raise _refuse_file("part.airfoil_format", path, field, what)
+            reason = f"line {remark[0]} has no x and y ({remark[1]!r}); remove or correct it"
+            raise _refuse_file("part.airfoil_format", path, field, reason)
         pairs.append((_float(pair.group(1)), _float(pair.group(2))))
     if not pairs:
-        what = "has no points; a name and lines of x y in Selig's or Lednicer's format are required"
-        raise _refuse_file("part.airfoil_format", path, field, what)
+        reason = "has no points; a name and lines of x y in Selig's or Lednicer's format are required"
+        raise _refuse_file("part.airfoil_format", path, field, reason)
     rows = np.array(pairs)
     if not np.isfinite(rows).all():
         raise _refuse_file(
@@ -352,20 +361,23 @@ def _float(text: str) -> float:
     return float(text.replace("d", "e").replace("D", "e"))
 
 
-def _sides(rows: FloatArray, path: Path, field: str) -> FloatArray:
-    """Return the points in one row. Lednicer's two sides are joined at the leading edge."""
-    counts = np.round(rows[0])
-    if not (np.abs(rows[0] - counts) < 1e-6).all() or (counts < 3).any():
-        return rows
+def _sides(points: FloatArray, path: Path, field: str) -> FloatArray:
+    """Return the points (N, 2) in one sequence. Lednicer's two sides are joined at the leading edge."""
+    counts = np.round(points[0])
+    # a file in Lednicer's format starts with two whole numbers, the counts of points
+    if not (np.abs(points[0] - counts) < 1e-6).all() or (counts < 3).any():
+        return points
     upper, lower = int(counts[0]), int(counts[1])
-    if len(rows) - 1 != upper + lower:
-        what = f"says {upper} + {lower} points (Lednicer's format) and has {len(rows) - 1}; correct it"
-        raise _refuse_file("part.airfoil_format", path, field, what)
-    top, bottom = rows[1 : 1 + upper], rows[1 + upper :]
+    if len(points) - 1 != upper + lower:
+        reason = f"says {upper} + {lower} points (Lednicer's format) and has {len(points) - 1}; correct it"
+        raise _refuse_file("part.airfoil_format", path, field, reason)
+    top, bottom = points[1 : 1 + upper], points[1 + upper :]
     for side, name in ((top, "upper"), (bottom, "lower")):
         if side[0, 0] > side[-1, 0]:
-            what = f"its {name} side starts at the trailing edge; in Lednicer's format both start at the nose"
-            raise _refuse_file("part.airfoil_order", path, field, what)
+            reason = (
+                f"its {name} side starts at the trailing edge; in Lednicer's format both start at the nose"
+            )
+            raise _refuse_file("part.airfoil_order", path, field, reason)
     if np.linalg.norm(top[0] - bottom[0]) < 1e-9:
         bottom = bottom[1:]
     return np.concatenate([top[::-1], bottom])
@@ -380,13 +392,13 @@ def _ordered(points: FloatArray, path: Path, field: str, notes: list[Issue]) -> 
         )
     step = np.diff(points[:, 0])
     step = step[np.abs(step) > 1e-3 * chord]
-    back_and_forth = int((np.diff(np.sign(step)) != 0).sum())
-    if back_and_forth > 2:
-        what = (
-            f"x turns back {back_and_forth} times along its points; the order must be from the trailing edge "
+    reversals = int((np.diff(np.sign(step)) != 0).sum())
+    if reversals > 2:
+        reason = (
+            f"x turns back {reversals} times along its points; the order must be from the trailing edge "
             "over the top and back below (Selig), so sort the points"
         )
-        raise _refuse_file("part.airfoil_order", path, field, what)
+        raise _refuse_file("part.airfoil_order", path, field, reason)
     front = points[:, 0].min() + 0.5 * chord
     if points[0, 0] < front and points[-1, 0] < front:
         rear = int(np.argmax(points[:, 0]))
@@ -397,8 +409,8 @@ def _ordered(points: FloatArray, path: Path, field: str, notes: list[Issue]) -> 
         notes.append(_note(path, field, "began at the leading edge; its points were sorted in Selig's order"))
     nose = leading_point(points)
     if nose in (0, len(points) - 1) or points[0, 0] < front or points[-1, 0] < front:
-        what = "has one side only; give both, from the trailing edge over the top and back below"
-        raise _refuse_file("part.airfoil_open", path, field, what)
+        reason = "has one side only; give both, from the trailing edge over the top and back below"
+        raise _refuse_file("part.airfoil_open", path, field, reason)
     if _area(points) < 0.0:
         points = points[::-1]
         notes.append(_note(path, field, "began with the lower side; the order of its points was reversed"))
@@ -406,30 +418,31 @@ def _ordered(points: FloatArray, path: Path, field: str, notes: list[Issue]) -> 
 
 
 def _check_trailing_edge_and_crossing(points: FloatArray, path: Path, field: str) -> None:
+    """Raise ``part.airfoil_open`` for a wide trailing edge, ``part.airfoil_crossing`` for a crossing."""
     chord = float(np.ptp(points[:, 0]))
     gap = points[0] - points[-1]
     if abs(gap[0]) > 0.02 * chord or np.linalg.norm(gap) > MAX_TRAILING_EDGE * chord:
-        what = (
+        reason = (
             f"has no trailing edge: its sides end at x = {points[0, 0]:g} and {points[-1, 0]:g}, "
             f"{np.linalg.norm(gap) / chord:.1%} of the chord apart (allowed for a blunt one: an upright gap "
             f"of up to {MAX_TRAILING_EDGE:.0%}); add the missing points"
         )
-        raise _refuse_file("part.airfoil_open", path, field, what)
+        raise _refuse_file("part.airfoil_open", path, field, reason)
     line = LineString(points)
     if not line.is_simple:
-        where = _crossing(points)
-        what = f"crosses itself near x = {where[0]:.4g}, y = {where[1]:.4g}; correct the points there"
-        raise _refuse_file("part.airfoil_crossing", path, field, what)
+        position = _crossing(points)
+        reason = f"crosses itself near x = {position[0]:.4g}, y = {position[1]:.4g}; correct the points there"
+        raise _refuse_file("part.airfoil_crossing", path, field, reason)
 
 
 def _crossing(points: FloatArray) -> FloatArray:
-    """Return a point (2,) in which a polyline meets itself."""
+    """Return a point (2,) at which a polyline meets itself, its first point if none is found."""
     a, b = points[:-1], points[1:]
     for i in range(len(a) - 2):
         other = LineString(points[i + 2 :])
-        meet = LineString([a[i], b[i]]).intersection(other)
-        if not meet.is_empty:
-            return np.array(meet.representative_point().coords[0])
+        common = LineString([a[i], b[i]]).intersection(other)
+        if not common.is_empty:
+            return np.array(common.representative_point().coords[0])
     return np.asarray(points[0])
 
 
@@ -450,10 +463,10 @@ def _area(points: FloatArray) -> float:
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
-def _note(path: Path, field: str, what: str) -> Issue:
-    message = format_message("part.airfoil_note", file=path.name, correction=what)
+def _note(path: Path, field: str, correction: str) -> Issue:
+    message = format_message("part.airfoil_note", file=path.name, correction=correction)
     return Issue("part.airfoil_note", message, Severity.NOTE, file=str(path), field=field)
 
 
-def _refuse_file(code: str, path: Path, field: str, what: str) -> TandemError:
-    return issue_error(code, f"{path.name}: {what}", file=str(path), field=field)
+def _refuse_file(code: str, path: Path, field: str, reason: str) -> TandemError:
+    return issue_error(code, f"{path.name}: {reason}", file=str(path), field=field)

@@ -1,6 +1,6 @@
 """Table of all issue codes, used by the code, the tests, ``tandem issues`` and the documentation.
 
-A code has the form ``area.problem`` and is stable once released. Each file holds the rows of some areas.
+A code has the form ``area.problem`` and is stable once released. Each module holds the rows of some areas.
 Plug-ins add their own rows (:func:`all_codes`).
 """
 
@@ -40,7 +40,7 @@ CODES: Final[dict[str, IssueCode]] = {
 
 
 def all_codes() -> Mapping[str, IssueCode]:
-    """Return the rows of Tandem and of all installed plug-ins, by code."""
+    """Return the rows of Tandem and of all installed plug-ins, by code; those of Tandem take precedence."""
     out = dict(CODES)
     for rows in _plugin_codes().values():
         out |= {code: row for code, row in rows.items() if code not in out}
@@ -50,10 +50,10 @@ def all_codes() -> Mapping[str, IssueCode]:
 def lookup_code(code: str) -> IssueCode:
     """Return the row of a code.
 
-    Plug-ins are imported only for codes that are not Tandem's.
+    Plug-ins are imported only if the code is not one of Tandem's.
 
     Raises:
-        KeyError: If neither Tandem nor a plug-in declares the code.
+        KeyError: Neither Tandem nor a plug-in declares the code.
     """
     entry = CODES.get(code) or all_codes().get(code)
     if entry is None:
@@ -69,7 +69,7 @@ def format_message(code: str, /, **values: object) -> str:
         values: Values of all named fields of the template.
 
     Raises:
-        KeyError: If the code is unknown or has no template, or if a field has no value.
+        KeyError: The code is unknown or has no template, or a field has no value.
     """
     template = lookup_code(code).message
     if template is None:
@@ -84,7 +84,10 @@ def code_owners(code: str) -> frozenset[str]:
 
 
 def _plugin_codes() -> Mapping[str, Mapping[str, IssueCode]]:
-    """Return rows by owner. The registry of processes refuses plug-ins whose rows cannot be loaded."""
+    """Return the rows of plug-ins by owner, as "package ring-gauge", and code.
+
+    Plug-ins whose rows cannot be loaded are skipped here; the registry of processes refuses them.
+    """
     from planner.runtime import plugins  # imports importlib.metadata, which `tandem --help` does without
 
     out: dict[str, dict[str, IssueCode]] = {}

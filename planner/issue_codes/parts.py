@@ -90,7 +90,11 @@ CODES: Final[dict[str, IssueCode]] = {
     ),
     "part.mesh_tolerance": IssueCode("the mesh tolerance is too large for the part", is_input_error=True),
     "part.offset": IssueCode(
-        "the curvature radius of the face is smaller than the offset distance", is_input_error=True
+        "the curvature radius of the face is smaller than the offset distance",
+        is_input_error=True,
+        message="offset by {offset_mm:.2f} mm, the face folds over itself at {folded} of {facets} facets, "
+        "the first at ({position_mm[0]:.1f}, {position_mm[1]:.1f}, {position_mm[2]:.1f}) mm; its radius must "
+        "be larger than that, so use a thinner part, a smaller kerf or a smoother face",
     ),
     "part.stock_too_small": IssueCode("the part does not fit into the block", is_input_error=True),
     "part.faces": IssueCode(

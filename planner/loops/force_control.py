@@ -1,16 +1,16 @@
 """Explicit force control of a support, and compensation of the forming arm's deflection, in the time domain.
 
-Along the line of centres, with P the path of the support off the sheet, P_f that of the forming arm into it,
-and the sheet's forming force in parallel (a dissertation on double-sided forming, section 2.3, whose sign of
-the support's move is printed reversed):
+All motion is along the line of centres of both tools. P is the path of the support away from the sheet, P_f
+that of the forming arm into it. The sheet's forming force acts in parallel. (Source: a dissertation on
+double-sided forming, section 2.3, where the sign of the support's move is printed reversed.)
 
-    F = Kc (eps - P), where positive;  1 / Kc = 1 / k_f + 1 / k_metal + 1 / k_s
+    F = Kc (eps - P), but at least 0;  1 / Kc = 1 / k_f + 1 / k_metal + 1 / k_s
     eps = P_f + thickness - F_sheet / k_f
-    dP/dt = -Ki (F_c - F)                         force control: if the push is too weak, the support
-    approaches P_f = required + fraction * F / k_f      compensation of the forming arm, by the measured force
+    dP/dt = -Ki (F_c - F)                    force control: the support approaches if the force is too small
+    P_f = required + fraction * F / k_f      compensation of the forming arm, by the measured force
 
-Each command passes a transport delay and a servo with a number of equal poles. The force is measured each
-cycle, with noise, a first-order filter and the quantisation of a converter.
+F_c is the commanded force. Each command passes a transport delay and a servo with a number of equal poles.
+The force is measured each cycle, with noise, a first-order filter and the quantisation of a converter.
 
 **Gain.** The lags of the loop act like one dead time T: delay, cycle, poles and filter. An integral loop with
 a dead time oscillates from Ki Kc T = pi / 2 (the phase of e^(-i w T) / (i w) is -pi at w = pi / (2 T)), and
@@ -30,21 +30,21 @@ import numpy as np
 from planner.geometry.arrays import BoolArray, FloatArray
 
 RECOMMENDED_GAIN: Final = 0.4
-"""Recommended Ki Kc T [-]."""
+"""Recommended value of Ki Kc T [-]."""
 MAX_GAIN: Final = 0.5 * np.pi
-"""Ki Kc T at which a loop with a dead time T starts to oscillate [-]."""
+"""Value of Ki Kc T at which a loop with a dead time T starts to oscillate [-]."""
 STEPS_PER_CYCLE: Final = 8
 """Number of time steps of the servos in a cycle of the controller."""
 SETTLED_FRACTION: Final = 0.02
-"""A response has settled if it stays this close to its end, as a fraction of its step."""
+"""Maximum deviation from the final value, as a fraction of the step, of a response that has settled."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ServoAxis:
-    """An arm along the line of centres.
+    """Motion of an arm with its tool along the line of centres.
 
     Attributes:
-        stiffness: Stiffness with its tool [N/m].
+        stiffness: Stiffness of arm and tool [N/m].
         bandwidth: Bandwidth of the servo at a gain of 0.71 (-3 dB) [Hz].
         order: Number of equal poles of the servo.
         delay: Transport delay of its commands [s].
@@ -57,7 +57,10 @@ class ServoAxis:
 
     @property
     def pole(self) -> float:
-        """Each pole [rad/s]: w of (1 / sqrt(1 + (2 pi f / w)^2))^order = 1 / sqrt 2 at the bandwidth f."""
+        """Frequency w of each pole [rad/s].
+
+        At the bandwidth f the gain is (1 / sqrt(1 + (2 pi f / w)^2))^order = 1 / sqrt 2.
+        """
         return float(2.0 * np.pi * self.bandwidth / np.sqrt(2.0 ** (1.0 / self.order) - 1.0))
 
 
@@ -67,8 +70,8 @@ class ForceSensor:
 
     Attributes:
         cycle: Cycle time [s].
-        filter_hz: First-order filter at -3 dB [Hz].
-        noise: One standard deviation [N].
+        filter_hz: Bandwidth of the first-order filter, at -3 dB [Hz].
+        noise: Standard deviation of the noise [N].
         quantum: Step of the converter [N], 0 for none.
     """
 
@@ -83,9 +86,9 @@ class FormingMachine:
     """Both arms, the metal between them and the force sensor.
 
     Attributes:
-        forming: Arm that forms.
-        support: Arm that supports.
-        metal: Stiffness of the metal [N/m].
+        forming: Arm that forms the sheet.
+        support: Arm that supports the sheet from the other side.
+        metal: Stiffness of the metal between both tools [N/m].
         sensor: The force sensor.
     """
 
@@ -105,19 +108,19 @@ class FormingMachine:
         return self.contact / self.forming.stiffness
 
     def dead_time(self, axis: ServoAxis) -> float:
-        """Return the lags of a loop over an axis as one dead time T [s].
+        """Return the sum of the lags of a loop over an axis, as one dead time T [s].
 
         The computation of a command takes a cycle. The command is held for another, which is half a cycle of
         lag.
         """
         sensor = self.sensor
-        filtered = 1.0 / (2.0 * np.pi * sensor.filter_hz)
-        return float(axis.delay + 1.5 * sensor.cycle + axis.order / axis.pole + filtered)
+        filter_lag = 1.0 / (2.0 * np.pi * sensor.filter_hz)
+        return float(axis.delay + 1.5 * sensor.cycle + axis.order / axis.pole + filter_lag)
 
     def recommended_gain(self, fraction: float = 0.0) -> float:
         """Return the recommended integral gain Ki [m/(N s)] of the support's force.
 
-        It is 0 if the compensation leaves the loop no gain.
+        It is 0 if the compensation alone is unstable, with a loop gain of 1 or more.
 
         Args:
             fraction: Fraction of the forming arm's deflection that is compensated.
@@ -125,7 +128,7 @@ class FormingMachine:
         return RECOMMENDED_GAIN * self._gain_unit(fraction)
 
     def max_gain(self, fraction: float = 0.0) -> float:
-        """Return the integral gain [m/(N s)] from which the loop counts as unstable."""
+        """Return the integral gain [m/(N s)] from which the loop with a compensated fraction is unstable."""
         return MAX_GAIN * self._gain_unit(fraction)
 
     def effective_contact(self, fraction: float) -> tuple[float, float]:
@@ -135,13 +138,14 @@ class FormingMachine:
             fraction: Fraction of the forming arm's deflection that is compensated, with a loop gain below 1.
         """
         loop_gain = fraction * self.compliance_gain
-        # with both loops the contact has stiffness Kc / (1 - back), which it reaches with an additional lag
+        # with both loops the contact has the stiffness Kc / (1 - loop gain), and an additional lag
         dead_time = self.dead_time(self.support) + loop_gain / (1.0 - loop_gain) * self.dead_time(
             self.forming
         )
         return self.contact / (1.0 - loop_gain), dead_time
 
     def _gain_unit(self, fraction: float) -> float:
+        """Return the gain Ki [m/(N s)] at which Ki Kc T is 1; 0 if the compensation alone is unstable."""
         if fraction * self.compliance_gain >= 1.0:
             return 0.0
         stiffness, dead_time = self.effective_contact(fraction)
@@ -163,7 +167,7 @@ class ForceControl:
 
 @dataclasses.dataclass(frozen=True)
 class ForceTrace:
-    """A run of M machines over S samples, one each cycle.
+    """Result of a simulation of M machines over S samples, one in each cycle.
 
     Attributes:
         time: Time (S,) [s].
@@ -194,18 +198,18 @@ def simulate_force(
     seconds: float,
     seed: int = 0,
 ) -> ForceTrace:
-    """Run M machines from rest at the commanded force at time 0.
+    """Simulate M machines. They start at rest, with the commanded force at time 0.
 
     Args:
         machines: The machines. All sensors have the same cycle.
-        controls: Settings of each controller.
-        commanded: Force F_c [N].
+        controls: Settings of the controller of each machine.
+        commanded: Commanded force F_c [N].
         gap: Path [m] by which the forming arm's command and the sheet approach each other, 0 at time 0.
         seconds: Duration [s].
         seed: Seed of the noise.
 
     Raises:
-        ValueError: If cycles differ or a control is missing.
+        ValueError: The cycles of the machines differ, or there is not one control for each machine.
     """
     cycles = {machine.sensor.cycle for machine in machines}
     if len(cycles) != 1 or len(machines) != len(controls):
@@ -213,54 +217,53 @@ def simulate_force(
             f"machines of one run need the same cycle and one control each: got cycles {sorted(cycles)}"
         )
     cycle = cycles.pop()
-    count, steps = len(machines), round(seconds / cycle)
-    fine = cycle / STEPS_PER_CYCLE
-    time: FloatArray = cycle * np.arange(steps, dtype=np.float64)
-    force_c = np.broadcast_to(commanded(time), (count, steps))
+    count, cycle_count = len(machines), round(seconds / cycle)
+    time_step = cycle / STEPS_PER_CYCLE
+    time: FloatArray = cycle * np.arange(cycle_count, dtype=np.float64)
+    commanded_force = np.broadcast_to(commanded(time), (count, cycle_count))
     contact = np.array([machine.contact for machine in machines])
-    former = np.array([machine.forming.stiffness for machine in machines])
+    forming_stiffness = np.array([machine.forming.stiffness for machine in machines])
     gain = np.array([control.gain for control in controls])
-    compensation = np.array([control.fraction for control in controls]) / former
+    compensation = np.array([control.fraction for control in controls]) / forming_stiffness
     sensors = [machine.sensor for machine in machines]
     noise = np.array([sensor.noise for sensor in sensors])[:, None] * np.random.default_rng(seed).normal(
-        size=(count, steps)
+        size=(count, cycle_count)
     )
     quantum = np.array([sensor.quantum for sensor in sensors])
-    filter_factor = np.exp(-2.0 * np.pi * np.array([sensor.filter_hz for sensor in sensors]) * fine)
-    support = _ServoChain([machine.support for machine in machines], fine)
-    former_servos = _ServoChain([machine.forming for machine in machines], fine)
+    filter_factor = np.exp(-2.0 * np.pi * np.array([sensor.filter_hz for sensor in sensors]) * time_step)
+    support_servos = _ServoChain([machine.support for machine in machines], time_step)
+    forming_servos = _ServoChain([machine.forming for machine in machines], time_step)
     # at rest the support applies the commanded force, and the forming arm's deflection is compensated
-    start = np.asarray(force_c[:, 0], dtype=np.float64)
-    position, former_command = -start / contact + compensation * start, compensation * start
-    support.reset(position)
-    former_servos.reset(former_command)
+    start = np.asarray(commanded_force[:, 0], dtype=np.float64)
+    position, forming_command = -start / contact + compensation * start, compensation * start
+    support_servos.reset(position)
+    forming_servos.reset(forming_command)
     filtered = start
-    out = np.empty((4, count, steps))
-    gap_path = gap(np.asarray(fine * np.arange(steps * STEPS_PER_CYCLE), dtype=np.float64))
-    gap_path = np.broadcast_to(gap_path, (count, steps * STEPS_PER_CYCLE))
+    out = np.empty((4, count, cycle_count))
+    gap_path = gap(np.asarray(time_step * np.arange(cycle_count * STEPS_PER_CYCLE), dtype=np.float64))
+    gap_path = np.broadcast_to(gap_path, (count, cycle_count * STEPS_PER_CYCLE))
     force = start
-    for k in range(steps):
+    for k in range(cycle_count):
         quantised = np.round(filtered / np.maximum(quantum, 1e-300)) * quantum
         measured = np.where(quantum > 0.0, quantised, filtered)
         # commands computed in this cycle are sent in the next
-        sent_position, position = position, position - gain * cycle * (force_c[:, k] - measured)
-        sent_former, former_command = (
-            former_command,
-            np.where(compensation > 0.0, compensation * measured, former_command),
-        )
-        out[:, :, k] = force, measured, force / former - former_servos.value, support.value
+        sent_position, position = position, position - gain * cycle * (commanded_force[:, k] - measured)
+        sent_forming = forming_command
+        forming_command = np.where(compensation > 0.0, compensation * measured, forming_command)
+        out[:, :, k] = force, measured, force / forming_stiffness - forming_servos.value, support_servos.value
         for step in range(STEPS_PER_CYCLE):
-            at_support, at_former = support.step(sent_position), former_servos.step(sent_former)
-            eps = at_former + gap_path[:, k * STEPS_PER_CYCLE + step]
-            last_force, force = force, np.maximum(contact * (eps - at_support), 0.0)
+            support_position = support_servos.step(sent_position)
+            forming_position = forming_servos.step(sent_forming)
+            eps = forming_position + gap_path[:, k * STEPS_PER_CYCLE + step]
+            previous_force, force = force, np.maximum(contact * (eps - support_position), 0.0)
             filtered = filter_factor * filtered + (1.0 - filter_factor) * (
-                0.5 * (last_force + force) + noise[:, k]
+                0.5 * (previous_force + force) + noise[:, k]
             )
-    return ForceTrace(time, out[0], out[1], out[2], out[3], force_c)
+    return ForceTrace(time, out[0], out[1], out[2], out[3], commanded_force)
 
 
 class _ServoChain:
-    """Servos of M axes: chains of equal poles after delays, for commands that are held between steps."""
+    """Servos of M axes: delays and chains of equal poles, for commands that are held between time steps."""
 
     def __init__(self, axes: list[ServoAxis], step: float) -> None:
         self._order = np.array([axis.order for axis in axes])
@@ -271,21 +274,21 @@ class _ServoChain:
         self._step_index = 0
 
     def reset(self, value: FloatArray) -> None:
-        """Put the servos at rest at values (M,)."""
+        """Put the servos at rest at positions (M,) [m]."""
         self._poles[:] = value
         self._commands[:] = value
 
     @property
     def value(self) -> FloatArray:
-        """Present positions (M,)."""
+        """Current positions (M,) [m]."""
         return np.asarray(self._poles[self._order - 1, np.arange(len(self._order))])
 
     def step(self, command: FloatArray) -> FloatArray:
-        """Return the positions (M,) one step later, under commands (M,)."""
-        rows = len(self._commands)
-        self._commands[self._step_index % rows] = command
+        """Advance by one time step under commands (M,) [m], and return the new positions (M,) [m]."""
+        buffer_size = len(self._commands)  # the last commands, in a ring buffer
+        self._commands[self._step_index % buffer_size] = command
         pole_input = self._commands[
-            (self._step_index - self._delay_steps) % rows, np.arange(len(self._delay_steps))
+            (self._step_index - self._delay_steps) % buffer_size, np.arange(len(self._delay_steps))
         ]
         self._step_index += 1
         for k in range(len(self._poles)):
@@ -298,12 +301,12 @@ class _ServoChain:
 
 @dataclasses.dataclass(frozen=True)
 class StepResponse:
-    """M step responses.
+    """Step responses of M machines.
 
     Attributes:
-        overshoot: Overshoot (M,) as a fraction of the step.
-        rise: Time to 0.9 of the step (M,) [s].
-        has_settled: Whether the last fifth stays within `SETTLED_FRACTION` (M,).
+        overshoot: Overshoot as a fraction of the step, (M,) [-].
+        rise: Time from the start of the run until 0.9 of the step is reached, inf if it is not, (M,) [s].
+        has_settled: Whether the last fifth of the run stays within `SETTLED_FRACTION`, (M,).
     """
 
     overshoot: FloatArray
@@ -312,10 +315,10 @@ class StepResponse:
 
 
 def step_response(trace: ForceTrace, start: float, end: float) -> StepResponse:
-    """Return the responses of a run whose commanded force steps at its start.
+    """Return the step responses of a simulation whose commanded force steps at its start.
 
     Args:
-        trace: The run.
+        trace: Result of the simulation.
         start: Force before the step [N].
         end: Force after the step [N].
     """
@@ -330,13 +333,11 @@ def step_response(trace: ForceTrace, start: float, end: float) -> StepResponse:
 
 
 def remaining_deflection(fraction: float | FloatArray, compliance_gain: float | FloatArray) -> FloatArray:
-    """Return the fraction [-] of the uncompensated deflection that remains.
-
-    (1 - fraction) / (1 - fraction r).
+    """Return the fraction of the uncompensated deflection that remains: (1 - fraction) / (1 - fraction r).
 
     Args:
-        fraction: Fraction that is compensated.
-        compliance_gain: Loop gain r.
+        fraction: Fraction of the deflection that is compensated [-].
+        compliance_gain: Loop gain r of the compensation [-].
     """
     return np.asarray(
         (1.0 - np.asarray(fraction)) / (1.0 - np.asarray(fraction) * np.asarray(compliance_gain))

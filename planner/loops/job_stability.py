@@ -1,6 +1,7 @@
-"""Stability of a pass, level by level.
+"""Stability of the loop of a pass, level by level.
 
-gamma and q of each level are compared with the limit beyond which its loop does not converge.
+gamma of each level gives the limit of the ratio q beyond which the loop does not converge
+(:mod:`planner.loops.stability`). The q of the job must be below the limits of all levels.
 """
 
 import dataclasses
@@ -16,20 +17,20 @@ from planner.loops.loop_plan import LoopPlan
 from planner.loops.stability import RULE_COEFFICIENTS, PredictionRule, gamma, max_stable_ratio
 
 DEFAULT_MODEL_ERROR: Final = 0.05
-"""Default fraction by which the model's springback may exceed that of the sheet."""
+"""Default of the fraction by which the model's springback may exceed that of the sheet."""
 DRAWN_POINTS: Final = 80
-"""Number of points of a limit that are drawn."""
+"""Number of points with which the curve of a limit is drawn."""
 
 
 @dataclasses.dataclass(frozen=True)
 class JobStability:
-    """Stability of M levels.
+    """Stability of a loop over M levels.
 
     Attributes:
-        gamma: Largest gamma of each level's points (M,).
-        max_ratio: Limit of q there (M,).
-        ratio: q of the job.
-        worst_level: Level that is nearest to its limit.
+        gamma: Largest gamma of each level's points, (M,) [-].
+        max_ratio: Limit of q at each level, (M,) [-].
+        ratio: q of the job [-].
+        worst_level: Index of the level with the lowest limit.
     """
 
     gamma: FloatArray
@@ -43,68 +44,77 @@ def job_stability(
 ) -> JobStability:
     """Return the stability of a loop.
 
-    gamma of a level follows from the springback under the expected force, times ``kappa`` as for the sheet,
-    its slope, and the depth from the previous level. q is gain x (1 + ``model_error``): the model times kappa
-    is what is known of the sheet.
+    gamma of a level follows from the springback of the sheet under the expected force, which is that of the
+    model times ``kappa``, from its slope over the force, and from the depth below the previous level. The
+    model may exceed the sheet by ``model_error``, so q is gain x (1 + ``model_error``).
 
     Args:
         plan: The pass.
         law: Correction law.
-        kappa: Springback of the sheet over that of the model.
-        model_error: Fraction by which the model may exceed the sheet.
+        kappa: Springback of the sheet over that of the model [-].
+        model_error: Fraction by which the model's springback may exceed that of the sheet.
     """
     depth = np.array([level.depth for level in plan.levels])
     step = np.diff(depth, prepend=0.0)
     gammas = np.empty(len(depth))
     for number, level in enumerate(plan.levels):
         force = np.minimum(expected_force(plan, law, number), level.loads[:, -1])
-        s = model_springback(level, force)
-        slightly_less = model_springback(level, 0.999 * force)
+        springback = model_springback(level, force)
+        springback_at_lower_force = model_springback(level, 0.999 * force)
         with np.errstate(invalid="ignore", divide="ignore"):
-            exponent = np.where(s > 0.0, (s - slightly_less) / (0.001 * s), 0.0)
-        slope = float(np.max(kappa * exponent * s + force / law.stiffness))
+            exponent = np.where(
+                springback > 0.0, (springback - springback_at_lower_force) / (0.001 * springback), 0.0
+            )
+        # dS/dF times F, of the sheet and of the robot, at the point where it is largest
+        slope = float(np.max(kappa * exponent * springback + force / law.stiffness))
         gammas[number] = gamma(plan.force_exponent, 1.0, slope, float(step[number]))
     limits = max_stable_ratio(gammas, law.rule, law.every, law.weight)
     return JobStability(gammas, limits, law.gain * (1.0 + model_error), int(np.argmin(limits)))
 
 
 def require_stability(stability: JobStability, law: CorrectionLaw) -> None:
-    """Raise ``forming.loop_unstable`` if q is at its limit or beyond.
+    """Check that q is below the limits of all levels.
+
+    Args:
+        stability: Stability of the loop.
+        law: Correction law.
 
     Raises:
-        TandemError: forming.loop_unstable.
+        TandemError: q is at a limit or beyond it (``forming.loop_unstable``).
     """
-    worst, limit = stability.worst_level, float(stability.max_ratio[stability.worst_level])
+    worst_level, limit = stability.worst_level, float(stability.max_ratio[stability.worst_level])
     if stability.ratio < limit:
         return
-    gamma_worst = float(stability.gamma[worst])
-    others = {
-        rule: float(max_stable_ratio(gamma_worst, rule, law.every, law.weight))
+    worst_gamma = float(stability.gamma[worst_level])
+    limits_of_other_rules = {
+        rule: float(max_stable_ratio(worst_gamma, rule, law.every, law.weight))
         for rule in (*RULE_COEFFICIENTS, "model")
         if rule != law.rule
     }
     alternatives = [
-        f"{rule} (limit {value:.2f})" for rule, value in others.items() if value > stability.ratio
+        f"{rule} (limit {value:.2f})"
+        for rule, value in limits_of_other_rules.items()
+        if value > stability.ratio
     ]
     gain = int(95.0 * law.gain * limit / stability.ratio) / 100.0
     hint = f"use gain {gain:g} at most" + (f", or rule {' or '.join(alternatives)}" if alternatives else "")
     hint += f", or one action every {2 * law.every} levels"
-    what = format_message(
+    message = format_message(
         "forming.loop_unstable",
         rule=law.rule,
         levels_per_action=law.every,
         ratio=stability.ratio,
         limit=limit,
-        level=worst,
-        gamma=gamma_worst,
+        level=worst_level,
+        gamma=worst_gamma,
     )
     raise issue_error(
-        "forming.loop_unstable", what, field="gain", value=stability.ratio, limit=limit, hint=hint
+        "forming.loop_unstable", message, field="gain", value=stability.ratio, limit=limit, hint=hint
     )
 
 
 def stability_map(stability: JobStability, law: CorrectionLaw) -> dict[str, Any]:
-    """Return the stability map: limits of q over gamma for each rule, and the job's levels."""
+    """Return a chart of the limits of q over gamma for each rule, and of the job's levels."""
     max_gamma = max(2.0 * float(stability.gamma.max()), 1.0)
     x = np.geomspace(0.02 * max_gamma, max_gamma, DRAWN_POINTS)
     top = max(
@@ -139,9 +149,9 @@ def stability_map(stability: JobStability, law: CorrectionLaw) -> dict[str, Any]
 
 
 def _clip_curve(value: FloatArray, top: float) -> FloatArray:
-    """Return values (N,) up to ``top`` and NaN beyond, where nothing is drawn.
+    """Return values (N,) up to ``top`` and NaN for larger ones, which are not drawn.
 
-    The last value is kept, at ``top`` at most.
+    The last value, at the largest gamma, is drawn in any case, at ``top`` if it is larger.
     """
     out = np.where(value <= top, value, np.nan)
     out[-1] = min(value[-1], top)

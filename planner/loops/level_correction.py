@@ -1,17 +1,22 @@
-"""On-line step of springback correction: from forces of the levels so far to offsets of the next one.
+"""On-line correction of springback: computes the offsets of the next level from the forces measured so far.
 
-    force F at the points of the levels so far -> F of the next level (a rule) -> S by the stored curves
-    -> kappa S, linear between points along the path -> moving average -> limits -> offset
+The steps are:
 
-The path is moved by the offset along the tool's direction, for both tools alike (a dissertation on
-double-sided forming, section 4.2.5 and equation 4-14, which has the rule "half" and no correction before a
-first force is known). The rule "model" is ours: the expected force, times the exponential mean of the ratio
-of measured to expected force. The expected force also feeds the first levels forward.
+1. Predict the force F at the points of the next level from those of the previous levels, by a rule.
+2. Take the springback S under this force from the stored curves of the model.
+3. Interpolate kappa S linearly between the points along the path.
+4. Smooth it by a moving average, and limit its slope and its size. The result is the offset.
 
-S of the model may be wrong by a factor that is constant over a sheet (thickness, clamp). A lift of the tool,
-which shows S itself, measures it: kappa. For the limit of the loop's gain see `stability`.
+The path of both tools is moved by the offset along the tool's direction (a dissertation on double-sided
+forming, section 4.2.5 and equation 4-14, with the rule "half" and without correction before a first force is
+known). The rule "model" is ours: it multiplies the expected force by the exponential mean of the ratio of
+measured to expected force. Before a first force is known, it can correct by the expected force.
 
-All functions are pure. Arrays of forces may have leading axes (...): sheets that are corrected separately.
+S of the model may be wrong by a factor kappa that is constant over a sheet (thickness, clamp). A lift of the
+tool shows S itself, so that kappa can be measured. For the limit of the loop's gain see `stability`.
+
+All functions are pure. Arrays of forces may have leading axes (...), one entry for each sheet that is
+corrected separately.
 """
 
 import dataclasses
@@ -26,11 +31,11 @@ from planner.loops.loop_plan import FormingLevel, LoopPlan
 from planner.loops.stability import RULE_COEFFICIENTS, PredictionRule
 
 MAX_MEAN_ACTIONS: Final = 16
-"""Number of past actions in the mean of the rule "model"."""
+"""Maximum number of past actions that count in the mean of the rule "model"."""
 MIN_EXPECTED_N: Final = 1.0
-"""Minimum expected force [N] to which measured forces are compared."""
+"""Lower bound on the expected force [N] by which measured forces are divided."""
 MAX_FORCE_RATIO: Final = 3.0
-"""Maximum ratio of a measured to the expected force for the rule "model", and its inverse."""
+"""Maximum ratio of measured to expected force in the rule "model"; its inverse is the minimum."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,18 +43,18 @@ class CorrectionLaw:
     """Correction law of a loop.
 
     Attributes:
-        rule: Prediction of the next force.
-        every: Number of levels of an action.
+        rule: Rule that predicts the force of the next level.
+        every: Number of levels of an action: measured forces are used once for so many levels.
         gain: Fraction of S that is corrected.
         weight: Weight of the last action in the mean of the rule "model".
-        feed_forward: Whether the first levels are corrected by the expected force.
-        run_in: Depth at which half of the expected force is reached [m].
-        window: Window of the moving average along the path, over the ball's radius (2 blurs what corners
-            need).
+        feed_forward: Whether the first levels, before a force is known, are corrected by the expected force.
+        run_in: Depth at which half of the steady force is expected [m].
+        window: Length of the moving average along the path, over the ball's radius. With 2 it already blurs
+            the offset that corners need.
         slope: Maximum slope of the offset along the path [-].
         max_offset: Maximum offset [m].
-        stiffness: Stiffness of the robot with its tool along z [N/m], whose deflection is corrected as well.
-            Infinite if the controller corrects it.
+        stiffness: Stiffness of the robot with its tool along z [N/m]; its deflection is corrected as well.
+            Infinite if the controller corrects the deflection.
     """
 
     rule: PredictionRule = "model"
@@ -70,10 +75,10 @@ class LevelCorrection:
 
     Attributes:
         force: Predicted force at the points (..., P) [N].
-        springback: Springback of the model under it (..., P) [m].
-        offset: Offset along the path, positive into the sheet, beyond what its programs already go deeper
+        springback: Springback of the model under this force (..., P) [m].
+        offset: Offset of the path, positive into the sheet, in addition to a shift by a springback file
             (..., K) [m].
-        clipped: Whether forces beyond the curves, or offsets beyond the range, were clipped.
+        clipped: Whether a force was beyond the curves, or an offset beyond its range, and was clipped.
     """
 
     force: FloatArray
@@ -84,7 +89,7 @@ class LevelCorrection:
 
 @dataclasses.dataclass(frozen=True)
 class PathOffsets:
-    """Offsets that the path has apart from the correction of a level.
+    """Offsets of the path that do not come from the correction of the level itself.
 
     Attributes:
         last_offset: Offset at the end of the previous level (...) [m], from which the level continues within
@@ -115,25 +120,27 @@ def level_correction(
         plan: The pass.
         law: Correction law.
         number: Number of the level.
-        measured: Forces of each previous level (..., P of that level) [N]. Those of the running action are
+        measured: Forces of each previous level at its points (..., P) [N]. Forces of the current action are
             not used.
-        kappa: S of the sheet over that of the model (...).
-        path_offsets: Offset at the end of the previous level, and shift by a springback file. With a shift,
-            the resulting offset is the rest of the sum and may be negative.
+        kappa: Springback of the sheet over that of the model (...) [-].
+        path_offsets: Offset at the end of the previous level, and shift by a springback file. The result does
+            not contain the shift, so it may be negative.
     """
     level = plan.levels[number]
     first_level = number - number % law.every
     force = predict_force(plan, law, first_level, number, measured)
-    within = np.minimum(force, level.loads[:, -1])
-    s = model_springback(level, within)
-    factor = law.gain * np.asarray(kappa)[..., None]
-    required = factor * s + force / law.stiffness
+    force_on_curve = np.minimum(force, level.loads[:, -1])
+    springback = model_springback(level, force_on_curve)
+    springback_factor = law.gain * np.asarray(kappa)[..., None]
+    required = springback_factor * springback + force / law.stiffness
     offset = _moving_average(interpolate_to_path(level, required), level, law.window * plan.radius)
     offset = limit_slope(offset, level, law.slope, path_offsets.last_offset)
     clipped_offset = np.clip(offset, 0.0, law.max_offset)
     clipped = bool(np.any(force > level.loads[:, -1]) or np.any(np.abs(clipped_offset - offset) > 1e-9))
     shift = path_offsets.springback_shift
-    return LevelCorrection(force, s, clipped_offset if shift is None else clipped_offset - shift, clipped)
+    return LevelCorrection(
+        force, springback, clipped_offset if shift is None else clipped_offset - shift, clipped
+    )
 
 
 def predict_force(
@@ -144,10 +151,11 @@ def predict_force(
     Args:
         plan: The pass.
         law: Correction law.
-        first_level: First level of the action.
+        first_level: Number of the first level of the action.
         number: Number of the level.
-        measured: Forces of each previous level (..., P of that level) [N].
+        measured: Forces of each previous level at its points (..., P) [N].
     """
+    # the last level of each previous action, latest first
     actions = list(range(first_level - 1, -1, -law.every))
     leading_axes = np.shape(measured[0])[:-1] if measured else ()
     model = expected_force(plan, law, number)
@@ -160,8 +168,8 @@ def predict_force(
         for k in reversed(actions[:MAX_MEAN_ACTIONS]):
             ratio_of_action = measured[k] / np.maximum(expected_force(plan, law, k), MIN_EXPECTED_N)
             ratio_of_action = np.clip(ratio_of_action, 1.0 / MAX_FORCE_RATIO, MAX_FORCE_RATIO)
-            last = transfer(plan, k, number, ratio_of_action)
-            ratio = ratio + (1.0 if k == actions[-1] else law.weight) * (last - ratio)
+            ratio_at_level = transfer(plan, k, number, ratio_of_action)
+            ratio = ratio + (1.0 if k == actions[-1] else law.weight) * (ratio_at_level - ratio)
         return np.asarray(ratio * model)
     c0, c1 = RULE_COEFFICIENTS[law.rule]
     last_force = transfer(plan, actions[0], number, measured[actions[0]])
@@ -172,25 +180,39 @@ def predict_force(
 
 
 def expected_force(plan: LoopPlan, law: CorrectionLaw, number: int) -> FloatArray:
-    """Return the force (P,) [N] that the model expects at a level. It grows as the tool runs into the sheet.
+    """Return the force (P,) [N] that the model expects at the points of level ``number``.
 
-    f d / (d + run_in).
+    It grows as the tool runs into the sheet: f d / (d + run_in), with the steady force f and the depth d.
     """
     level = plan.levels[number]
     return np.asarray(level.force * level.depth / (level.depth + law.run_in))
 
 
 def model_springback(level: FormingLevel, force: FloatArray) -> FloatArray:
-    """Return S (..., P) [m] of the model under forces (..., P) [N] within the curves."""
+    """Return S (..., P) [m] of the model at the points of a level under forces (..., P) [N]."""
     piece = np.sum(force[..., None] >= level.loads[:, 1:-1], axis=-1)
     point = np.arange(force.shape[-1])
-    c = level.curves[:, point, piece]
-    load = force - level.loads[point, piece]
-    return np.asarray(((c[0] * load + c[1]) * load + c[2]) * load + c[3])
+    coefficients = level.curves[:, point, piece]
+    load_on_piece = force - level.loads[point, piece]
+    return np.asarray(
+        ((coefficients[0] * load_on_piece + coefficients[1]) * load_on_piece + coefficients[2])
+        * load_on_piece
+        + coefficients[3]
+    )
 
 
 def transfer(plan: LoopPlan, source: int, target: int, value: FloatArray) -> FloatArray:
-    """Interpolate values (...) from the points of one level to those of another, linearly along the path."""
+    """Interpolate values from the points of one level to those of another, linearly along the path.
+
+    A point of the target level gets the value at the nearest position, in plan view, of the source level's
+    path. Points with equal indices on paths of equal length correspond to each other and keep their values.
+
+    Args:
+        plan: The pass.
+        source: Number of the level with the values.
+        target: Number of the other level.
+        value: Values at the points of the source level (..., P).
+    """
     source_level, target_level = plan.levels[source], plan.levels[target]
     if source_level is target_level or (
         len(source_level.path) == len(target_level.path)
@@ -209,17 +231,21 @@ def interpolate_to_path(level: FormingLevel, value: FloatArray) -> FloatArray:
 
 
 def _interpolate_at(level: FormingLevel, value: FloatArray, positions: IntArray) -> FloatArray:
-    """Interpolate values at positions (W,) of a path, linearly from point to point around it."""
-    count, place = len(level.path), level.path_index
-    after = np.searchsorted(place, positions, side="right")
-    low, high = (after - 1) % len(place), after % len(place)
-    distance = (place[high] - place[low] - 1) % count + 1
-    fraction = ((positions - place[low]) % count) / distance
+    """Interpolate values at positions (W,) of a closed path, linearly between adjacent points.
+
+    The values (..., P) are those at the level's points; the result is (..., W).
+    """
+    count, point_index = len(level.path), level.path_index
+    next_point = np.searchsorted(point_index, positions, side="right")
+    low, high = (next_point - 1) % len(point_index), next_point % len(point_index)
+    # a distance of 0, with a single point, counts as the whole path
+    distance = (point_index[high] - point_index[low] - 1) % count + 1
+    fraction = ((positions - point_index[low]) % count) / distance
     return np.asarray((1.0 - fraction) * value[..., low] + fraction * value[..., high])
 
 
 def _moving_average(value: FloatArray, level: FormingLevel, length: float) -> FloatArray:
-    """Return the moving average (..., K) over ``length`` [m] of a closed path."""
+    """Return the moving average (..., K) of values (..., K) over a ``length`` [m] of a closed path."""
     count = value.shape[-1]
     half = min(int(0.5 * length / level.spacing), (count - 1) // 2)
     if half < 1:
@@ -234,13 +260,15 @@ def limit_slope(
 ) -> FloatArray:
     """Limit the slope of values (..., K) [m] along a closed path.
 
-    The result is the mean of the lowest bound above and the highest bound below.
+    The result is the mean of two functions with this slope: the smallest one above the values, and the
+    largest one below them.
 
     Args:
         value: Values (..., K) [m].
         level: The level.
         slope: Maximum slope [-].
-        last_offset: If given, value before the first position (...) [m], from which the slope is limited too.
+        last_offset: Value before the first position (...) [m], from which the slope is limited, too; None if
+            the path starts at any value.
     """
     step = slope * level.spacing
     count = value.shape[-1]
@@ -248,12 +276,12 @@ def limit_slope(
     out = value
     if np.any(change > step * (1.0 + 1e-9)):
         index_distance = np.abs(np.arange(count)[:, None] - np.arange(count))
-        reach = step * np.minimum(index_distance, count - index_distance)
+        max_difference = step * np.minimum(index_distance, count - index_distance)
         above = np.empty_like(value)
         below = np.empty_like(value)
         for k in range(count):  # one position at a time, to limit memory for many sheets
-            above[..., k] = (value - reach[k]).max(axis=-1)
-            below[..., k] = (value + reach[k]).min(axis=-1)
+            above[..., k] = (value - max_difference[k]).max(axis=-1)
+            below[..., k] = (value + max_difference[k]).min(axis=-1)
         out = 0.5 * (above + below)
     if last_offset is not None:
         max_change = step * np.arange(1, count + 1)
@@ -263,12 +291,12 @@ def limit_slope(
 
 
 def springback_ratio(lifts: FloatArray, model: FloatArray) -> FloatArray:
-    """Return S of the sheet over that of the model (...), as the mean over lifts of the tool.
+    """Return kappa (...) [-]: the mean ratio of the sheet's springback to that of the model, over all lifts.
 
-    1 without lifts.
+    It is 1 if the tool was not lifted.
 
     Args:
-        lifts: Measured springback at each lift (..., N) [m], NaN for none.
+        lifts: Measured springback at each lift (..., N) [m], NaN for a sheet that was not lifted then.
         model: Springback of the model under the forces at the lifts (..., N) [m].
     """
     is_lifted = np.isfinite(lifts)

@@ -1,9 +1,9 @@
-"""Data that the loop from level to level has of a pass before it is formed, as a value and as a file.
+"""Data about a pass that the correction from level to level needs before forming, as a value and as a file.
 
-A level is a loop of the path. Its points are positions along the path where force is measured. Each has the
-curve of springback over force of the sheet as formed so far, and the expected force. ``tandem springback
-PROBLEM --curves FILE`` writes the file (JSON, lengths in mm, forces in N). The digest states of which
-problem.
+A level is one turn of the path around the part. Its points are positions along the path at which force is
+measured. Each point has the curve of springback over force, for the sheet as formed so far, and the expected
+force. ``tandem springback PROBLEM --curves FILE`` writes the file (JSON, lengths in mm, forces in N). The
+file states the digest of its problem.
 """
 
 import dataclasses
@@ -31,20 +31,20 @@ OTHER_FILE_KINDS: Final = {
     "tandem_level": "has the shifts of one level, written by tandem next-loop --problem",
     "tandem_offsets": "has the offsets of one level, written by tandem next-loop -o",
 }
-"""Descriptions of files with shifts but no curves, by the key that they have in place of ``tandem_loop``."""
+"""Descriptions of files with shifts but no curves, by the key that marks them instead of ``tandem_loop``."""
 
 
 @dataclasses.dataclass(frozen=True)
 class FormingLevel:
-    """A loop of the path with K positions and P points.
+    """A level: a closed path with K positions and P points.
 
     Attributes:
-        path: Contact positions evenly along the closed path (K, 3) [m].
-        depth: Depth below the flat, along the tool's direction [m].
-        path_index: Index of each point on the path, ascending (P,).
-        loads: Loads of each curve, from 0 and increasing (P, L) [N].
-        springback: Springback of each curve, from 0 and increasing (P, L) [m].
-        force: Expected force (P,) [N].
+        path: Contact positions at equal distances along the closed path (K, 3) [m].
+        depth: Depth below the flat sheet, along the tool's direction [m].
+        path_index: Index of each point among the positions of the path, ascending (P,).
+        loads: Loads of the curve of each point, increasing from 0 (P, L) [N].
+        springback: Springback at these loads, increasing from 0 (P, L) [m].
+        force: Expected steady force at each point (P,) [N].
     """
 
     path: FloatArray
@@ -56,10 +56,11 @@ class FormingLevel:
 
     @functools.cached_property
     def curves(self) -> FloatArray:
-        """Coefficients (4, P, L - 1) of the cubics through each point's curve, the third power first.
+        """Coefficients (4, P, L - 1) of the cubics between the loads of each point's curve.
 
-        The variable is the load above that at the start of the piece. The cubics are monotone, with slopes of
-        F. N. Fritsch, J. Butland, SIAM Journal on Scientific and Statistical Computing 5 (1984) 300, as in
+        The coefficient of the third power is first. The variable is the load [N] above that at the start of
+        the piece. The cubics are monotone. Their slopes at the loads are those of F. N. Fritsch, J. Butland,
+        SIAM Journal on Scientific and Statistical Computing 5 (1984) 300, as in
         `scipy.interpolate.PchipInterpolator`, here for all points at once.
         """
         h = np.diff(self.loads, axis=1)
@@ -70,31 +71,32 @@ class FormingLevel:
             slope[:, 1:-1] = (first_weight + second_weight) / (
                 first_weight / m[:, :-1] + second_weight / m[:, 1:]
             )
-            for end, first, next_ in ((0, 0, 1), (-1, -1, -2)):
-                a, b = h[:, first], h[:, next_]
-                slope[:, end] = np.maximum(((2.0 * a + b) * m[:, first] - a * m[:, next_]) / (a + b), 0.0)
+            for end, outer, inner in ((0, 0, 1), (-1, -1, -2)):
+                a, b = h[:, outer], h[:, inner]
+                slope[:, end] = np.maximum(((2.0 * a + b) * m[:, outer] - a * m[:, inner]) / (a + b), 0.0)
         low, high = slope[:, :-1], slope[:, 1:]
-        cubic, quadratic = (low + high - 2.0 * m) / h**2, (3.0 * m - 2.0 * low - high) / h
+        cubic = (low + high - 2.0 * m) / h**2
+        quadratic = (3.0 * m - 2.0 * low - high) / h
         return np.stack([cubic, quadratic, low, self.springback[:, :-1]])
 
     @functools.cached_property
     def spacing(self) -> float:
-        """Distance [m] between two positions of the path."""
-        ends = np.vstack([self.path, self.path[:1]])
-        return float(lengths(np.diff(ends, axis=0)).mean())
+        """Mean distance [m] between two consecutive positions of the path."""
+        closed_path = np.vstack([self.path, self.path[:1]])
+        return float(lengths(np.diff(closed_path, axis=0)).mean())
 
 
 @dataclasses.dataclass(frozen=True)
 class LoopPlan:
-    """A pass.
+    """A pass, level by level.
 
     Attributes:
         name: Name of the pass.
-        digest: Digest of its problem.
+        digest: Digest of the problem.
         side: 1 if the tool moves down, -1 if it moves up.
-        radius: Radius of its ball [m].
-        force_exponent: Exponent m of the force in the step.
-        levels: The levels.
+        radius: Radius of the tool's ball [m].
+        force_exponent: Exponent m of the force F ~ step^m.
+        levels: The levels in the order in which they are formed.
     """
 
     name: str
@@ -106,7 +108,7 @@ class LoopPlan:
 
     @property
     def expected_forces(self) -> ExpectedLevels:
-        """What a file of forces may contain for this pass."""
+        """Points and largest forces of each level, with which a file of measured forces is checked."""
         return ExpectedLevels(
             self.name,
             tuple(level.path[level.path_index, :2] for level in self.levels),
@@ -183,34 +185,33 @@ def read_loop_plan(path: Path, name: str | None = None) -> LoopPlan:
         name: Name of the pass, by default the first one.
 
     Raises:
-        TandemError: forming.loop_curves, for a missing file or pass, a truncated file, or an invalid value.
+        TandemError: The file or the pass is missing, or the file is too large, truncated, of another kind or
+            has an invalid value (``forming.loop_curves``).
     """
     file = str(path)
-    hint_again = "write it again: tandem springback PROBLEM --curves FILE"
+    rewrite_hint = "write it again: tandem springback PROBLEM --curves FILE"
     if not is_file(path):
-        raise TandemError(_curves_issue(file, None, f"{file}: {missing_file_reason(path)}", hint_again))
+        raise TandemError(_curves_issue(file, None, f"{file}: {missing_file_reason(path)}", rewrite_hint))
     if path.stat().st_size > MAX_FILE_BYTES:
-        raise TandemError(_curves_issue(file, None, f"larger than {MAX_FILE_BYTES / 1e6:g} MB", hint_again))
+        raise TandemError(_curves_issue(file, None, f"larger than {MAX_FILE_BYTES / 1e6:g} MB", rewrite_hint))
     try:
         loop_file = TypeAdapter(LoopFile).validate_json(path.read_bytes())
     except ValidationError as error:
         errors = error.errors()
         other_kinds = [
-            OTHER_FILE_KINDS[name]
-            for name in OTHER_FILE_KINDS
-            if any(item["loc"] == (name,) for item in errors)
+            OTHER_FILE_KINDS[key] for key in OTHER_FILE_KINDS if any(item["loc"] == (key,) for item in errors)
         ]
         if other_kinds:
-            what = f"{path.name} {other_kinds[0]}; required: the curves of every level"
+            message = f"{path.name} {other_kinds[0]}; required: the curves of every level"
             hint = "give the file of curves: tandem springback PROBLEM --curves FILE writes it"
-            raise TandemError(_curves_issue(file, None, what, hint)) from error
+            raise TandemError(_curves_issue(file, None, message, hint)) from error
         raise TandemError(
             [
                 _curves_issue(
                     file,
                     ".".join(map(str, item["loc"])),
                     f"{item['msg']}; got {item.get('input')!r:.80}",
-                    hint_again,
+                    rewrite_hint,
                 )
                 for item in errors[:10]
             ]
@@ -224,11 +225,12 @@ def read_loop_plan(path: Path, name: str | None = None) -> LoopPlan:
     return _to_plan(matching[0], loop_file.digest)
 
 
-def _curves_issue(file: str, field: str | None, what: str, hint: str) -> Issue:
-    return Issue("forming.loop_curves", what, file=file, field=field, hint=hint)
+def _curves_issue(file: str, field: str | None, message: str, hint: str) -> Issue:
+    return Issue("forming.loop_curves", message, file=file, field=field, hint=hint)
 
 
 def _to_plan(pass_file: PassFile, digest: str) -> LoopPlan:
+    """Convert a pass of the file to SI units."""
     levels = [
         FormingLevel(
             path=np.array(level.path_mm) * MM,

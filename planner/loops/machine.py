@@ -1,7 +1,7 @@
-"""A machine that forms with force control: its file, its gains, and what they achieve.
+"""A machine that forms with force control: its file, its gains, and its simulated behaviour.
 
-Stiffness, bandwidth and delay of arms are given by the user. No robot of the catalogue states them, so
-nothing is claimed without this file.
+The user states stiffness, bandwidth and delay of the arms in the file. The robots of the catalogue do not
+state them, so nothing is claimed without this file.
 """
 
 import dataclasses
@@ -35,9 +35,9 @@ INTERFACES: Final = {
     "rsi": "RobotSensorInterface: path corrections every 4 or 12 ms (RSI context with POSCORR); set the "
     "limits of POSCORR, by default 5 mm, and ST_ON in relative mode",
 }
-"""Required settings of each interface of a controller."""
+"""Required settings of each interface by which a controller accepts corrections."""
 MAX_RUN_S: Final = 60.0
-"""Maximum duration of simulated responses [s]. They are scaled by the dead time."""
+"""Maximum duration of simulated responses [s]. It is otherwise proportional to the dead time."""
 
 
 class AxisFile(Strict):
@@ -98,27 +98,27 @@ def read_machine(path: Path) -> MachineFile:
     """Read a machine file.
 
     Raises:
-        TandemError: control.machine for every invalid field, with its line, and what `strict_yaml.read`
-            raises.
+        TandemError: A field is invalid (``control.machine``, one issue for each, with its line), or the file
+            cannot be read, see `strict_yaml.read_file`.
     """
     return strict_yaml.read_file(MachineFile, path, "control.machine")
 
 
 @dataclasses.dataclass(frozen=True)
 class MachineBehaviour:
-    """Behaviour of a machine with its gains.
+    """Simulated behaviour of a machine with its gains.
 
     Attributes:
         control: Settings of the controller.
-        max_gain: Gain from which it is refused [m/(N s)].
-        step: Step to the required force.
-        response: Response to the step.
-        ramp: Ramp of the gap.
-        gap_speed: Speed of the ramp [m/s].
+        max_gain: Gain from which the loop is unstable [m/(N s)].
+        step: Run with a step from half of the required force to all of it, without noise.
+        response: Overshoot and rise time of this step.
+        ramp: Run with a gap that changes at a constant speed.
+        gap_speed: This speed [m/s].
         error: Largest force error in the second half of the ramp [N].
-        feed: Feed that keeps the band without noise [m/s].
-        remaining_deflection: Remaining fraction of the former's deflection [-].
-        correction: Total correction that the commands make [m].
+        feed: Largest feed at which the force error stays within its band, apart from noise [m/s].
+        remaining_deflection: Remaining fraction of the forming arm's deflection [-].
+        correction: Correction of the forming arm's deflection that is commanded at the required force [m].
     """
 
     control: ForceControl
@@ -134,14 +134,14 @@ class MachineBehaviour:
 
 
 def simulate_machine(file: MachineFile, feed: float) -> MachineBehaviour:
-    """Simulate a machine with its gains.
+    """Simulate a machine with its gains: a step of the commanded force, and a ramp of the gap.
 
     Args:
         file: The machine.
-        feed: Feed [m/s].
+        feed: Feed [m/s], which determines the speed of the ramp.
 
     Raises:
-        TandemError: control.unstable, if the gains are beyond the limit.
+        TandemError: A gain is at its limit or beyond it (``control.unstable``).
     """
     machine, fraction = file.value(), file.compensate
     loop_gain = fraction * machine.compliance_gain
@@ -154,27 +154,29 @@ def simulate_machine(file: MachineFile, feed: float) -> MachineBehaviour:
     control = ForceControl(gain, fraction)
     dead_time = machine.dead_time(machine.support) + machine.dead_time(machine.forming) / (1.0 - loop_gain)
     seconds = float(min(max(30.0 * dead_time, 4.0), MAX_RUN_S))
-    first, last = 0.5 * file.force_n, file.force_n
+    start_force, required_force = 0.5 * file.force_n, file.force_n
     step_time = 5.0 * machine.sensor.cycle
     step = simulate_force(
         [_without_noise(machine)],
         [control],
-        lambda t: np.where(t < step_time, first, last),
+        lambda t: np.where(t < step_time, start_force, required_force),
         np.zeros_like,
         seconds,
     )
     speed = file.gap_change * feed
-    ramp = simulate_force([machine], [control], lambda t: np.full_like(t, last), lambda t: speed * t, seconds)
+    ramp = simulate_force(
+        [machine], [control], lambda t: np.full_like(t, required_force), lambda t: speed * t, seconds
+    )
     second_half = ramp.force[:, ramp.force.shape[1] // 2 :]
-    deflection = last / machine.forming.stiffness
+    deflection = required_force / machine.forming.stiffness
     return MachineBehaviour(
         control,
         max_gain,
         step,
-        step_response(step, first, last),
+        step_response(step, start_force, required_force),
         ramp,
         speed,
-        float(np.abs(second_half - last).max()),
+        float(np.abs(second_half - required_force).max()),
         float(file.band_n * gain / file.gap_change) if file.gap_change > 0.0 else np.inf,
         float(remaining_deflection(fraction, machine.compliance_gain)) if fraction > 0.0 else 1.0,
         float(fraction * deflection),
@@ -182,16 +184,19 @@ def simulate_machine(file: MachineFile, feed: float) -> MachineBehaviour:
 
 
 def _without_noise(machine: FormingMachine) -> FormingMachine:
+    """Return the machine with an ideal force sensor, without noise and quantisation."""
     sensor = dataclasses.replace(machine.sensor, noise=0.0, quantum=0.0)
     return dataclasses.replace(machine, sensor=sensor)
 
 
 def machine_warnings(file: MachineFile, behaviour: MachineBehaviour, feed: float) -> Iterator[Issue]:
-    """Yield the warnings control.band and control.range.
+    """Yield warnings if the force error exceeds its band, or the correction its limit.
+
+    Their codes are ``control.band`` and ``control.range``.
 
     Args:
         file: The machine.
-        behaviour: Its behaviour.
+        behaviour: Simulated behaviour of the machine.
         feed: Feed [m/s].
     """
     if behaviour.error > file.band_n:
@@ -230,7 +235,8 @@ def machine_warnings(file: MachineFile, behaviour: MachineBehaviour, feed: float
 
 
 def _compensation_issue(file: MachineFile, machine: FormingMachine) -> Issue:
-    r = machine.compliance_gain
+    """Return the issue that the compensation alone is unstable: its loop gain is 1 or more."""
+    r = machine.compliance_gain  # loop gain of a full compensation
     return Issue(
         "control.unstable",
         f"{file.name}: compensation of {file.compensate:g} of the former's deflection has a loop gain of "
@@ -244,6 +250,7 @@ def _compensation_issue(file: MachineFile, machine: FormingMachine) -> Issue:
 
 
 def _gain_issue(file: MachineFile, machine: FormingMachine, gain: float, max_gain: float) -> Issue:
+    """Return the issue that the force loop is unstable, with gains [m/(N s)]."""
     stiffness, dead_time = machine.effective_contact(file.compensate)
     compensation_text = f", and with compensation of {file.compensate:g}," if file.compensate > 0.0 else ""
     return Issue(

@@ -1,22 +1,24 @@
 """Stability of the loop that compensates springback from level to level.
 
-At a position, e is the error of the part (formed minus nominal), and d_i = e_i - e_(i-1) the amount by which
-more than nominal is formed from level to level. Force grows with what is formed at once, F ~ (1 + d / dz)^m,
-and springback with force, S ~ F^b. With
+At a position, e is the error of the part (formed minus nominal depth). d_i = e_i - e_(i-1) is the amount by
+which the step of level i exceeds the nominal step. Force grows with the step, F ~ (1 + d / dz)^m, and
+springback with force, S ~ F^b. With
 
     gamma = m b S / dz        (dz: depth between levels)
     q = slope of the model's S(F), times the gain, over that of the true one
 
-the balance at the position is, for small errors and a force predicted as that of a step p more than nominal,
+the balance at the position is, for small errors and a predicted force that belongs to a step larger than
+nominal by p,
 
     e_i (1 + gamma) = gamma e_(i-1) + q gamma p_i.
 
-Rules: p of an action follows from the last steps d before it (each of an action's last level), c0 d_1 + c1
-d_2. For the rule "model" it is an exponential mean, p = (1 - w) p_1 + w d_1. p is constant for the levels of
-an action. The loop converges if all roots of that recursion lie within the unit circle. With an action each
-level and the rule "model" the product of its two roots is (gamma (1 - w) + q gamma w) / (1 + gamma), and the
-others stay within. The limit is therefore q = 1 + 1 / (gamma w). A force that is held is that rule with w =
-1.
+An action is the correction of several levels at once, for which p is constant. By most rules p follows from
+the steps d_1 and d_2 at the last levels of the two previous actions, p = c0 d_1 + c1 d_2. By the rule "model"
+it is an exponential mean, p = (1 - w) p_1 + w d_1.
+
+The loop converges if all roots of this recursion lie within the unit circle. With an action for each level
+and the rule "model" the product of two roots is (gamma (1 - w) + q gamma w) / (1 + gamma), and the others
+stay within the circle. The limit is therefore q = 1 + 1 / (gamma w). The rule "held" is this rule with w = 1.
 """
 
 from typing import Final, Literal
@@ -27,34 +29,34 @@ from numpy.typing import ArrayLike
 from planner.geometry.arrays import FloatArray
 
 PredictionRule = Literal["held", "half", "linear", "model"]
-"""Prediction of the next force.
+"""Rule that predicts the next force.
 
-"held": the last one. "half": half of the change on a line through two. "linear": all of it. "model": the
-expected force scaled by the measurements.
+"held": It equals the last force. "half": It continues half of the last change. "linear": It continues all of
+the last change. "model": It is the expected force, scaled by the measurements.
 """
 RULE_COEFFICIENTS: Final[dict[PredictionRule, tuple[float, float]]] = {
     "held": (1.0, 0.0),
     "half": (1.5, -0.5),
     "linear": (2.0, -1.0),
 }
-"""c0 and c1 of the rules that have them.
+"""Coefficients c0 and c1 of the rules other than "model".
 
 The dissertation on double-sided forming, equation 4-14, calls "half" linear.
 """
 MAX_RATIO: Final = 64.0
-"""Maximum ratio q that is considered."""
+"""Maximum ratio q for which stability is examined."""
 _HALVINGS: Final = 50
-"""Number of halvings to find a limit."""
+"""Number of bisection steps with which a limit is found."""
 
 
 def gamma(force_exponent: float, curve_exponent: float, springback: float, spacing: float) -> float:
-    """Return gamma [-].
+    """Return gamma = m b S / dz [-].
 
     Args:
-        force_exponent: Exponent m.
-        curve_exponent: Exponent b.
+        force_exponent: Exponent m of the force in the step.
+        curve_exponent: Exponent b of the springback in the force.
         springback: Springback S [m].
-        spacing: Depth between levels [m].
+        spacing: Depth dz between levels [m].
     """
     return force_exponent * curve_exponent * springback / spacing
 
@@ -62,11 +64,11 @@ def gamma(force_exponent: float, curve_exponent: float, springback: float, spaci
 def spectral_radius(
     gamma: ArrayLike, ratio: ArrayLike, rule: PredictionRule, every: int = 1, weight: float = 1.0
 ) -> FloatArray:
-    """Return the largest absolute root (...) of the recursion.
+    """Return the largest absolute root (...) of the recursion; the loop converges if it is below 1.
 
     Args:
-        gamma: gamma, broadcasts with ``ratio``.
-        ratio: Ratio q.
+        gamma: Values of gamma, which are broadcast with ``ratio``.
+        ratio: Ratios q.
         rule: Prediction rule.
         every: Number of levels of an action.
         weight: Weight w of the rule "model".
@@ -80,6 +82,7 @@ def spectral_radius(
     else:
         c0, c1 = RULE_COEFFICIENTS[rule]
         prediction = c0 * last_step + c1 * second_last_step
+    # e_i = memory e_(i-1) + response p, for all levels of the action
     memory, response = (g / (1.0 + g))[..., None], (q * g / (1.0 + g))[..., None]
     step = last_step
     for _ in range(every):
@@ -96,7 +99,7 @@ def max_stable_ratio(
     """Return the smallest ratio q (...) at which the loop does not converge, at most `MAX_RATIO`.
 
     Args:
-        gamma: gamma.
+        gamma: Values of gamma (...).
         rule: Prediction rule.
         every: Number of levels of an action.
         weight: Weight w of the rule "model".

@@ -65,7 +65,10 @@ def choose_track_law(
     scored_arms: Collection[str],
     failure_reason: Callable[[Targets], str],
 ) -> FloatArray | TrackLawFailure:
-    """Choose the offset of the law that leaves the largest joint margins at a few targets and is feasible.
+    """Choose the feasible law with the largest joint margins.
+
+    Candidate offsets c are scored by the margins at a few targets. The planner then tries them from the
+    largest score down, at most :data:`MAX_TRIED_OFFSETS`, and returns the first law that is feasible.
 
     Args:
         scene: Cell with the stock in its pose.
@@ -78,18 +81,17 @@ def choose_track_law(
     Returns:
         Track positions (N,) [m], or the failure if none of the tried laws is feasible.
     """
-    track, fraction = scene.tracks[arm][0], scene.tracks[arm][0].follow_fraction or 0.0
+    track = scene.tracks[arm][0]
+    fraction = track.follow_fraction or 0.0
     position, path_length = tool_along_track(scene, targets, arm)
     grid = candidate_offsets(track, fraction, position)
     laws = np.stack([track_law(track, fraction, position, path_length, offset) for offset in grid])
-    sampled, rows = (
-        sample_coarsely(cell, with_aims(scene, targets), SCORED_TARGETS, False),
-        spread_rows(len(position), SCORED_TARGETS),
-    )
-    law_targets = [
-        dataclasses.replace(sampled.targets, track_positions={arm: values[rows]}) for values in laws
+    sampled = sample_coarsely(cell, with_aims(scene, targets), SCORED_TARGETS, with_slides=False)
+    scored_targets = spread_rows(len(position), SCORED_TARGETS)
+    targets_by_law = [
+        dataclasses.replace(sampled.targets, track_positions={arm: law[scored_targets]}) for law in laws
     ]
-    samples_by_law = [dataclasses.replace(sampled, targets=law_sample) for law_sample in law_targets]
+    samples_by_law = [dataclasses.replace(sampled, targets=law_targets) for law_targets in targets_by_law]
     score = np.array(
         [
             placement_margin(law_sample, scene.stock[None, None], {}, scene.settings, scored_arms)[0]
@@ -97,7 +99,7 @@ def choose_track_law(
         ]
     )
     tried: list[float] = []
-    first = ""
+    first_reason = ""
     for k in np.argsort(-score, kind="stable").tolist():
         is_close = any(abs(grid[k] - other) < MIN_OFFSET_DISTANCE_M for other in tried)
         if is_close or len(tried) >= MAX_TRIED_OFFSETS or not score[k] > 0.0:
@@ -106,8 +108,8 @@ def choose_track_law(
         reason = failure_reason(dataclasses.replace(targets, track_positions={arm: laws[k]}))
         if not reason:
             return np.asarray(laws[k])
-        first = first or reason
-    return TrackLawFailure(laws[int(np.argmax(score))], len(tried), first)
+        first_reason = first_reason or reason
+    return TrackLawFailure(laws[int(np.argmax(score))], len(tried), first_reason)
 
 
 def tool_along_track(scene: Scene, targets: Targets, arm: str) -> tuple[FloatArray, FloatArray]:
@@ -145,9 +147,8 @@ def track_law(
     steps = int(min(max(np.ceil(path_length[-1] / SMOOTHING_STEP_M), 1.0), MAX_SMOOTHING_STEPS))
     grid = np.linspace(0.0, max(float(path_length[-1]), SMOOTHING_STEP_M), steps + 1)
     width = max(round(SMOOTHING_HALF_WIDTH_M / float(grid[1] - grid[0])), 1)
-    advancing = np.append(
-        True, np.diff(path_length) > 0.0
-    )  # where the tool only rotates, keep the first target
+    # Of targets between which the tool only rotates, keep the first: interpolation needs growing lengths.
+    advancing = np.append(True, np.diff(path_length) > 0.0)
     resampled = np.interp(grid, path_length[advancing], clipped[advancing])
     box = np.full(width, 1.0 / width)
     weights = np.convolve(box, box)
@@ -158,9 +159,13 @@ def track_law(
 
 
 def max_tool_slide(scene: Scene, targets: Targets, arm: str) -> float:
-    """Largest distance [m] by which a single freedom of the targets moves the tool along the track."""
+    """Return the largest distance [m] by which one freedom of the targets moves the tool along the track.
+
+    Each freedom is varied alone, at :data:`SLIDE_FRACTIONS` of its range, with the others at neutral values.
+    """
     track, _ = scene.tracks[arm]
-    fixed_base, worst = dataclasses.replace(targets, track_positions={}), 0.0
+    fixed_base = dataclasses.replace(targets, track_positions={})
+    max_slide = 0.0
     neutral = fixed_base.neutral_values()
     neutral_position = scene.tcp_poses(fixed_base, neutral)[arm][:, :3, 3] @ track.axis
     for j, freedom in enumerate(fixed_base.freedoms):
@@ -168,8 +173,8 @@ def max_tool_slide(scene: Scene, targets: Targets, arm: str) -> float:
             values = neutral.copy()
             values[:, j] = freedom.lower + fraction * (freedom.upper - freedom.lower)
             position = scene.tcp_poses(fixed_base, values)[arm][:, :3, 3] @ track.axis
-            worst = max(worst, float(np.abs(position - neutral_position).max()))
-    return worst
+            max_slide = max(max_slide, float(np.abs(position - neutral_position).max()))
+    return max_slide
 
 
 def candidate_offsets(track: LinearAxis, fraction: float, position: FloatArray) -> FloatArray:

@@ -49,7 +49,7 @@ def no_path_issues(scene: Scene, targets: Targets, grid: SampleGrid, blocked: Bl
         At least one issue: ``motion.no_reach``, ``motion.joint_limit``, ``motion.singular``,
         ``motion.no_path`` or ``motion.collision``.
     """
-    if blocked.subset is not None:
+    if blocked.subset is not None:  # the search of a subset of the targets failed, so it explains the failure
         subset_targets, rows = blocked.subset
         subset_issues = no_path_issues(scene, subset_targets, grid, dataclasses.replace(blocked, subset=None))
         return [_restate_for_job(issue, targets, rows) for issue in subset_issues]
@@ -69,7 +69,10 @@ def no_path_issues(scene: Scene, targets: Targets, grid: SampleGrid, blocked: Bl
 
 
 def _restate_for_job(issue: Issue, targets: Targets, rows: IndexArray) -> Issue:
-    """Restate an issue of a subset of the targets, ``rows`` (K,), for the whole operation."""
+    """Restate an issue of a subset of the targets with index and name of its target in the whole operation.
+
+    ``rows`` (K,) are the indices of the subset in ``targets``.
+    """
     if issue.index is None or issue.target is None:
         return issue
     index = int(rows[issue.index])
@@ -82,9 +85,10 @@ def _restate_for_job(issue: Issue, targets: Targets, rows: IndexArray) -> Issue:
 def _reach_issue(
     scene: Scene, targets: Targets, grid: SampleGrid, arm: str, arm_reach: ArmReach
 ) -> Issue | None:
-    """Issue of the first target that ends the longest branch.
+    """Return the issue of the target at which the longest branch of an arm ends, or None if one passes all.
 
-    Its cause is reach, a joint limit or a singularity.
+    A branch is longer if it exists at more targets from the first on. Its end is caused by reach, a joint
+    limit or a singularity.
     """
     if arm_reach.branches:
         return None
@@ -107,20 +111,21 @@ def _reach_issue(
         return Issue(
             "motion.no_reach", message, value=shortfall / MM, limit=0.0, unit="mm", hint=hint, **fields
         )
-    if (
-        not arm_reach.solved[branch, index] and arm_reach.exists[:, index].any()
-    ):  # other branches reach this target
+    if not arm_reach.solved[branch, index] and arm_reach.exists[:, index].any():
+        # Other branches reach this target, so the arm only cannot continue to them.
         return _branch_issue(targets, index)
+    # The issue describes the sample with the largest of the smaller margins, to limits and singularities.
     pose = scene.tcp_poses(targets, grid.values[index], np.full(grid.samples, index))[arm]
-    last = targets.last_joint_angle(arm, grid.values[index])
-    q = chain.inverse(pose, [branch], last)[:, 0]
+    redundant_angle = targets.last_joint_angle(arm, grid.values[index])
+    q = chain.inverse(pose, [branch], redundant_angle)[:, 0]
     if np.isnan(q[:, 0]).all():  # the branch numbers of an offset wrist are matched along the path
-        q = chain.inverse(pose, last_joint=last).reshape(-1, chain.robot.axes)
+        q = chain.inverse(pose, last_joint=redundant_angle).reshape(-1, chain.robot.axes)
     q = q[~np.isnan(q[:, 0])]
-    limit = chain.best_limit_margin(q)
-    best = int(np.argmax(np.minimum(limit, chain.singularity_margin(q))))
-    if limit[best] < scene.settings.joint_margin:
+    limit_margin = chain.best_limit_margin(q)
+    best = int(np.argmax(np.minimum(limit_margin, chain.singularity_margin(q))))
+    if limit_margin[best] < scene.settings.joint_margin:
         margins = np.minimum(q[best] - chain.robot.lower, chain.robot.upper - q[best])
+        # Name a joint that violates its margin, and one with many turns only if no other joint does.
         joint = int(np.argmin(np.where(chain.has_many_turns, np.inf, margins)))
         joint = joint if margins[joint] < scene.settings.joint_margin else int(np.argmin(margins))
         return Issue(
@@ -136,8 +141,8 @@ def _reach_issue(
                 margin_deg=scene.settings.joint_margin / DEG,
             ),
             bodies=(f"axis {joint + 1}",),
-            **measurement(float(limit[best]) / DEG, scene.settings.joint_margin / DEG, "deg"),
-            hint=_relocation_hint(targets) + _margin_hint("joint_margin_deg", float(limit[best])),
+            **measurement(float(limit_margin[best]) / DEG, scene.settings.joint_margin / DEG, "deg"),
+            hint=_relocation_hint(targets) + _margin_hint("joint_margin_deg", float(limit_margin[best])),
             **fields,
         )
     singularity_margin = float(chain.singularity_margin(q[best]))
@@ -163,14 +168,12 @@ def _reach_issue(
 
 
 def _reach_shortfall(scene: Scene, targets: Targets, grid: SampleGrid, arm: str, index: int) -> float:
-    """Distance [m] of the wrist centre from the reachable region at the nearest sample.
+    """Return the distance [m] of the wrist centre from the reachable region, for the target's nearest sample.
 
-    It is 0 if only the direction fails.
+    It is 0 if the wrist centre is within reach and only the orientation of the tool is not.
     """
-    pose, chain = (
-        scene.tcp_poses(targets, grid.values[index], np.full(grid.samples, index))[arm],
-        scene.chains[arm],
-    )
+    pose = scene.tcp_poses(targets, grid.values[index], np.full(grid.samples, index))[arm]
+    chain = scene.chains[arm]
     form = chain.robot.form
     if isinstance(form, OffsetParameters):
         flange = np.linalg.inv(chain.base) @ pose @ np.linalg.inv(chain.tcp)
@@ -179,6 +182,7 @@ def _reach_shortfall(scene: Scene, targets: Targets, grid: SampleGrid, arm: str,
 
 
 def _branch_issue(targets: Targets, index: int) -> Issue:
+    """Return the issue of a target that each arm reaches, but that no combination of branches passes."""
     name = targets.name(index)
     message = f"no choice of branches for {' and '.join(targets.arms)} passes target {name}: the arms can "
     message += "reach it, but they cannot continue without a joint jump or with the same freedoms"
@@ -186,7 +190,14 @@ def _branch_issue(targets: Targets, index: int) -> Issue:
 
 
 def _winding_issue(scene: Scene, targets: Targets, winding: JointWinding, index: int) -> Issue:
-    """Issue of a joint that would have to continue beyond its limits."""
+    """Return the issue of a joint that would have to turn beyond its limits to follow the path.
+
+    Args:
+        scene: Cell with the stock in its pose.
+        targets: Targets of the operation.
+        winding: The joint, and the range of angles that it would need.
+        index: Target at which the joint leaves its limits.
+    """
     robot, margin = scene.chains[winding.arm].robot, scene.settings.joint_margin
     low, high = (float(end[winding.joint]) / DEG for end in (robot.lower + margin, robot.upper - margin))
     name, span = targets.name(index), f"from {winding.low / DEG:.0f} to {winding.high / DEG:.0f} deg"
@@ -212,23 +223,24 @@ def _winding_issue(scene: Scene, targets: Targets, winding: JointWinding, index:
 
 
 def _blocked_issue(scene: Scene, targets: Targets, blocked: BlockedSearch) -> Issue:
-    """Issue of the target where all paths end.
+    """Return the collision issue of the target that no path passes.
 
-    It lists the samples that are free before and after it, and what blocks it.
+    It lists the samples that are free before and after it, and the bodies that collide at it.
     """
     dead = blocked.dead_end
     if dead is None and blocked.collision is not None:
         return collision_issue(scene, targets, blocked.collision[1], blocked.collision[0])
     if dead is None or scene.model is None:
         raise ValueError("the search did not fail because of collisions")
+    # If some samples are free, those to which the arms could continue block the path, else all in reach.
     has_free = bool(dead.free.any())
     colliding = np.flatnonzero((dead.next if has_free else dead.possible) & ~dead.free)
     if not len(colliding):
         return _branch_issue(targets, dead.index)
-    blocks, (counted, nearest) = _collision_groups(scene, targets, dead, colliding)
+    blocks, (counted_distance, nearest) = _collision_groups(scene, targets, dead, colliding)
     if not blocks:
         return _branch_issue(targets, dead.index)
-    best, limit, setting = self_clearance.true_distance(scene.settings, counted, nearest)
+    best, limit, setting = self_clearance.true_distance(scene.settings, counted_distance, nearest)
     name, count = targets.name(dead.index), len(colliding)
     sample_text = (
         f"{count} sample{'s' if count > 1 else ''} of {_freedom_names(targets)}"
@@ -296,31 +308,40 @@ class CollisionGroup:
 def _collision_groups(
     scene: Scene, targets: Targets, dead: DeadEnd, samples: IndexArray
 ) -> tuple[list[CollisionGroup], tuple[float, tuple[str, str]]]:
-    """Groups of bodies that are too close where paths end, and the best sample.
+    """Return which bodies are too close at a target that no path passes, and the best sample of it.
 
-    The groups are chosen greedily until all ``samples`` (K,) of the target are explained: first the group
-    that blocks most samples, then the one that blocks most of the rest. The second value is the counted
-    distance [m] of the best sample, with its pair.
+    The groups are chosen greedily until all samples are explained, at most :data:`MAX_NAMED_PAIRS`: first the
+    group that blocks most samples, then the one that blocks most of the rest.
+
+    Args:
+        scene: Cell with a collision model.
+        targets: Targets of the operation.
+        dead: The target, with the joints of its samples.
+        samples: (K,) indices of the samples that collide.
+
+    Returns:
+        The groups, and the smallest counted distance [m] of the sample where it is largest, with its pair of
+        bodies. See :mod:`planner.motion.self_clearance` for counted distances.
     """
     if scene.model is None:
         raise ValueError("without a collision model nothing can collide")
     # Collect the samples at which each pair of bodies (or the wire with a body) is too close.
-    q = {arm: r.q[dead.index, samples] for arm, r in dead.states.items()}
+    q = {arm: arm_reach.q[dead.index, samples] for arm, arm_reach in dead.states.items()}
     index = np.full(len(samples), dead.index)
     required = scene.settings.clearance
     samples_by_pair: dict[tuple[str, str], set[int]] = {}
-    model_rows = scene.model_at(targets, index) or scene.model
-    for ignore, rows in scene.split_by_contacts(targets, index):
-        part = scene.model.stack_rows({arm: v[rows] for arm, v in q.items()})
+    model = scene.model_at(targets, index) or scene.model
+    for ignored_pairs, rows in scene.split_by_contacts(targets, index):
+        joints = scene.model.stack_rows({arm: v[rows] for arm, v in q.items()})
         queries = clearance.distance_gradients_at(
-            model_rows.at_rows(rows), part, required + CONTACT_TOLERANCE_M, ignore
+            model.at_rows(rows), joints, required + CONTACT_TOLERANCE_M, ignored_pairs
         )
         for row, query in zip(rows.tolist(), queries, strict=True):
             for a, b in query.bodies[query.distance <= required].tolist():
                 first, second = sorted((scene.model.body_name(a), scene.model.body_name(b)))
                 samples_by_pair.setdefault((first, second), set()).add(row)
-    bodies = scene.smallest_clearances(targets, q, index, REPORTED_DISTANCE_M)
-    distances = bodies.distance
+    closest = scene.smallest_clearances(targets, q, index, REPORTED_DISTANCE_M)
+    distances = closest.distance
     wire_distances, wire_pairs = scene.edge_clearance(targets, q, index)
     for row in np.flatnonzero(wire_distances < required).tolist():
         first, second = sorted(wire_pairs[row])
@@ -347,10 +368,11 @@ def _collision_groups(
     best = int(np.argmax(np.minimum(distances, wire_distances)))
     if wire_distances[best] < distances[best]:
         return out, (float(wire_distances[best]), wire_pairs[best])
-    return out, (float(distances[best]), bodies.pair[best])
+    return out, (float(distances[best]), closest.pair[best])
 
 
 def _owner(body: str) -> str:
+    """Return the arm, obstacle or stock that a body belongs to, which is the first part of its name."""
     return body.partition("/")[0]
 
 
@@ -360,7 +382,11 @@ def _format_near_limit(value: float, limit: float) -> str:
 
 
 def _freedom_intervals(targets: Targets, grid: SampleGrid, index: int, samples: BoolArray) -> str:
-    """Intervals of each freedom over some samples (S,) of a target, in displayed units."""
+    """Describe the values that each freedom takes in some samples of a target, as text with units.
+
+    ``samples`` (S,) says which samples of the grid count. Neighbouring values become one interval. Freedoms
+    with an empty range are left out.
+    """
     out = []
     for j, freedom in enumerate(targets.freedoms):
         if float((freedom.upper - freedom.lower).max()) <= 0.0:
@@ -385,9 +411,9 @@ def _format_interval(low: float, high: float) -> str:
 
 
 def _true_runs(used: BoolArray, is_ring: bool) -> list[tuple[int, int]]:
-    """First and last index of each run of true values.
+    """Return first and last index of each run of true values.
 
-    On a ring a run may continue from the end to the start.
+    On a ring, a run at the end continues in the run at the start. Its first index exceeds its last one.
     """
     edge = np.diff(np.concatenate([[0], used.astype(np.intp), [0]]))
     runs = list(zip(np.flatnonzero(edge > 0).tolist(), (np.flatnonzero(edge < 0) - 1).tolist(), strict=True))
@@ -399,7 +425,7 @@ def _true_runs(used: BoolArray, is_ring: bool) -> list[tuple[int, int]]:
 def collision_issue(
     scene: Scene, targets: Targets, q: Mapping[str, FloatArray], index: int, count: int = 1
 ) -> Issue:
-    """Describe the closest pair of bodies at one configuration as an issue.
+    """Return the issue ``motion.collision`` with the closest pair of bodies at one configuration.
 
     Args:
         scene: Cell with a collision model.
@@ -416,9 +442,9 @@ def collision_issue(
     single = {arm: angles[None] for arm, angles in q.items()}
     closest = scene.smallest_clearances(targets, single, np.array([index]), 0.2)
     distance, pair = float(closest.distance[0]), closest.pair[0]
-    wire, wire_pair = scene.edge_clearance(targets, single, np.array([index]))
-    if float(wire[0]) < distance:
-        distance, pair = float(wire[0]), wire_pair[0]
+    wire_distance, wire_pair = scene.edge_clearance(targets, single, np.array([index]))
+    if float(wire_distance[0]) < distance:
+        distance, pair = float(wire_distance[0]), wire_pair[0]
     distance, limit, setting = self_clearance.true_distance(scene.settings, distance, pair)
     name = targets.name(index)
     return Issue(
@@ -443,9 +469,9 @@ def is_tool_and_support(pair: Sequence[str]) -> bool:
 
 
 def _clearance_hint(targets: Targets, setting: str, pair: tuple[str, str]) -> str:
-    """Hint for a ``pair`` of bodies that are too close.
+    """Return a hint for a ``pair`` of bodies that are too close.
 
-    ``setting`` is the setting that requires the clearance.
+    ``setting`` is the name of the setting that requires the clearance.
     """
     if is_tool_and_support(pair):
         advice = (
@@ -458,6 +484,7 @@ def _clearance_hint(targets: Targets, setting: str, pair: tuple[str, str]) -> st
 
 
 def _holds_stock(targets: Targets) -> bool:
+    """Whether an arm holds the stock in any frame of the targets."""
     return any(holder is not None for _, holder in frame_holders(targets))
 
 
@@ -472,7 +499,13 @@ def _relocation_hint(targets: Targets) -> str:
 
 
 def _margin_hint(field: str, margin: float) -> str:
-    """Hint with the margin [rad] that would let a target pass, if that margin is worth suggesting."""
+    """Return the end of a hint that suggests a smaller value of a margin setting, or an empty text.
+
+    Args:
+        field: Name of the setting.
+        margin: Margin [rad] that the target has. It is suggested, rounded down, if it is at least
+            :data:`MIN_SUGGESTED_MARGIN_DEG`.
+    """
     suggested_deg = float(np.floor(margin / DEG * 10.0 - 1e-6)) / 10.0
     return (
         f", or set settings.{field}: {suggested_deg:g}, which is enough here"
@@ -488,11 +521,13 @@ def _move_stock_hint(targets: Targets) -> str:
 
 
 def _tried_freedoms(targets: Targets) -> str:
+    """Say that all freedoms were tried, with their names if there are several."""
     names = [f.name for f in targets.freedoms if float((f.upper - f.lower).max()) > 0.0]
     return f"every freedom ({', '.join(names)})" if len(names) > 1 else "every freedom"
 
 
 def _freedom_names(targets: Targets) -> str:
+    """Return the names of the freedoms whose range is not empty."""
     names = [f.name for f in targets.freedoms if float((f.upper - f.lower).max()) > 0.0]
     return " and ".join(names) or "no freedom"
 
@@ -524,5 +559,5 @@ def require_linear_moves(
     colliding = np.flatnonzero(~is_clear(scene, targets, samples))
     if len(colliding):
         row = int(colliding[0])
-        at = {arm: q[row] for arm, q in samples.q.items()}
-        raise TandemError(collision_issue(scene, targets, at, int(samples.move[row]), len(colliding)))
+        joints = {arm: q[row] for arm, q in samples.q.items()}
+        raise TandemError(collision_issue(scene, targets, joints, int(samples.move[row]), len(colliding)))

@@ -112,6 +112,7 @@ def freedom_units(targets: Targets, has_stock_pose: bool) -> dict[str, str]:
 
 
 def _unit(freedom: Freedom) -> str:
+    """Return the unit of a freedom: "rad", "m", or "" for the value that a table of poses is over."""
     if isinstance(freedom, TableFreedom):
         return ""
     if isinstance(freedom, JointFreedom):
@@ -143,7 +144,7 @@ def compute_freedom_map(
     if freedom not in names:
         raise KeyError(freedom)
     column = names.index(freedom)
-    grid_values = _values(targets.freedoms[column])
+    grid_values = _grid_values(targets.freedoms[column])
     other_samples = _other_samples(targets, column)
     if planned is not None:
         other_samples = np.concatenate([planned[:, None], other_samples], axis=1)
@@ -154,8 +155,11 @@ def compute_freedom_map(
     return ReachableFreedomMap(freedom, unit, grid_values, grid, _free_clearance([scene], targets, grid))
 
 
-def _values(freedom: Freedom) -> FloatArray:
-    """Values (N, V) of a freedom at each target, evenly spaced between its bounds."""
+def _grid_values(freedom: Freedom) -> FloatArray:
+    """Return values (N, V) of a freedom at N targets, evenly spaced between its bounds at each target.
+
+    The value at -180 degrees of a full turn is not repeated at 180 degrees.
+    """
     if is_full_turn(freedom):
         angles = -np.pi + FULL_TURN_RAD * np.arange(VALUES_PER_FREEDOM - 1) / (VALUES_PER_FREEDOM - 1)
         return np.repeat(angles[None], len(freedom.lower), axis=0)
@@ -164,7 +168,10 @@ def _values(freedom: Freedom) -> FloatArray:
 
 
 def _other_samples(targets: Targets, column: int | None) -> FloatArray:
-    """Samples (N, S, F) of all freedoms except one, which keeps its neutral value."""
+    """Return samples (N, S, F) of all freedoms, where that of ``column`` keeps its neutral value.
+
+    At most :data:`MAX_OTHER_SAMPLES` samples are returned for each target. With ``column`` None all vary.
+    """
     ranges = list(targets.freedoms)
     if column is not None:
         neutral = targets.neutral_values()[:, column]
@@ -174,6 +181,7 @@ def _other_samples(targets: Targets, column: int | None) -> FloatArray:
 
 
 def _stock_shift_map(scene: Scene, targets: Targets, axis: int) -> ReachableFreedomMap:
+    """Compute the map of a shift of the stock along a world axis (0 to 2), which needs a scene per shift."""
     shifts = np.linspace(-MAX_STOCK_SHIFT_M, MAX_STOCK_SHIFT_M, VALUES_PER_FREEDOM)
     scenes = []
     for shift in shifts:
@@ -181,11 +189,11 @@ def _stock_shift_map(scene: Scene, targets: Targets, axis: int) -> ReachableFree
         stock[axis, 3] += shift
         model = None if scene.model is None else scene.model.with_stock(stock)
         scenes.append(dataclasses.replace(scene, stock=stock, model=model))
-    values = np.repeat(_other_samples(targets, None)[:, None], VALUES_PER_FREEDOM, axis=1)
+    values = np.repeat(_other_samples(targets, column=None)[:, None], VALUES_PER_FREEDOM, axis=1)
     grid = grid_states(scenes, targets, values)
-    values_shown = np.repeat(shifts[None], targets.count, axis=0)
+    grid_shifts = np.repeat(shifts[None], targets.count, axis=0)
     name = STOCK_SHIFT_PREFIX + STOCK_SHIFT_AXES[axis]
-    return ReachableFreedomMap(name, "m", values_shown, grid, _free_clearance(scenes, targets, grid))
+    return ReachableFreedomMap(name, "m", grid_shifts, grid, _free_clearance(scenes, targets, grid))
 
 
 MAX_SEARCHED_TARGETS: Final = 12
@@ -195,9 +203,11 @@ MAX_SEARCHED_TARGETS: Final = 12
 def find_postures(
     scene: Scene, targets: Targets, rows: IndexArray
 ) -> list[dict[str, FloatArray] | list[Issue]]:
-    """Find a posture for each target, or the reasons why there is none, as the quick check does.
+    """Find a posture for each target, or the reasons why there is none.
 
-    The branch changes as seldom as possible.
+    Few samples of the freedoms are checked first, with branches that suit as many targets as possible. If
+    they have no free posture, :func:`find_posture` searches the single target, with all samples for at most
+    :data:`MAX_SEARCHED_TARGETS` targets.
 
     Args:
         scene: Cell with the stock in its pose.
@@ -209,7 +219,10 @@ def find_postures(
     """
     subset_targets = select_targets(targets, rows)
     grid = grid_states(
-        [scene], subset_targets, _other_samples(subset_targets, None)[:, None], prefer_common_branches=True
+        [scene],
+        subset_targets,
+        _other_samples(subset_targets, column=None)[:, None],
+        prefer_common_branches=True,
     )
     out: list[dict[str, FloatArray] | list[Issue]] = []
     searched = 0
@@ -220,7 +233,7 @@ def find_postures(
         result = find_posture(scene, targets, row, thorough=False)
         if isinstance(result, list):
             searched += 1
-            over_budget = searched > MAX_SEARCHED_TARGETS
+            over_budget = searched > MAX_SEARCHED_TARGETS  # the thorough search takes long
             result = (
                 _sampled_issues(targets, grid, k, row) if over_budget else find_posture(scene, targets, row)
             )
@@ -231,14 +244,21 @@ def find_postures(
 
 
 def _with_best_turns(chain: Chain, q: FloatArray) -> FloatArray:
-    """Joints (6,) with the whole turns that leave the largest margin to the limits."""
+    """Add whole turns to joints (6,) [rad] so that they have the largest margin to the joint limits."""
     turns = chain.turns
     margins = [float(margin) for margin in chain.limit_margins(q, turns)]
     return np.asarray(q + turns[int(np.argmax(margins))])
 
 
 def _sampled_issues(targets: Targets, grid: GridStates, k: int, row: int) -> list[Issue]:
-    """Issues of a target that has no free posture among few samples."""
+    """Return one issue for each arm that has no free posture among the few samples of a target.
+
+    Args:
+        targets: Targets of the operation.
+        grid: States of the arms at the samples of a subset of the targets.
+        k: Index of the target in ``grid``.
+        row: Index of the target in ``targets``.
+    """
     out = []
     for arm, state in grid.state.items():
         code = ISSUE_CODES[state[k, 0]]
@@ -264,7 +284,7 @@ def grid_states(
     """Evaluate all arms at K targets with V values and S samples each.
 
     Args:
-        scenes: One scene for all values, or one for each value.
+        scenes: One scene for all values, or V scenes, one for each value.
         targets: K targets.
         values: (K, V, S, F) values of the freedoms.
         prefer_common_branches: Whether branches that suit most grid points are preferred to those with the
@@ -278,10 +298,9 @@ def grid_states(
         tcp_poses = scene.tcp_poses(targets, values[:, columns], index[:, columns])
         for arm, pose in tcp_poses.items():
             poses[arm][:, columns] = pose
-    first = scenes[0]
     states, limits, singulars, costs, angles = {}, {}, {}, {}, {}
     for arm, pose in poses.items():
-        arm_grid = arm_states(first, arm, pose, targets.last_joint_angle(arm, values))
+        arm_grid = arm_states(scenes[0], arm, pose, targets.last_joint_angle(arm, values))
         states[arm], limits[arm], singulars[arm] = arm_grid.state, arm_grid.limit, arm_grid.singular
         costs[arm], angles[arm] = arm_grid.cost, arm_grid.q
     chosen, pair = _choose_free(scenes, targets, costs, angles, states, prefer_common_branches)
@@ -319,22 +338,31 @@ def arm_states(scene: Scene, arm: str, pose: FloatArray, last_joint: FloatArray 
     chain = scene.chains[arm]
     q = chain.inverse(pose, last_joint=last_joint)  # (..., S, B, J)
     limit, singular = chain.best_limit_margin(q), chain.singularity_margin(q)
-    hard, hard_singular = scene.settings.joint_margin, scene.settings.singularity_margin
-    cost = _margin_penalty(limit, hard, SOFT_LIMIT_RAD) + _margin_penalty(
-        singular, hard_singular, SOFT_SINGULARITY_RAD
+    joint_margin, singularity_margin = scene.settings.joint_margin, scene.settings.singularity_margin
+    cost = _margin_penalty(limit, joint_margin, SOFT_LIMIT_RAD) + _margin_penalty(
+        singular, singularity_margin, SOFT_SINGULARITY_RAD
     )
-    flat = (*pose.shape[:-3], -1)
-    best = np.nan_to_num(cost, nan=np.inf, posinf=np.inf).reshape(flat).argmin(axis=-1)[..., None]
-    limits = np.take_along_axis(limit.reshape(flat), best, axis=-1)[..., 0]
-    singulars = np.take_along_axis(singular.reshape(flat), best, axis=-1)[..., 0]
-    tests = (limit > -np.inf, limit >= hard, (limit >= hard) & (singular >= hard_singular))
-    passed = [test.any(axis=(-2, -1)) for test in tests]
+    # The best state of a grid point is the sample and branch with the smallest penalty.
+    flat_shape = (*pose.shape[:-3], -1)
+    best = np.nan_to_num(cost, nan=np.inf, posinf=np.inf).reshape(flat_shape).argmin(axis=-1)[..., None]
+    limits = np.take_along_axis(limit.reshape(flat_shape), best, axis=-1)[..., 0]
+    singulars = np.take_along_axis(singular.reshape(flat_shape), best, axis=-1)[..., 0]
+    # Each requirement includes the one before it. The state is the first that no sample and branch meets.
+    requirements = (
+        limit > -np.inf,
+        limit >= joint_margin,
+        (limit >= joint_margin) & (singular >= singularity_margin),
+    )
+    passed = [is_met.any(axis=(-2, -1)) for is_met in requirements]
     state = np.select([~ok for ok in passed], [NO_REACH, JOINT_LIMIT, SINGULAR], FREE)
-    return ArmStates(state.astype(np.int8), limits, singulars, np.where(tests[2], cost, np.inf), q)
+    return ArmStates(state.astype(np.int8), limits, singulars, np.where(requirements[2], cost, np.inf), q)
 
 
 def _margin_penalty(margin: FloatArray, required: float, soft_range: float) -> FloatArray:
-    """Penalty of a margin: 0 where a path needs no more, 1 at the required margin, larger below it."""
+    """Return the penalty of margins [rad].
+
+    It is 0 from ``soft_range`` above the required margin on, 1 at the required margin, and larger below it.
+    """
     return np.asarray(np.maximum((required + soft_range - margin) / soft_range, 0.0))
 
 
@@ -346,10 +374,19 @@ def _choose_free(
     states: Mapping[str, NDArray[np.int8]],
     prefer_common_branches: bool,
 ) -> tuple[dict[str, FloatArray], NDArray[np.object_]]:
-    """Joints and pairs as in :class:`GridStates`. Marks collisions in ``states``.
+    """Choose a collision-free combination of the arms' branches at each grid point, if there is one.
 
-    ``costs`` {arm: (K, V, S, B)} is inf where a state is not allowed; ``angles`` {arm: (K, V, S, B, 6)} are
-    its joints.
+    Args:
+        scenes: One scene for all values, or one for each value.
+        targets: K targets.
+        costs: {arm: (K, V, S, B)} penalties of sample and branch, inf where it is not allowed.
+        angles: {arm: (K, V, S, B, 6)} [rad] joints of sample and branch.
+        states: {arm: (K, V)} states without collisions. Set to :data:`COLLISION` where all arms have an
+            allowed state, but none of the checked combinations is free.
+        prefer_common_branches: As for :func:`grid_states`.
+
+    Returns:
+        ``q`` and ``pair`` as in :class:`GridStates`.
     """
     arms = targets.arms
     shape = next(iter(states.values())).shape
@@ -374,7 +411,7 @@ def _choose_free(
             break
         combo = order[k, v, rank]
         s = sample[k, v, combo]
-        candidate = {arm: angles[arm][k, v, s, combos[combo, column]] for column, arm in enumerate(arms)}
+        candidate = {arm: angles[arm][k, v, s, combos[combo, number]] for number, arm in enumerate(arms)}
         free = np.zeros(len(k), dtype=bool)
         for rows, scene in _rows_by_scene(scenes, v):
             free[rows] = scene.keeps_clearance(
@@ -386,8 +423,8 @@ def _choose_free(
         unresolved[k[free], v[free]] = False
     # Grid points that are still open collide. Name the closest pair of their best combination.
     pair = np.full(shape, None, dtype=object)
-    for column in np.ndindex(shape):
-        pair[column] = ("", "")
+    for point in np.ndindex(shape):
+        pair[point] = ("", "")
     k, v = np.nonzero(unresolved)
     for arm in arms:
         states[arm][k, v] = COLLISION
@@ -401,7 +438,15 @@ def _choose_free(
 
 
 def _rows_by_scene(scenes: Sequence[Scene], value: NDArray[np.intp]) -> list[tuple[NDArray[np.intp], Scene]]:
-    """Rows of grid points of each scene that has any; ``value`` (B,) is the index of their value."""
+    """Group grid points by the scene that applies to them.
+
+    Args:
+        scenes: One scene for all values, or one for each value.
+        value: (B,) index of the value of each grid point.
+
+    Returns:
+        For each scene that applies to a grid point: indices of its grid points, and the scene.
+    """
     if len(scenes) == 1:
         return [(np.arange(len(value)), scenes[0])] if len(value) else []
     parts = [(np.flatnonzero(value == number), scene) for number, scene in enumerate(scenes)]
@@ -409,6 +454,7 @@ def _rows_by_scene(scenes: Sequence[Scene], value: NDArray[np.intp]) -> list[tup
 
 
 def _free_clearance(scenes: Sequence[Scene], targets: Targets, grid: GridStates) -> FloatArray:
+    """Measure the clearance (K, V) [m] where all arms are free, at most `MAX_CLEARANCE_M`; NaN elsewhere."""
     k, v = np.nonzero(grid.free)
     out = np.full(grid.free.shape, np.nan)
     for rows, scene in _rows_by_scene(scenes, v):

@@ -37,8 +37,8 @@ from planner.runtime.executor import SERIAL, Executor
 from planner.targets import Targets
 
 POSTURE_STEPS_RAD = np.deg2rad([3.0, 1.0, 0.3])
-"""Distances [rad] between the postures that a search checks. The next one is used if a path is not free in
-between.
+"""Distances [rad] between the postures that a search checks. If a path that is found with one distance is not
+free in between, the search is repeated with the next.
 """
 
 FINAL_CHECK_STEP_M = 1e-3
@@ -71,7 +71,7 @@ class HomeMotion:
 
 
 class ApproachAndRetreat:
-    """Plans approach and retreat, in the first order of arms that has both.
+    """Plans approach and retreat, in the first order of arms for which both exist.
 
     If the arms are synchronised, simultaneous motions are used if there are any. The result depends only on
     the joints at the first and the last target. Planning is submitted on construction, and the result is read
@@ -123,22 +123,28 @@ class ApproachAndRetreat:
         """Return approach and retreat.
 
         Raises:
-            TandemError: ``motion.entry`` with the closest bodies if no order has both.
+            TandemError: ``motion.entry`` with the closest bodies if no order of the arms has both.
+            ValueError: The targets have no arms.
         """
-        failed: Issue | None = None
+        first_issue: Issue | None = None
         for order in itertools.permutations(self.ends):
             calls = self._submitted if order == tuple(self.ends) else self._submit(order, SERIAL)
-            ends = zip(calls, self._scenes, (0, targets.count - 1), strict=True)
-            for call, scene, row in ends:
+            calls_with_ends = zip(calls, self._scenes, (0, targets.count - 1), strict=True)
+            # Each call yields a first motion or the arm that has none, and then the improved motion.
+            for call, scene, row in calls_with_ends:
                 motion = next(call)
                 if isinstance(motion, _BlockedArm):
-                    failed = failed or _entry_issue(scene, targets, motion, row)
+                    first_issue = first_issue or _entry_issue(scene, targets, motion, row)
                     break
             else:
                 approach, retreat = (next(call) for call in calls)
                 if not isinstance(approach, _BlockedArm) and not isinstance(retreat, _BlockedArm):
                     return approach, _reversed(retreat)
-        raise ValueError("targets without arms have no approach") if failed is None else TandemError(failed)
+        raise (
+            ValueError("targets without arms have no approach")
+            if first_issue is None
+            else TandemError(first_issue)
+        )
 
 
 def plan_approach_and_retreat(
@@ -168,7 +174,11 @@ def _plan_motion(
     synchronised: bool,
     reference: HomeMotion | None = None,
 ) -> Iterator[HomeMotion | _BlockedArm]:
-    """Yield the first motion from home to the joints {arm: (6,)}, then the improved one."""
+    """Yield the first motion from home to the joints ``goal`` {arm: (6,)}, then the improved one.
+
+    If an arm has no path, that arm is yielded and nothing follows. ``reference`` is a motion of a reference
+    plan, which is reused without improvement if it still holds.
+    """
     reused = None if reference is None else _reuse_reference(scene, goal, order, synchronised, reference)
     if reused is not None:
         yield reused
@@ -193,9 +203,10 @@ def _reuse_reference(
     synchronised: bool,
     reference: HomeMotion,
 ) -> HomeMotion | None:
-    """Motion of a reference plan with its ends at the joints {arm: (6,)}.
+    """Return the motion of a reference plan with its ends moved to home and to the joints ``goal``.
 
-    None if it is neither free nor can be repaired.
+    Returns None if that motion is not free and cannot be repaired, or if the arms would now move in another
+    order.
     """
     if reference.order != order or (reference.together and not synchronised):
         return None
@@ -219,7 +230,10 @@ def _reuse_reference(
 
 
 def _with_new_ends(path: FloatArray, start: FloatArray, goal: FloatArray) -> FloatArray:
-    """Path (M, 6) with other ends. Each waypoint moves by its fraction of the displacement of the ends."""
+    """Return a path (M, 6) with other ends.
+
+    Each waypoint is moved by the displacements of both ends, weighted linearly by its path length.
+    """
     path_length = np.append(0.0, np.cumsum(np.abs(np.diff(path, axis=0)).max(axis=1)))
     fraction = (path_length / max(float(path_length[-1]), TRAVEL_TOLERANCE_RAD))[:, None]
     out = path + (1.0 - fraction) * (start - path[0]) + fraction * (goal - path[-1])
@@ -228,11 +242,8 @@ def _with_new_ends(path: FloatArray, start: FloatArray, goal: FloatArray) -> Flo
 
 
 def _repair_path(moving: "_MovingArms", path: FloatArray) -> FloatArray | None:
-    """The path (M, D) if it is free, else a free one nearby that is not much longer.
-
-    None if there is none.
-    """
-    if not len(moving.find_blocked(path, False).move):
+    """Return the path (M, D) if it is free, else a free path nearby that is not much longer, else None."""
+    if not len(moving.find_blocked(path, find_all=False).move):
         return path
     return bend_path(path, moving.task, MAX_REPAIR_RATIO)
 
@@ -250,12 +261,18 @@ def _improve(scene: Scene, motion: HomeMotion, synchronised: bool) -> HomeMotion
 
 
 def _reversed(motion: HomeMotion) -> HomeMotion:
-    """The motion in the reverse direction. The order of the arms is reversed when it is executed."""
+    """Return the motion with each path reversed.
+
+    ``order`` is kept: a program moves the arms of a retreat in the reverse of this order.
+    """
     return dataclasses.replace(motion, paths={arm: path[::-1].copy() for arm, path in motion.paths.items()})
 
 
 def are_ends_free(scene: Scene, q: Mapping[str, FloatArray]) -> BoolArray:
-    """Whether (B,) arms can reach joints one after the other in some order, the rest being at home.
+    """Whether (B,) the ends of approaches are free, if the arms move one after the other in some order.
+
+    In that order, the arms that have already moved are at their given joints and the others are at home. Only
+    these postures are checked, not the paths between them.
 
     Args:
         scene: Cell with a collision model.
@@ -313,27 +330,35 @@ def require_free_home(scene: Scene, targets: Targets) -> None:
 def _plan_in_order(
     scene: Scene, goal: Mapping[str, FloatArray], order: tuple[str, ...]
 ) -> HomeMotion | _BlockedArm:
-    """Paths of arms that move in that order from home to the joints {arm: (6,)}, or the arm that has none."""
+    """Plan a path for each arm from home to the joints ``goal`` {arm: (6,)}, one arm after the other.
+
+    Arms that have moved stay at their goal, the others at home. Returns the arm that has no path, if one has
+    none.
+    """
     standing = {arm: scene.chains[arm].home for arm in goal}
     paths: dict[str, FloatArray] = {}
     shortened_arms: set[str] = set()
     for arm in order:
-        path_found = _plan_arm(scene, standing, arm, goal[arm])
-        if path_found is None:
+        result = _plan_arm(scene, standing, arm, goal[arm])
+        if result is None:
             return _BlockedArm(arm, goal[arm], standing)
-        paths[arm], standing[arm] = path_found[0], goal[arm]
-        shortened_arms |= {arm} if path_found[1] else set()
+        path, is_shortened = result
+        paths[arm], standing[arm] = path, goal[arm]
+        if is_shortened:
+            shortened_arms.add(arm)
     return HomeMotion(paths, order, shortened=frozenset(shortened_arms))
 
 
 def _plan_arm(
     scene: Scene, standing: Mapping[str, FloatArray], arm: str, goal: FloatArray
 ) -> tuple[FloatArray, bool] | None:
-    """Waypoints (M, 6) of one arm from home to ``goal``, and whether they were shortened.
+    """Plan waypoints (M, 6) of one arm from home to ``goal``, while the others are at ``standing``.
 
-    The others are at ``standing``. None if there is no path. A path that is not free between the checked
-    postures is repaired, which shortens it. If that fails, which is rare, a finer search follows, which takes
-    several times as long.
+    A path that is not free between the checked postures is repaired, which shortens it. If that fails, which
+    is rare, a finer search follows, which takes several times as long.
+
+    Returns:
+        The waypoints and whether they were shortened, or None if no path was found.
     """
     chain = scene.chains[arm]
     joint_margin, robot = scene.settings.joint_margin, chain.robot
@@ -344,7 +369,7 @@ def _plan_arm(
         path = connect_points(chain.home, goal, space, scene.settings.seed)
         if path is None:
             return None
-        if not len(moving.find_blocked(path, False).move):
+        if not len(moving.find_blocked(path, find_all=False).move):
             return path, False
         shortened = shorten_path(path, moving.task)
         if shortened is not None:
@@ -353,7 +378,7 @@ def _plan_arm(
 
 
 def _split_by_arm(scene: Scene, path: FloatArray, order: tuple[str, ...]) -> HomeMotion:
-    """Split a simultaneous path (M, D) of all arms by arm."""
+    """Split a path (M, D) of concatenated joints into the simultaneous paths of the arms."""
     parts = {arm: path[:, columns].copy() for arm, columns in scene.columns(order).items()}
     return HomeMotion(parts, order, together=True)
 
@@ -370,9 +395,9 @@ class _MovingArms:
     arms: tuple[str, ...]
 
     def joints(self, points: FloatArray) -> dict[str, FloatArray]:
-        """Joints {arm: (B, 6)} of all arms."""
-        rows = {a: np.broadcast_to(v, (len(points), len(v))) for a, v in self.standing.items()}
-        return rows | {arm: points[:, part] for arm, part in self.columns.items()}
+        """Return the joints {arm: (B, 6)} of all arms, moving and standing, for points (B, D)."""
+        standing_joints = {a: np.broadcast_to(v, (len(points), len(v))) for a, v in self.standing.items()}
+        return standing_joints | {arm: points[:, part] for arm, part in self.columns.items()}
 
     @functools.cached_property
     def columns(self) -> dict[str, slice]:
@@ -381,17 +406,18 @@ class _MovingArms:
 
     def are_free(self, points: FloatArray) -> BoolArray:
         """Whether (B,) joints are within their limits and bodies keep clearance."""
-        scene, ok = self.scene, np.full(len(points), self.others_free)
-        rows = self.joints(points)
+        scene = self.scene
+        is_free = np.full(len(points), self.others_free)
+        joints = self.joints(points)
         for arm in self.arms:
-            ok &= scene.chains[arm].limit_margin(rows[arm]) >= min(scene.settings.joint_margin, 0.0)
-        if scene.model is None or not ok.any():
-            return ok
-        return ok & clearance.is_free(scene.model, rows, scene.settings.clearance, self.static_pairs)
+            is_free &= scene.chains[arm].limit_margin(joints[arm]) >= min(scene.settings.joint_margin, 0.0)
+        if scene.model is None or not is_free.any():
+            return is_free
+        return is_free & clearance.is_free(scene.model, joints, scene.settings.clearance, self.static_pairs)
 
     @functools.cached_property
     def static_pairs(self) -> Pairs:
-        """Pairs of bodies that none of the arms moves."""
+        """Pairs of bodies whose distance stays the same while the arms move. They are checked once."""
         return (
             frozenset() if self.scene.model is None else clearance.unmoved_pairs(self.scene.model, self.arms)
         )
@@ -402,15 +428,16 @@ class _MovingArms:
         model = self.scene.model
         if model is None:
             return True
-        moved = frozenset(map(frozenset, itertools.combinations({s.body for s in model.solids}, 2)))
+        all_pairs = frozenset(map(frozenset, itertools.combinations({s.body for s in model.solids}, 2)))
         joints = {arm: q[None] for arm, q in self.standing.items()}
         required = self.scene.settings.clearance
-        return bool(clearance.is_free(model, joints, required, moved - self.static_pairs).all())
+        # The query ignores the given pairs: here all those with a moving arm.
+        return bool(clearance.is_free(model, joints, required, all_pairs - self.static_pairs).all())
 
     def are_surely_free(self, points: FloatArray, half_range: FloatArray) -> BoolArray:
-        """Whether (B,) bodies certainly keep clearance while joints vary around points.
+        """Whether (B,) bodies certainly keep clearance while the joints vary around points (B, D).
 
-        They vary by up to ``half_range`` (B, D).
+        Each joint varies by up to ``half_range`` (B, D) [rad]. False means that it is not certain.
         """
         model, required = self.scene.model, self.scene.settings.clearance
         if model is None:  # joint limits that hold at both ends of a line hold on all of it
@@ -418,8 +445,8 @@ class _MovingArms:
         if not self.others_free:
             return np.zeros(len(points), dtype=bool)
         change = {arm: half_range[:, part] for arm, part in self.columns.items()}
-        rows = self.joints(points)
-        return clearance.stays_free(model, rows, change, required, self.solid_levers, self.static_pairs)
+        joints = self.joints(points)
+        return clearance.stays_free(model, joints, change, required, self.solid_levers, self.static_pairs)
 
     @functools.cached_property
     def solid_levers(self) -> FloatArray:
@@ -435,65 +462,67 @@ class _MovingArms:
         return np.concatenate([joint_levers(model, arm) for arm in self.arms])
 
     def find_blocked(self, path: FloatArray, find_all: bool) -> PathSamples:
-        """Points of a path that are not free at the final check.
+        """Return the points of a path (M, D) that are not free at the final check.
 
-        All of them if ``find_all``, else the first ones.
+        All of them are returned if ``find_all``, else only those of the first check that fails.
         """
+        # joint step [rad] of each arm; arms that move toward each other share the displacement
         step = (
             FINAL_CHECK_STEP_M / max(self.scene.chains[arm].robot.reach for arm in self.arms) / len(self.arms)
         )
         return find_blocked(path, self.are_free, step, self.are_surely_free, find_all)
 
     def margins(self, points: FloatArray, distance: float) -> ClearanceMargins:
-        """Margins [m] of bodies beyond their clearance, and of axes of parallel-rod arms.
+        """Return the margins that paths of these arms have to keep at points (B, D).
 
-        Bodies are included if they are closer than ``distance`` beyond their clearance.
+        These are the margins [m] of bodies beyond their required clearance, up to ``distance`` [m], and for
+        arms with a parallel rod the margins [rad] of axis 3 = joint 2 + joint 3 to both of its limits.
         """
         model = self.scene.model
-        row, margin_parts, slope = (
-            [np.zeros(0, dtype=np.intp)],
-            [np.zeros(0)],
-            [np.zeros((0, points.shape[1]))],
-        )
+        row_parts = [np.zeros(0, dtype=np.intp)]
+        margin_parts = [np.zeros(0)]
+        slope_parts = [np.zeros((0, points.shape[1]))]
         if model is not None:
             required = self.scene.settings.clearance
             columns = np.concatenate([np.arange(model.home.size)[model.columns[arm]] for arm in self.arms])
             queries = clearance.distance_gradients_at(
                 model, model.stack_rows(self.joints(points)), required + distance, self.static_pairs
             )
-            row.append(np.repeat(np.arange(len(queries)), [len(query.distance) for query in queries]))
+            row_parts.append(np.repeat(np.arange(len(queries)), [len(query.distance) for query in queries]))
             margin_parts += [query.distance - required for query in queries]
-            slope += [query.gradient[:, columns] for query in queries]
+            slope_parts += [query.gradient[:, columns] for query in queries]
         for arm, part in self.columns.items():
             rod = self.scene.chains[arm].robot.coupling
             if rod is None:
                 continue
-            margin = max(self.scene.settings.joint_margin, 0.0)
+            joint_margin = max(self.scene.settings.joint_margin, 0.0)
             joint2, joint3 = part.start + 1, part.start + 2
             axis3 = points[:, joint2] + points[:, joint3]
             for sign, limit in ((1.0, rod.axis3_lower), (-1.0, rod.axis3_upper)):
-                row.append(np.arange(len(points)))
-                margin_parts.append(sign * (axis3 - limit) - margin)
+                row_parts.append(np.arange(len(points)))
+                margin_parts.append(sign * (axis3 - limit) - joint_margin)
                 rod_slope = np.zeros((len(points), points.shape[1]))
                 rod_slope[:, [joint2, joint3]] = sign
-                slope.append(rod_slope)
-        return ClearanceMargins(np.concatenate(row), np.concatenate(margin_parts), np.concatenate(slope))
+                slope_parts.append(rod_slope)
+        return ClearanceMargins(
+            np.concatenate(row_parts), np.concatenate(margin_parts), np.concatenate(slope_parts)
+        )
 
     def shorten(self, path: FloatArray) -> FloatArray:
-        """A path of less travel that takes no longer.
+        """Return a free path with the same ends, less travel, and no longer duration.
 
-        The path itself if there is none or if it is as short as a straight line.
+        Returns the path itself if there is none, or if it is already as short as a straight line.
         """
         direct = path_travel(path[[0, -1]])
         if len(path) < 3 or path_travel(path) <= direct + TRAVEL_TOLERANCE_RAD:
             return path
         shortened_path = shorten_path(path, self.task)
-        return (
-            path if shortened_path is None or not _is_better(self, shortened_path, path) else shortened_path
-        )
+        if shortened_path is None or not _is_better(self, shortened_path, path):
+            return path
+        return shortened_path
 
     def duration(self, path: FloatArray) -> float:
-        """Nominal duration [s] of a path.
+        """Estimate the duration [s] of a path (M, D) at nominal speeds.
 
         Each line takes as long as its slowest arm, at :data:`NOMINAL_TCP_SPEED_M_S` and
         :data:`NOMINAL_ANGULAR_SPEED_RAD_S`.
@@ -534,15 +563,16 @@ DURATION_SAMPLES: Final = 32
 
 
 def _plan_straight(scene: Scene, goal: Mapping[str, FloatArray], order: tuple[str, ...]) -> HomeMotion | None:
-    """Simultaneous motion from home straight to the joints {arm: (6,)}.
+    """Plan a simultaneous motion of all arms from home straight to the joints ``goal`` {arm: (6,)}.
 
-    It may be bent around obstacles without extra length. None if it needs a detour or saves no time.
+    It may be bent around obstacles if that adds no travel. Returns None if it needs a detour, or if it is not
+    faster than moving the arms one after the other.
     """
     moving = _MovingArms(scene, {}, order)
     line = np.array(
         [np.concatenate([scene.chains[a].home for a in order]), np.concatenate([goal[a] for a in order])]
     )
-    path = line if not len(moving.find_blocked(line, False).move) else bend_path(line, moving.task)
+    path = line if not len(moving.find_blocked(line, find_all=False).move) else bend_path(line, moving.task)
     if path is None:
         return None
     out = _split_by_arm(scene, path, order)
@@ -550,21 +580,23 @@ def _plan_straight(scene: Scene, goal: Mapping[str, FloatArray], order: tuple[st
 
 
 def _sequential_duration(scene: Scene, motion: HomeMotion) -> float:
-    """Nominal duration [s] if the arms move one after the other."""
+    """Return the nominal duration [s] of a motion if its arms move one after the other."""
     return sum(_MovingArms(scene, {}, (arm,)).duration(path) for arm, path in motion.paths.items())
 
 
 def _try_simultaneous(scene: Scene, motion: HomeMotion) -> HomeMotion:
-    """Simultaneous motion between the same ends, with no more travel and in less time.
+    """Convert a motion of one arm after the other into a simultaneous one, if that saves time.
 
-    It has at most :data:`MAX_MOVES` moves. Returns the given motion if there is none.
+    The simultaneous motion has the same ends, no more travel, a shorter nominal duration and at most
+    :data:`MAX_MOVES` moves. Returns the given motion if there is none.
     """
     moving = _MovingArms(scene, {}, motion.order)
     travel_before = sum(path_travel(path) for path in motion.paths.values())
-    candidates = (
-        _overlap_paths(motion, later) for later in START_OFFSETS
-    )  # the last one is one arm after the other
-    simultaneous = next((path for path in candidates if not len(moving.find_blocked(path, False).move)), None)
+    # The first candidate that is free overlaps most. In the last one the arms move one after the other.
+    candidates = (_overlap_paths(motion, start_offset) for start_offset in START_OFFSETS)
+    simultaneous = next(
+        (path for path in candidates if not len(moving.find_blocked(path, find_all=False).move)), None
+    )
     if simultaneous is None:
         return motion
     if len(simultaneous) > 2:
@@ -587,10 +619,11 @@ def _is_better(moving: _MovingArms, path: FloatArray, other: FloatArray) -> bool
 
 
 def _overlap_paths(motion: HomeMotion, start_offset: float) -> FloatArray:
-    """Simultaneous path (M, D) of arms that start one after the other.
+    """Combine the paths of arms that start one after the other into one path (M, D) of all arms.
 
     Each arm starts after the fraction ``start_offset`` of the previous arm's path.
     """
+    # The common clock [rad] advances by the largest joint change of an arm. All waypoints are kept.
     clocks = []
     start = 0.0
     for arm in motion.order:
@@ -611,23 +644,26 @@ def _overlap_paths(motion: HomeMotion, start_offset: float) -> FloatArray:
 
 
 def _entry_issue(scene: Scene, targets: Targets, blocked_arm: _BlockedArm, row: int) -> Issue:
-    """``motion.entry`` with the closest bodies.
+    """Return the issue ``motion.entry`` of an arm without a path, with the bodies that are closest.
 
-    They are closest at home, at the target, or on the straight line between them.
+    The closest bodies are searched at home, at the target ``row``, and on the straight line between them.
     """
     arm, goal, standing = blocked_arm.arm, blocked_arm.goal, blocked_arm.standing
     home, name = scene.chains[arm].home, targets.name(row)
     line = home + np.linspace(0.0, 1.0, 41)[:, None] * (goal - home)
     points = np.concatenate([home[None], goal[None], line])
-    rows = {a: np.broadcast_to(v, (len(points), len(v))) for a, v in standing.items()} | {arm: points}
+    joints = {a: np.broadcast_to(v, (len(points), len(v))) for a, v in standing.items()} | {arm: points}
     if scene.model is None:
         raise ValueError("without a collision model nothing can collide")
-    closest = clearance.min_clearance(scene.model, rows, 0.2)
-    ends = [k for k in (0, 1) if closest.distance[k] < scene.settings.clearance]
-    worst = ends[0] if ends else closest.worst()
-    position_text = "at home" if worst == 0 else f"at {name}" if worst == 1 else f"between home and {name}"
+    closest = clearance.min_clearance(scene.model, joints, 0.2)
+    blocked_ends = [k for k in (0, 1) if closest.distance[k] < scene.settings.clearance]
+    worst_index = blocked_ends[0] if blocked_ends else closest.worst()
+    position_text = (
+        "at home" if worst_index == 0 else f"at {name}" if worst_index == 1 else f"between home and {name}"
+    )
+    pair = closest.pair[worst_index]
     true_distance, required, _ = self_clearance.true_distance(
-        scene.settings, float(closest.distance[worst]), closest.pair[worst]
+        scene.settings, float(closest.distance[worst_index]), pair
     )
     distance = true_distance / MM
     return Issue(
@@ -636,8 +672,8 @@ def _entry_issue(scene: Scene, targets: Targets, blocked_arm: _BlockedArm, row: 
             "motion.entry",
             arm=arm,
             target=name,
-            first_body=closest.pair[worst][0],
-            second_body=closest.pair[worst][1],
+            first_body=pair[0],
+            second_body=pair[1],
             distance_mm=distance,
             position=position_text,
             min_distance_mm=required / MM,
@@ -645,7 +681,7 @@ def _entry_issue(scene: Scene, targets: Targets, blocked_arm: _BlockedArm, row: 
         arm=arm,
         index=row,
         target=name,
-        bodies=closest.pair[worst],
+        bodies=pair,
         **measurement(distance, required / MM, "mm"),
         hint="choose other home postures (home_deg), such as with axis 1 turned away, or remove the obstacle",
     )

@@ -71,7 +71,12 @@ def inverse_kinematics(form: OffsetParameters, flange: FloatArray, branches: Seq
 
 
 class _WristCondition:
-    """The wrist condition f at poses (P, 4, 4) of the form's own flange, or at a selection of them."""
+    """The wrist condition f at poses (P, 4, 4), or at a selection of them.
+
+    The poses are those of the form's inner flange (:meth:`OffsetParameters.inner`). In all methods ``angle``
+    are values of theta 6, (P, K) or (K,) [rad]. ``shoulder`` is 1 in front of axis 1 and -1 behind it, and
+    ``elbow`` is 1 or -1.
+    """
 
     def __init__(self, form: OffsetParameters, pose: FloatArray) -> None:
         self.form = form
@@ -91,11 +96,13 @@ class _WristCondition:
     def components(
         self, angle: FloatArray, shoulder: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the components of the condition at theta 6 (..., K).
+        """Compute the components of the condition.
 
-        The first is the cosine of the angle between the forearm and the line from shoulder to wrist centre;
-        beyond 1 the point is out of reach. The others are the components of axis 5 along and across this
-        line, both rotated by the forearm's own angle. ``shoulder`` is 1 in front of axis 1 and -1 behind it.
+        Returns:
+            Three arrays (P, K). The first is the cosine of the angle between the line from elbow to wrist
+            centre and the line from shoulder to wrist centre; beyond 1 the wrist centre is out of reach. The
+            others are the components of axis 5 along and across the line from shoulder to wrist centre, both
+            rotated by the constant angle between axis 4 and the line from elbow to wrist centre.
         """
         p = self.form
         c, s = np.cos(angle), np.sin(angle)
@@ -113,41 +120,43 @@ class _WristCondition:
             u, v = shoulder_x / distance, up / distance
         forearm_cos, forearm_sin = p.c3 / self.forearm, p.a2 / self.forearm
         # the line from elbow to wrist centre is inclined to axis 4 by atan2(a2, c3)
-        along_forearm, across_forearm = (
-            forearm_cos * axis5_radial + forearm_sin * y[2],
-            forearm_cos * y[2] - forearm_sin * axis5_radial,
-        )
+        along_forearm = forearm_cos * axis5_radial + forearm_sin * y[2]
+        across_forearm = forearm_cos * y[2] - forearm_sin * axis5_radial
         return cosine, along_forearm * u + across_forearm * v, along_forearm * v - across_forearm * u
 
     def offset_from_axis1(self, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Offset (2, ..., K) of the wrist centre from axis 1 in plan view, and its derivative by theta 6."""
+        """Return the offset (2, P, K) [m] of the wrist centre from axis 1, and its derivative by theta 6.
+
+        The offset has the components x and y, in the plane perpendicular to axis 1.
+        """
         p = self.form
         c, s = np.cos(angle), np.sin(angle)
-        cos_terms, sin_terms = (
-            p.a3 * self.ex[:2] + p.b3 * self.ey[:2],
-            p.b3 * self.ex[:2] - p.a3 * self.ey[:2],
-        )
+        cos_terms = p.a3 * self.ex[:2] + p.b3 * self.ey[:2]
+        sin_terms = p.b3 * self.ex[:2] - p.a3 * self.ey[:2]
         return np.asarray(self.wrist_base[:2] - c * cos_terms - s * sin_terms), np.asarray(
             s * cos_terms - c * sin_terms
         )
 
     def radial_rate(self, angle: FloatArray) -> FloatArray:
-        """Positive where the wrist centre moves away from axis 1 as theta 6 (..., K) grows."""
+        """Return values (P, K) that are positive where the wrist centre moves away from axis 1.
+
+        That is the motion as theta 6 grows.
+        """
         offset, derivative = self.offset_from_axis1(angle)
         return np.asarray((offset * derivative).sum(axis=0))
 
     def reach_measure(self, angle: FloatArray, shoulder: FloatArray) -> FloatArray:
-        """Positive within reach, negative outside."""
+        """Return 1 - cosine^2 (P, K): positive where the wrist centre is within reach, negative outside."""
         return _reach_measure(self.components(angle, shoulder)[0])
 
     def value(self, angle: FloatArray, shoulder: FloatArray, elbow: FloatArray) -> FloatArray:
-        """Value of f; beyond the end of reach it is that at the end. ``elbow`` is 1 or -1."""
+        """Return f (P, K). Out of reach, the term with the sine is 0, as at the end of the reach."""
         cosine, along, across = self.components(angle, shoulder)
         sine = np.sqrt(np.maximum(1.0 - cosine * cosine, 0.0))
         return np.asarray(cosine * along + elbow * sine * across)
 
     def joints(self, angle: FloatArray, shoulder: FloatArray, elbow: FloatArray) -> FloatArray:
-        """Theta 1 to 6 (P, 6) at theta 6 (P, 1) of each pose."""
+        """Return theta 1 to 6 (P, 6) [rad] of each pose, for a root (P, 1) of f as ``angle``."""
         p = self.form
         c, s = np.cos(angle), np.sin(angle)
         x5, y5 = c * self.ex - s * self.ey, s * self.ex + c * self.ey
@@ -170,6 +179,7 @@ class _WristCondition:
 
 
 def _reach_measure(cosine: FloatArray) -> FloatArray:
+    """Return 1 - cosine^2, or -1 if the cosine is undefined because the wrist centre is at axis 2."""
     return np.where(np.isnan(cosine), -1.0, 1.0 - cosine * cosine)
 
 
@@ -178,7 +188,11 @@ _Brackets = tuple[IndexArray, FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 def _all_solutions(form: OffsetParameters, pose: FloatArray) -> tuple[IndexArray, IndexArray, FloatArray]:
-    """Pose index, branch and theta (M, 6) of all solutions of poses (P, 4, 4) of the form's own flange."""
+    """Compute all solutions of poses (P, 4, 4) of the form's inner flange.
+
+    Returns:
+        Pose index (M,), branch number (M,) and theta (M, 6) [rad] of each solution.
+    """
     # Bracket all sign changes of f for both shoulders, and refine them to roots.
     condition = _WristCondition(form, pose)
     passes = _axis1_passes(condition)
@@ -200,7 +214,7 @@ def _all_solutions(form: OffsetParameters, pose: FloatArray) -> tuple[IndexArray
     is_duplicate = (np.diff(row) == 0) & (
         np.abs(np.diff(theta, axis=0)).max(axis=1, initial=0.0) < _SOLUTION_TOLERANCE_RAD
     )
-    is_new = np.append(True, ~is_duplicate)[: len(row)]
+    is_new = np.append(True, ~is_duplicate)[: len(row)]  # the slice matters if there are no solutions
     row, branch, theta = row[is_new], branch[is_new], theta[is_new]
     # Solutions of one pose with the same number get ranks 0, 1, ...
     same = np.append(False, (np.diff(row) == 0) & (np.diff(branch) == 0))
@@ -211,39 +225,34 @@ def _all_solutions(form: OffsetParameters, pose: FloatArray) -> tuple[IndexArray
 
 
 _Axis1Passes = tuple[IndexArray, IndexArray, FloatArray, FloatArray]
-"""Passes (M,) of the wrist centre close to axis 1: pose, sample before the pass, theta 6, and width in theta
-6.
+"""Passes (M,) of the wrist centre close to axis 1, as theta 6 grows.
 
-Over this width the wrist centre turns about axis 1 by 45 degrees.
+Each pass has the index of its pose, the index of the regular sample before it, theta 6 [rad] where the
+wrist centre is closest to axis 1, and the width [rad] of theta 6 over which the wrist centre rotates about
+axis 1 by 45 degrees.
 """
 
 
 def _axis1_passes(condition: _WristCondition) -> _Axis1Passes:
     """Find the passes close to axis 1 for which the regular samples are too coarse."""
-    angle, step = (
-        _FIRST_ANGLE_RAD + 2.0 * np.pi * np.arange(SAMPLE_ANGLES) / SAMPLE_ANGLES,
-        2.0 * np.pi / SAMPLE_ANGLES,
-    )
-    leaving = condition.radial_rate(angle) > 0.0
-    row, column = np.nonzero(~leaving & np.roll(leaving, -1, axis=1))
+    angle = _FIRST_ANGLE_RAD + 2.0 * np.pi * np.arange(SAMPLE_ANGLES) / SAMPLE_ANGLES
+    step = 2.0 * np.pi / SAMPLE_ANGLES
+    # The distance from axis 1 has a minimum where the wrist centre approaches it and then moves away.
+    moves_away = condition.radial_rate(angle) > 0.0
+    row, column = np.nonzero(~moves_away & np.roll(moves_away, -1, axis=1))
     at_rows = condition.at_poses(row)
     middle = _find_roots(lambda t, k: at_rows.at_poses(k).radial_rate(t), angle[column], angle[column] + step)
     offset, derivative = (
         np.linalg.norm(part[..., 0], axis=0) for part in at_rows.offset_from_axis1(middle[:, None])
     )
-    close = offset < _MAX_CLOSE_PASS_GAPS * step * derivative
-    row, column, middle, offset, derivative = (
-        row[close],
-        column[close],
-        middle[close],
-        offset[close],
-        derivative[close],
-    )
+    is_close = offset < _MAX_CLOSE_PASS_GAPS * step * derivative
+    row, column, middle = row[is_close], column[is_close], middle[is_close]
+    offset, derivative = offset[is_close], derivative[is_close]
     return row, column, middle, np.maximum(offset / derivative, _MIN_PASS_WIDTH_RAD)
 
 
 def _sign_brackets(condition: _WristCondition, shoulder: float, axis1_passes: _Axis1Passes) -> _Brackets:
-    """Bracket all sign changes of f for one shoulder."""
+    """Bracket all sign changes of f for one shoulder, 1 in front of axis 1 or -1 behind it."""
     angle = _FIRST_ANGLE_RAD + 2.0 * np.pi * np.arange(SAMPLE_ANGLES) / SAMPLE_ANGLES
     step = 2.0 * np.pi / SAMPLE_ANGLES
     side = np.array(shoulder)
@@ -258,12 +267,13 @@ def _sign_brackets(condition: _WristCondition, shoulder: float, axis1_passes: _A
         out.append((row, np.full(len(row), shoulder), np.full(len(row), elbow), low, high))
 
     ends = _reach_ends(condition, shoulder, angle, reach, inside)
-    dense, dense_row, dense_at = _dense_angles(condition, shoulder, axis1_passes)
+    dense, dense_row, dense_column = _dense_angles(condition, shoulder, axis1_passes)
     at_dense_rows = condition.at_poses(dense_row)
+    # Dense samples cover the gaps between regular samples from one before a pass to two after it.
     in_dense_gap, near_dense_gap = np.zeros_like(inside), np.zeros_like(inside)
     for shift in (-1, 0, 1, 2):
-        near_dense_gap[dense_row, (dense_at + shift) % SAMPLE_ANGLES] = True
-        in_dense_gap[dense_row, (dense_at + min(shift, 1)) % SAMPLE_ANGLES] = True
+        near_dense_gap[dense_row, (dense_column + shift) % SAMPLE_ANGLES] = True
+        in_dense_gap[dense_row, (dense_column + min(shift, 1)) % SAMPLE_ANGLES] = True
     # Regular samples first, then dense samples at passes by axis 1, then samples toward the ends of reach.
     for elbow in (-1.0, 1.0):
         value = cosine * along + elbow * sine * across
@@ -314,16 +324,19 @@ def _sign_brackets(condition: _WristCondition, shoulder: float, axis1_passes: _A
 def _dense_angles(
     condition: _WristCondition, shoulder: float, axis1_passes: _Axis1Passes
 ) -> tuple[FloatArray, IndexArray, IndexArray]:
-    """Angles (M, K) over the three sample gaps around each pass, evenly spaced in the angle about axis 1.
+    """Choose dense angles theta 6 over the three gaps between regular samples around each pass.
 
-    One sample before and one after are included. Also returns the poses and the samples before the pass (M,).
-    Passes at which the reach ends are left out.
+    They are evenly spaced in the angle of the wrist centre about axis 1. The next regular sample before and
+    after these gaps is added at both ends. Passes at which the reach ends are left out.
+
+    Returns:
+        Angles (M, K) [rad], index (M,) of the pose, and index (M,) of the regular sample before the pass.
     """
     row, column, middle, width = axis1_passes
     step = 2.0 * np.pi / SAMPLE_ANGLES
     low = _FIRST_ANGLE_RAD + step * (column - 1)
-    first, last = (np.arctan((end - middle) / width) for end in (low, low + 3.0 * step))
-    angles_about_axis1 = first[:, None] + (last - first)[:, None] * np.linspace(0.0, 1.0, _PASS_SAMPLES)
+    start, end = (np.arctan((bound - middle) / width) for bound in (low, low + 3.0 * step))
+    angles_about_axis1 = start[:, None] + (end - start)[:, None] * np.linspace(0.0, 1.0, _PASS_SAMPLES)
     angle = middle[:, None] + width[:, None] * np.tan(angles_about_axis1)
     angle[:, 0], angle[:, -1] = low, low + 3.0 * step
     angle = np.concatenate([low[:, None] - step, angle, low[:, None] + 4.0 * step], axis=1)
@@ -333,11 +346,14 @@ def _dense_angles(
 
 
 def _may_cross_zero(value: FloatArray, angle: FloatArray | None = None) -> BoolArray:
-    """Whether (..., K - 2) the inner of K consecutive values may cross zero.
+    """Whether (..., K - 2) f may cross zero twice near a sample without a sign change of the samples.
 
-    A value may cross zero if it comes close to zero and reverses, and the slope on one side, extrapolated to
-    the other side, would cross it. ``angle`` (..., K) are the angles of the values; without it they are
-    evenly spaced.
+    That is possible at a local minimum of |f| if the slope on one side, extrapolated to the other side,
+    would cross zero.
+
+    Args:
+        value: (..., K) values of f at consecutive angles. The first and the last are not examined.
+        angle: (..., K) [rad] angles of the values. None: evenly spaced.
     """
     previous, current, following = value[..., :-2], value[..., 1:-1], value[..., 2:]
     size, size_previous, size_next = np.abs(current), np.abs(previous), np.abs(following)
@@ -358,7 +374,19 @@ def _may_cross_zero(value: FloatArray, angle: FloatArray | None = None) -> BoolA
 def _reach_ends(
     condition: _WristCondition, shoulder: float, angle: FloatArray, reach: FloatArray, inside: BoolArray
 ) -> list[tuple[IndexArray, FloatArray, FloatArray]]:
-    """Ends of the reach: poses, the sampled angle next to the end that is within reach, and the end."""
+    """Find the ends of the reach, which are the bounds of the intervals of theta 6 within reach.
+
+    Args:
+        condition: Condition at P poses.
+        shoulder: 1 in front of axis 1, -1 behind it.
+        angle: (K,) [rad] regular samples of theta 6.
+        reach: (P, K) :meth:`_WristCondition.reach_measure` at the samples.
+        inside: (P, K) whether the samples are within reach.
+
+    Returns:
+        List of arrays (M,): index of the pose, an angle [rad] next to the end that is within reach, and the
+        end [rad].
+    """
     step = 2.0 * np.pi / SAMPLE_ANGLES
     out = []
     for direction in (1, -1):
@@ -405,14 +433,26 @@ def _dip_brackets(
     shoulder: float,
     elbow: float,
 ) -> list[tuple[IndexArray, FloatArray, FloatArray]]:
-    """Brackets of both roots in intervals where f approaches zero and reverses, if it crosses zero there."""
+    """Bracket both roots of f in intervals where |f| has a minimum, if f crosses zero there.
+
+    Args:
+        condition: Condition at all poses.
+        row: (M,) index of the pose of each interval.
+        low: (M,) [rad] start of each interval.
+        high: (M,) [rad] end of each interval.
+        shoulder: 1 in front of axis 1, -1 behind it.
+        elbow: 1 or -1.
+
+    Returns:
+        The brackets of the first roots, then those of the second roots: index of the pose and both angles.
+    """
     if not len(row):
         return []
     at_rows, s, e = condition.at_poses(row), np.array(shoulder), np.array(elbow)
     sign = np.sign(at_rows.value(low[:, None], s, e))
     extremum = _golden_minimum(lambda t: at_rows.value(t, s, e) * sign, low, high)
-    passed = (at_rows.value(extremum[:, None], s, e) * sign)[:, 0] <= 0.0
-    return [(row[passed], low[passed], extremum[passed]), (row[passed], extremum[passed], high[passed])]
+    crosses = (at_rows.value(extremum[:, None], s, e) * sign)[:, 0] <= 0.0
+    return [(row[crosses], low[crosses], extremum[crosses]), (row[crosses], extremum[crosses], high[crosses])]
 
 
 _FIRST_ANGLE_RAD: Final = 0.0123
@@ -440,7 +480,10 @@ _GOLDEN_FRACTION: Final = 0.5 * (3.0 - 5.0**0.5)
 def _golden_minimum(
     function: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray
 ) -> FloatArray:
-    """Minimise M functions of one angle (M, 1), each between two angles (M,), by golden-section search."""
+    """Minimise M functions of one angle (M, 1), each between two angles (M,), by golden-section search.
+
+    Returns the angles (M,) of the minima.
+    """
     for _ in range(30):
         inner_low, inner_high = low + _GOLDEN_FRACTION * (high - low), high - _GOLDEN_FRACTION * (high - low)
         keep_low = function(inner_low[:, None])[:, 0] < function(inner_high[:, None])[:, 0]
@@ -474,10 +517,9 @@ def _find_roots(
         value = function(middle[:, None], active)[:, 0]
         same_sign_as_high = (value > 0.0) == (fb > 0.0)
         repeated_side = np.where(same_sign_as_high, 1, -1) == side[active]
-        low[active], high[active] = (
-            np.where(same_sign_as_high, a, middle),
-            np.where(same_sign_as_high, middle, b),
-        )
+        low[active] = np.where(same_sign_as_high, a, middle)
+        high[active] = np.where(same_sign_as_high, middle, b)
+        # Illinois: if the same end stays twice in a row, its function value is halved.
         at_low[active] = np.where(same_sign_as_high, np.where(repeated_side, 0.5 * fa, fa), value)
         at_high[active] = np.where(same_sign_as_high, value, np.where(repeated_side, 0.5 * fb, fb))
         side[active] = np.where(same_sign_as_high, 1, -1)
@@ -489,15 +531,13 @@ def _find_roots(
 
 
 def _refine(form: OffsetParameters, theta: FloatArray, pose: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Refine theta (M, 6) by Newton's method where its pose error is too large.
+    """Refine theta (M, 6) [rad] by Newton's method where its pose error is too large.
 
-    The second value says where that succeeded.
+    Returns theta, and whether (M,) its pose error is at most :data:`POSE_TOLERANCE`.
     """
     inner = dataclasses.replace(form, left=None, right=None, offsets=np.zeros(6), signs=np.ones(6))
     error = np.abs(flange_poses(inner, theta) - pose).max(axis=(1, 2), initial=0.0)
-    inexact = np.flatnonzero(
-        error > 0.01 * POSE_TOLERANCE
-    )  # NaN compares false, so missing solutions stay out
+    inexact = np.flatnonzero(error > 0.01 * POSE_TOLERANCE)  # False for NaN, so missing solutions stay out
     if len(inexact):
         theta, error = theta.copy(), error.copy()
         theta[inexact], error[inexact] = _newton_inverse(inner, theta[inexact], pose[inexact])
@@ -505,9 +545,9 @@ def _refine(form: OffsetParameters, theta: FloatArray, pose: FloatArray) -> tupl
 
 
 def _newton_inverse(form: OffsetParameters, q: FloatArray, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Move joints (M, 6) toward poses (M, 4, 4) by Newton's method.
+    """Move joints (M, 6) [rad] toward flange poses (M, 4, 4) by Newton's method.
 
-    Returns joints and remaining pose errors.
+    Returns the joints and the largest remaining error (M,) of any entry of the pose matrices.
     """
     q = q.copy()
     error = np.full(len(q), np.inf)
@@ -557,12 +597,15 @@ def follow_branch(form: OffsetParameters, flange: FloatArray, seed: FloatArray) 
 
 
 def match_ranks(q: FloatArray) -> FloatArray:
-    """Reorder the ranks of solutions so that each continues as closely as possible.
+    """Renumber solutions that differ only in their rank so that a rank continues as closely as possible.
 
     Ranks continue from target to target, and at the first target from sample to sample.
 
     Args:
         q: (N, S, branches, 6) [rad] joints of :func:`inverse_kinematics` at N targets with S samples.
+
+    Returns:
+        The joints, reordered along the axis of branches.
     """
     out = q.copy()
     by_rank = out.reshape(*q.shape[:2], MAX_RANKS, 8, 6)
@@ -577,12 +620,12 @@ def match_ranks(q: FloatArray) -> FloatArray:
 
 
 def _match_ranks_to(previous: FloatArray, current: FloatArray) -> FloatArray:
-    """Joints ``current`` (S, MAX_RANKS, 8, 6) with ranks permuted to be closest to ``previous``."""
+    """Return joints ``current`` (S, MAX_RANKS, 8, 6) with ranks permuted to be closest to ``previous``."""
     difference = np.abs(previous[:, :, None] - current[:, None])
     gap = np.minimum(
         np.abs(difference - 2.0 * np.pi * np.round(difference / (2.0 * np.pi))).max(axis=-1), 1.0
     )
-    gap = np.where(np.isnan(gap), 1.0, gap)  # (S, before, here, 8)
+    gap = np.where(np.isnan(gap), 1.0, gap)  # (S, previous rank, current rank, 8)
     permutations = list(itertools.permutations(range(MAX_RANKS)))
     cost = np.stack(
         [
@@ -597,8 +640,8 @@ def _match_ranks_to(previous: FloatArray, current: FloatArray) -> FloatArray:
 def singularities(form: OffsetParameters, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Compute the angles from singularities of the wrist, the elbow and the shoulder.
 
-    - Wrist: arcsine of the factor of the Jacobian's determinant that remains beside the other two. If axis 6
-      passed through the point where axes 4 and 5 meet, it would be the angle of axis 5.
+    - Wrist: arcsine of the Jacobian's determinant divided by its factors of the elbow and the shoulder. If
+      axis 6 passed through the point where axes 4 and 5 meet, it would be the angle of axis 5.
     - Elbow: angle from stretched or folded.
     - Shoulder: angle under which the stretched arm would see the distance from axis 1 of the point where axes
       4 and 5 meet.
@@ -625,9 +668,10 @@ def singularities(form: OffsetParameters, q: FloatArray) -> tuple[FloatArray, Fl
 
 
 def reach_gap(form: OffsetParameters, flange: FloatArray) -> FloatArray:
-    """Distance (...,) [m] of the point where axes 4 and 5 meet from the arm's reach.
+    """Return a lower bound (...,) [m] of the distance of the wrist centre from its reachable region.
 
-    The wrist posture is arbitrary.
+    The wrist centre is the point where axes 4 and 5 meet. Theta 6 is free, so its offset from axis 6 counts
+    as additional reach.
 
     Args:
         form: Kinematic parameters.
@@ -635,10 +679,8 @@ def reach_gap(form: OffsetParameters, flange: FloatArray) -> FloatArray:
     """
     wrist_base = flange[..., :3, 3] - form.c4 * flange[..., :3, 2]
     distance = np.hypot(np.hypot(wrist_base[..., 0], wrist_base[..., 1]), wrist_base[..., 2] - form.c1)
-    forearm, wrist_offset = (
-        float(np.hypot(form.a2, form.c3)),
-        float(np.hypot(form.a3, form.b3)) + abs(form.a1),
-    )
+    forearm = float(np.hypot(form.a2, form.c3))
+    wrist_offset = float(np.hypot(form.a3, form.b3)) + abs(form.a1)
     outer_gap = distance - (form.c2 + forearm + wrist_offset)
     return np.asarray(
         np.maximum(np.maximum(outer_gap, abs(form.c2 - forearm) - wrist_offset - distance), 0.0)
@@ -646,10 +688,10 @@ def reach_gap(form: OffsetParameters, flange: FloatArray) -> FloatArray:
 
 
 def wrist_gap(form: OffsetParameters, flange: FloatArray) -> FloatArray:
-    """Distance (...,) [m] of the point where axes 4 and 5 meet from the reach of upper arm and forearm.
+    """Return the distance (...,) [m] of the point where axes 4 and 5 meet from the reach of the arm.
 
-    Axis 6 takes the best of :data:`SAMPLE_ANGLES` angles. If the distance is 0 and the pose has no solution,
-    the wrist cannot take the required orientation.
+    The reach is that of upper arm and forearm. Axis 6 takes the best of :data:`SAMPLE_ANGLES` angles. If the
+    distance is 0 and the pose has no solution, the wrist cannot take the required orientation.
 
     Args:
         form: Kinematic parameters.

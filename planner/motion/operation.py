@@ -63,8 +63,8 @@ MIN_PROGRAM_QUERIES: Final = 128
 of queries of the optimisation before it.
 """
 MIN_PROGRAM_GAIN: Final = 1e-3
-"""Minimum relative cost reduction, of the share that the freedoms can change, for which the program's path is
-used.
+"""Minimum relative cost reduction for which the program's path is used. If only windows of a path change, it
+is multiplied by :attr:`Windows.fraction`.
 """
 MAX_DURATION_RATIO: Final = 1.002
 """Maximum ratio of the duration of the program's path to that of the path from which it started."""
@@ -78,7 +78,8 @@ one.
 """
 
 TimedTargets = tuple[Targets, Clock, float]
-"""Targets with their stops, their clock, and the deviation [m] of the timed path from the planned one."""
+"""Targets with their final stops, their clock, and the deviation [m] of the timed path from the planned one.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -150,7 +151,8 @@ def plan_operation(
     samples = sample_moves(scene, targets, path_result.path.branch, optimised.q)
     if not optimisation_used:
         diagnosis.require_linear_moves(scene, targets, path_result.path.branch, samples)
-    # Timing, and Drake's program on the timed path. A long path is joined before, others after the program.
+    # Timing, and Drake's program on the timed path. Short moves of a long path are joined before the program,
+    # those of other paths after it.
     clock_pieces: dict[bytes, TimedPiece] = {}
     unjoined, timed = targets, _compute_clock(scene, targets, samples, clock_pieces=clock_pieces)
     watch.lap("timing")
@@ -249,6 +251,7 @@ class _Stopwatch:
         self._last = time.perf_counter()
 
     def lap(self, name: str) -> None:
+        """Add the time since the previous call to the stage ``name``."""
         now = time.perf_counter()
         self.laps[name] = self.laps.get(name, 0.0) + now - self._last
         self._last = now
@@ -272,17 +275,22 @@ class _PathFinder:
         self.miss_reason = ""
 
     def find(self, scene: Scene, targets: Targets) -> tuple[SampleGrid, PathResult | BlockedSearch]:
-        """Search near the reference path, then as :func:`find_path`."""
+        """Search a path near the reference path, and if there is none, a path as :func:`find_path` does.
+
+        Raises:
+            NoCoarsePathError: The first samples have no path, and finer samples are not to be tried.
+        """
         if self._reference is not None and not self.miss_reason:
-            offered = self._reference.freedom_samples(targets)
-            for samples in () if isinstance(offered, str) else offered:
+            samples_or_reason = self._reference.freedom_samples(targets)
+            for samples in () if isinstance(samples_or_reason, str) else samples_or_reason:
                 nearby = search_near_samples(scene, targets, samples, self._reference.branch)
                 if nearby is not None:
                     return nearby
             no_path_text = "no path close to it keeps margins and clearance"
-            self.miss_reason = offered if isinstance(offered, str) else no_path_text
-        known, self._known_path = self._known_path, None
-        grid, result = known or find_path(scene, targets, self._fine)
+            self.miss_reason = samples_or_reason if isinstance(samples_or_reason, str) else no_path_text
+        # The known path belongs to the first targets. Repaired targets need another search.
+        known_path, self._known_path = self._known_path, None
+        grid, result = known_path or find_path(scene, targets, self._fine)
         if not self._fine and (isinstance(result, BlockedSearch) or result.has_colliding_moves):
             raise NoCoarsePathError
         return grid, result
@@ -291,7 +299,15 @@ class _PathFinder:
 def _search_path(
     scene: Scene, targets: Targets, stopwatch: _Stopwatch, finder: _PathFinder
 ) -> tuple[Targets, PathResult]:
-    """Path of the layered graph, with transit moves repaired where they collide."""
+    """Search the path of the layered graph, and search it again if colliding transit moves were repaired.
+
+    Returns:
+        The targets, with waypoints added if transit moves were repaired, and the path of all of them.
+
+    Raises:
+        TandemError: No path exists; the issues say why.
+        NoCoarsePathError: As for :meth:`_PathFinder.find`.
+    """
     grid, result = finder.find(scene, targets)
     stopwatch.lap("ladder")
     if not isinstance(result, PathResult):
@@ -310,9 +326,9 @@ def _search_path(
 def _clearance_penalty(
     scene: Scene, targets: Targets, executor: Executor = SERIAL
 ) -> ClearancePenalty | None:
-    """Clearance penalty for paths of the targets; None without a collision model.
+    """Return the clearance penalty for paths of the targets, or None without a collision model.
 
-    ``executor`` computes some distances.
+    ``executor`` computes a part of the distances.
     """
     if scene.model is None:
         return None
@@ -329,21 +345,22 @@ def _optimise_path(
     penalty: ClearancePenalty | None,
     stopwatch: _Stopwatch,
 ) -> tuple[OptimisedPath, bool]:
-    """Optimise the path if the result keeps clearance at and between targets.
+    """Optimise the path of the layered graph, and keep that path if no optimised one keeps clearance.
 
-    Otherwise the path of the layered graph is kept.
+    Clearance is checked at and between targets. Where an optimised path is too close to a body, the
+    optimisation is repeated in a corridor around the path of the layered graph, over a longer and longer
+    stretch and finally over the whole path. The rest stays as it is.
 
-    Where an optimised path is too close to something, the optimisation is repeated in a corridor around the
-    path of the layered graph, over a longer and longer stretch and finally over the whole path. The rest
-    stays as it is.
+    Returns:
+        The path, and whether it is an optimised one.
     """
     graph_cost = path_cost(scene, targets, graph_path.values, graph_path.q)
     start = trajopt.unwrap_freedoms(targets, graph_path.values)
-    rows = np.zeros(targets.count, dtype=np.bool_)
-    within, values, q, iterations = targets, start, dict(graph_path.q), 0
+    in_corridor = np.zeros(targets.count, dtype=np.bool_)
+    narrowed_targets, values, q, iterations = targets, start, dict(graph_path.q), 0
     moved = np.ones(targets.count, dtype=np.bool_)
     for reach, width in OPTIMISATION_CORRIDORS if scene.model is not None else OPTIMISATION_CORRIDORS[:1]:
-        improved = optimise_path(scene, within, graph_path.path.branch, values, q, penalty)
+        improved = optimise_path(scene, narrowed_targets, graph_path.path.branch, values, q, penalty)
         iterations += improved.iterations
         samples = sample_moves(scene, targets, graph_path.path.branch, improved.q)
         infeasible_moves = _infeasible_moves(scene, targets, samples, moved)
@@ -354,13 +371,13 @@ def _optimise_path(
                 improved, cost=cost, cost_before=graph_cost, iterations=iterations
             ), True
         # next round: around these moves restart in a corridor about the graph path, and fix all other targets
-        rows |= trajopt.targets_around(targets.count, infeasible_moves, reach)
+        in_corridor |= trajopt.targets_around(targets.count, infeasible_moves, reach)
         moved = trajopt.targets_around(targets.count, infeasible_moves, reach + DETOUR_TARGETS)
-        is_reset = moved & rows
+        is_reset = moved & in_corridor
         values = np.where(is_reset[:, None], start, improved.values)
         q = {arm: np.where(is_reset[:, None], graph_path.q[arm], improved.q[arm]) for arm in targets.arms}
-        within = trajopt.narrow_freedoms(targets, start, rows, width)
-        within = trajopt.narrow_freedoms(within, values, ~moved, 0.0)
+        narrowed_targets = trajopt.narrow_freedoms(targets, start, in_corridor, width)
+        narrowed_targets = trajopt.narrow_freedoms(narrowed_targets, values, ~moved, 0.0)
     stopwatch.lap("trajopt")
     return OptimisedPath(graph_path.values, graph_path.q, graph_cost, graph_cost, 0), False
 
@@ -369,7 +386,7 @@ def _optimise_path(
 class _TimedPath:
     """A path, samples of its moves, and its timing.
 
-    ``slowed``: short moves are slowed where nothing requires speed.
+    ``slowed`` says whether short moves were slowed, which is done where no minimum feed is required.
     """
 
     path: OptimisedPath
@@ -378,7 +395,7 @@ class _TimedPath:
     slowed: bool = False
 
     def peaks(self) -> tuple[float, ...]:
-        """Largest acceleration [rad/s2] and jerk [rad/s3] of any joint."""
+        """Return the largest acceleration [rad/s2] and jerk [rad/s3] of any joint of any arm."""
         targets, clock, _ = self.timed
         joints = np.concatenate([self.path.q[arm] for arm in targets.arms], axis=1)
         return differences.peak_differences(np.diff(clock.time), targets.stop, joints)
@@ -399,16 +416,26 @@ def _optimise_with_program(
 ) -> tuple[_TimedPath, dict[str, Any]]:
     """Improve an optimised path with Drake's mathematical program, and report metrics.
 
-    The given path stays if the program's path violates a limit that it keeps, or costs no less. Where moves
-    of the program's path are too close to something, the next attempt stays in a corridor around the given
-    path. On a long path only some windows change. ``graph_path`` is the path of the layered graph over all
-    targets, of which ``targets`` remain after joining. ``clock_pieces`` are those of the given path's clock.
+    The given path is kept if the program's path violates a limit that the given path keeps, or does not
+    reduce the cost. Where moves of the program's path are too close to a body, the next attempt stays in a
+    corridor around the given path. On a long path only some windows change.
+
+    Args:
+        scene: Cell with the stock in its pose.
+        targets: Targets that remain after short moves were joined.
+        graph_path: Path of the layered graph over all targets.
+        seed: Given path with its timing.
+        penalty: Clearance penalty; None if the given path is not an optimised one.
+        clock_pieces: Pieces of the given path's clock. Pieces of further clocks are added.
+
+    Returns:
+        The path that is used, with its timing, and metrics of the program.
     """
     metrics: dict[str, Any] = {"program_used": False, "program_rounds": 0, "program_asked": 0}
     if penalty is None:
         return seed, {**metrics, "program_reason": "there is no optimised path to start from"}
     branch, start_path = graph_path.path.branch, seed.path
-    within, rows = targets, np.zeros(targets.count, dtype=np.bool_)
+    narrowed_targets, in_corridor = targets, np.zeros(targets.count, dtype=np.bool_)
     budget = max(penalty.query_count, MIN_PROGRAM_QUERIES)
     duration, stop = np.diff(seed.timed[1].time), seed.timed[0].stop
     # A long path is improved in windows only: their targets are the unknowns.
@@ -418,26 +445,26 @@ def _optimise_with_program(
             start_path, cost=path_cost(scene, targets, start_path.values, start_path.q)
         )
         seed = dataclasses.replace(seed, path=start_path)
-        chosen = windows.choose_windows(scene, targets, branch, start_path, duration, stop)
-        if isinstance(chosen, str):
-            return seed, {**metrics, "program_reason": chosen}
-        window = chosen
+        windows_or_reason = windows.choose_windows(scene, targets, branch, start_path, duration, stop)
+        if isinstance(windows_or_reason, str):
+            return seed, {**metrics, "program_reason": windows_or_reason}
+        window = windows_or_reason
         metrics |= {"program_windows": window.count, "program_targets": int((~window.held).sum())}
         metrics["program_share"] = window.fraction
         budget = MAX_WINDOWS_QUERIES
         penalty = _clearance_penalty(scene, select_targets(targets, window.rows)) or penalty
-    problem = trajopt.PathProblem(scene, targets, branch, None)
+    problem = trajopt.PathProblem(scene, targets, branch, obstacles=None)
     # Each round solves programs, then takes the largest fraction of the way to their path that is feasible.
     for reach, width in PROGRAM_CORRIDORS:
         remaining_queries = budget - metrics["program_asked"]
-        kept_targets, start = (
-            (within, start_path)
+        program_targets, start = (
+            (narrowed_targets, start_path)
             if window is None
-            else (select_targets(within, window.rows), start_path.select(window.rows))
+            else (select_targets(narrowed_targets, window.rows), start_path.select(window.rows))
         )
         program_seed = program.ProgramSeed(branch, start, duration, stop)
         result = program.optimise_program(
-            scene, kept_targets, program_seed, penalty, remaining_queries, window
+            scene, program_targets, program_seed, penalty, remaining_queries, window
         )
         metrics["program_rounds"] += result.rounds
         metrics["program_asked"] += result.query_count
@@ -446,7 +473,7 @@ def _optimise_with_program(
             break
         path, infeasible_moves = result.path, np.zeros(0, dtype=np.intp)
         if window is not None:
-            path = window.insert(start_path, path, trajopt.unwrap_freedoms(kept_targets, start.values))
+            path = window.insert(start_path, path, trajopt.unwrap_freedoms(program_targets, start.values))
         for fraction in PROGRAM_FRACTIONS if window is None else WINDOWS_FRACTIONS:
             candidate, metrics["program_reason"], infeasible_moves = _evaluate_fraction(
                 problem, seed, path, fraction, clock_pieces, window
@@ -458,9 +485,9 @@ def _optimise_with_program(
                 break
         if not len(infeasible_moves):
             break
-        rows |= trajopt.targets_around(targets.count, infeasible_moves, reach)
-        within = trajopt.narrow_freedoms(
-            targets, trajopt.unwrap_freedoms(targets, start_path.values), rows, width
+        in_corridor |= trajopt.targets_around(targets.count, infeasible_moves, reach)
+        narrowed_targets = trajopt.narrow_freedoms(
+            targets, trajopt.unwrap_freedoms(targets, start_path.values), in_corridor, width
         )
     return seed, metrics
 
@@ -480,16 +507,18 @@ def _evaluate_fraction(
         seed: Given path with its timing.
         path: Path of the program.
         fraction: Fraction of the way, 0 to 1.
-        clock_pieces: Pieces of clocks that are already computed.
+        clock_pieces: Pieces of clocks that are already computed. New ones are added.
         window: Windows outside of which targets are the same on both paths; None if all targets may differ.
 
     Returns:
-        The timed path, or None with the reason and the moves that are too close to something.
+        The timed path, an empty text and no moves; or None, the reason why the path is not used, and the
+        moves that leave the reach or keep no clearance, if they are the reason.
     """
     scene, targets, start_path = problem.scene, problem.targets, seed.path
     rows = np.arange(targets.count)
     moved = np.isin(rows, rows if window is None else window.rows)
-    start, no_moves = trajopt.unwrap_freedoms(targets, start_path.values), np.zeros(0, dtype=np.intp)
+    start = trajopt.unwrap_freedoms(targets, start_path.values)
+    no_moves = np.zeros(0, dtype=np.intp)
     values = start + fraction * (path.values - start)
     joints = problem.joints(values, problem.stack(start_path.q))
     if joints is None:
@@ -521,7 +550,7 @@ def _evaluate_fraction(
 
 
 def _gain_metrics(seed: _TimedPath, candidate: _TimedPath) -> dict[str, float]:
-    """Metrics of cost and peaks relative to the given path."""
+    """Return the metrics of the program's path relative to the given path: cost and peaks of the joints."""
     ratios = [
         peak / max(seed_peak, 1e-12) for seed_peak, peak in zip(seed.peaks(), candidate.peaks(), strict=True)
     ]
@@ -531,9 +560,9 @@ def _gain_metrics(seed: _TimedPath, candidate: _TimedPath) -> dict[str, float]:
 
 
 def _regression_reason(seed: _TimedPath, candidate: _TimedPath) -> str:
-    """Describe in what respect the timing of a path is worse than that of the given path.
+    """Say in what respect the timing of a path is worse than that of the given path; empty if in none.
 
-    Empty if it is not worse in any respect.
+    Acceleration and jerk of the joints, the duration, and required minimum feeds are compared.
     """
     peaks = zip(("acceleration", "jerk"), seed.peaks(), candidate.peaks(), strict=True)
     for name, seed_peak, peak in peaks:
@@ -555,9 +584,9 @@ def _regression_reason(seed: _TimedPath, candidate: _TimedPath) -> str:
 
 
 def _infeasible_moves(scene: Scene, targets: Targets, samples: MoveSamples, moved: BoolArray) -> IndexArray:
-    """Targets whose moves leave reach or come too close to something.
+    """Return the targets to which moves leave the reach or keep no clearance; targets may repeat.
 
-    They are among those ``moved`` (N,) and their neighbours.
+    Only moves to and from the targets ``moved`` (N,) are checked.
     """
     is_checked = moved | np.append(False, moved[:-1])
     rows = np.flatnonzero(is_checked[samples.move])
@@ -575,26 +604,30 @@ def _join_short_moves(
     timed_path: _TimedPath,
     clock_pieces: dict[bytes, TimedPiece],
 ) -> tuple[Targets, _TimedPath]:
-    """Join short moves into longer ones where that changes nothing.
+    """Join moves that are too short for the controller into longer ones where that changes nothing.
 
-    The rest is slowed where nothing requires speed. ``clock_pieces`` holds pieces of clocks.
+    Short moves that remain are slowed where no minimum feed is required.
+
+    Args:
+        scene: Cell with the stock in its pose.
+        targets: Targets of the path.
+        graph_path: Path of the layered graph, whose branches the joined moves keep.
+        timed_path: Path of the targets with its timing.
+        clock_pieces: Pieces of clocks that are already computed. New ones are added.
+
+    Returns:
+        The targets that remain, and their path with its timing.
     """
     kept = np.arange(targets.count)
-    joined_targets, full_path, path, samples, timed = (
-        targets,
-        timed_path.path,
-        timed_path.path,
-        timed_path.samples,
-        timed_path.timed,
-    )
+    full_path = timed_path.path
+    joined_targets, path = targets, full_path
+    samples, timed = timed_path.samples, timed_path.timed
     for _ in range(MAX_JOINING_ROUNDS):
         picked_rows = move_limits.join_short_moves(targets, full_path.values, timed[1].time, kept)
         if len(picked_rows) == len(kept):
             break
-        picked_targets, joined_path = (
-            move_limits.select_joined(targets, picked_rows),
-            full_path.select(picked_rows),
-        )
+        picked_targets = move_limits.select_joined(targets, picked_rows)
+        joined_path = full_path.select(picked_rows)
         joined_samples = sample_moves(scene, picked_targets, graph_path.path.branch, joined_path.q)
         if any(np.isnan(q).any() for q in joined_samples.q.values()):
             break
@@ -615,9 +648,18 @@ def _compute_clock(
     slowed: Callable[[Targets, FloatArray], FloatArray] | None = None,
     clock_pieces: dict[bytes, TimedPiece] | None = None,
 ) -> TimedTargets:
-    """Compute the timing. Returns targets with their final stops, their clock and its path deviation [m].
+    """Compute the clock of a path within the limits of its joints, its tools and its feeds.
 
-    ``clock_pieces`` holds pieces of the clock that are already computed.
+    Args:
+        scene: Cell with the stock in its pose.
+        targets: Targets of the path.
+        samples: Joints along the moves.
+        slowed: Returns minimum times (N,) [s] of moves in which short moves are lengthened. None: no move is
+            slowed.
+        clock_pieces: Pieces of clocks that are already computed. New ones are added.
+
+    Raises:
+        TandemError: ``motion.timing`` if no clock exists.
     """
     settings = scene.settings
     speed = np.concatenate([speed_limits(scene, arm) for arm in targets.arms])
@@ -626,24 +668,22 @@ def _compute_clock(
         speed = np.append(speed, settings.speed_fraction * track.speed)
         accelerations = np.append(accelerations, track.acceleration)
     lengths = tcp_lengths(scene, targets, samples)
-    least = min_times(targets.travel, targets.feed, lengths, settings.tcp_speed)
-    least = least if slowed is None else slowed(targets, least)
+    min_durations = min_times(targets.travel, targets.feed, lengths, settings.tcp_speed)
+    min_durations = min_durations if slowed is None else slowed(targets, min_durations)
     try:
         matched = joint_path.ramp_lengths(scene, targets, samples)
         corner_times = functools.partial(joint_path.corner_fractions, scene, targets, samples, matched)
         fastest = np.maximum.reduce(list(lengths.values())) / settings.tcp_speed
-        for (
-            arm,
-            values,
-        ) in targets.track_positions.items():  # a track limits the speed of ramps as a tool does
+        for arm, values in targets.track_positions.items():
+            # a track limits the speed of ramps as a tool does
             max_track_speed = settings.speed_fraction * scene.tracks[arm][0].speed
             fastest = np.maximum(fastest, np.abs(np.diff(values, prepend=values[0])) / max_track_speed)
         acceleration_limits = settings.acceleration_fraction * accelerations
         limits = ClockLimits(
             speed,
             acceleration_limits,
-            least,
-            corner_times(least, joint_path.stops_with_ends(targets.stop)),
+            min_durations,
+            corner_times(min_durations, joint_path.stops_with_ends(targets.stop)),
             fastest,
             matched,
         )
@@ -658,6 +698,7 @@ def _compute_clock(
 
 
 def _unused_optimisation_note(scene: Scene) -> Issue:
+    """Return the note that the layered graph's path is used because no optimised path keeps clearance."""
     required, same_arm_required = scene.settings.clearance / MM, scene.settings.self_clearance / MM
     same_arm_text = "" if same_arm_required == required else f", or {same_arm_required:.1f} mm within one arm"
     message = (
@@ -669,6 +710,7 @@ def _unused_optimisation_note(scene: Scene) -> Issue:
 
 
 def _missing_solver_note() -> Issue:
+    """Return the note that this build of Drake lacks the solvers that smooth paths."""
     names = " nor ".join(program.solver_name(kind) for kind in program.SOLVER_TYPES)
     message = (
         f"this build of Drake has neither {names}, which make paths smoother and the motion from and to "
@@ -679,13 +721,13 @@ def _missing_solver_note() -> Issue:
 
 
 def _moves_below_feed_min(targets: Targets, clock_time: FloatArray) -> IndexArray:
-    """Targets to which moves are slower than the process requires."""
+    """Return the targets to which moves are slower than the process requires. ``clock_time`` (N,) is in s."""
     speed = targets.travel[1:] / np.maximum(np.diff(clock_time), 1e-12)
     return np.flatnonzero(speed < targets.feed_min[1:] * (1.0 - 1e-6)) + 1
 
 
 def _feed_min_warnings(targets: Targets, clock_time: FloatArray) -> Iterator[Issue]:
-    """Warnings for moves that the arms cannot make as fast as the process requires."""
+    """Yield warnings for moves that the arms cannot make as fast as the process requires."""
     speed = targets.travel[1:] / np.maximum(np.diff(clock_time), 1e-12)
     for i in _moves_below_feed_min(targets, clock_time).tolist():
         got, required = float(speed[i - 1]) / MM, float(targets.feed_min[i]) / MM
@@ -702,9 +744,9 @@ def _feed_min_warnings(targets: Targets, clock_time: FloatArray) -> Iterator[Iss
 
 
 def _margin_metrics(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> dict[str, Any]:
-    """Smallest margins of the path.
+    """Return the smallest margins of the path: to joint limits, to singularities, and between bodies.
 
-    The target and the pair of bodies are included where the clearance is smallest.
+    For clearances, the target and the pair of bodies are included where the distance is smallest.
     """
     out: dict[str, Any] = {"limit_margin_deg": {}, "singularity_margin_deg": {}}
     for arm in targets.arms:
@@ -725,12 +767,13 @@ def _margin_metrics(scene: Scene, targets: Targets, q: Mapping[str, FloatArray])
 
 
 def _edge_metrics(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> dict[str, Any]:
+    """Return the smallest clearance of a flexible tool (a bent wire), with its target and pair of bodies."""
     if targets.flexible_tool is None:
         return {}
     distance, pairs = scene.edge_clearance(targets, q, np.arange(targets.count))
-    worst = int(np.argmin(distance))
+    worst_index = int(np.argmin(distance))
     return {
-        "edge_clearance_mm": float(distance[worst]) / MM,
-        "edge_clearance_pair": list(pairs[worst]),
-        "edge_clearance_index": worst,
+        "edge_clearance_mm": float(distance[worst_index]) / MM,
+        "edge_clearance_pair": list(pairs[worst_index]),
+        "edge_clearance_index": worst_index,
     }

@@ -49,13 +49,13 @@ INITIAL_ROW_MARGIN_M: Final = 0.01
 violates them.
 """
 ROW_TOLERANCE_M: Final = 1e-6
-"""Violation [m] of a row that is not in the program from which rows are added."""
+"""Violation [m] of a row outside the program above which that row is added to the program."""
 ADDED_ROW_MARGIN_M: Final = 1e-3
 """Excess margin [m] below which further rows are added together with violated ones."""
 SAMPLE_SPACING_M: Final = 0.05
 """Spacing [m of travel] of the samples at which margins are evaluated in each round."""
 MAX_SAMPLES: Final = 80
-"""Approximate maximum number of these samples on a path."""
+"""Approximate maximum number of samples of a path in each round. Longer paths have a larger spacing."""
 EXTRA_MARGIN_M: Final = 1e-3
 """Margin [m] required at samples, so that the path between two samples keeps clearance."""
 EXTRA_MARGIN_FRACTION: Final = 0.5
@@ -99,8 +99,9 @@ class ShortcutTask:
     """Environment in which a path is shortened.
 
     Attributes:
-        margins: Margins [m] at points.
-        blocked: Points of a path that are not free at the final check: all of them, or the first ones.
+        margins: Returns the margins [m] at points.
+        blocked: Returns the points of a path (M, D) that are not free at the final check: all of them if the
+            second argument is true, else only those of the first check that fails.
         lower: (D,) lower bounds of the corners.
         upper: (D,) upper bounds of the corners.
         lever: (D,) [m/rad] largest displacement of any body per change of a coordinate.
@@ -114,7 +115,7 @@ class ShortcutTask:
 
 
 def path_travel(path: FloatArray) -> float:
-    """Sum over all coordinates of their travel along waypoints (M, D)."""
+    """Return the travel [rad] of waypoints (M, D), summed over all moves and all coordinates."""
     return float(np.abs(np.diff(path, axis=0)).sum())
 
 
@@ -135,7 +136,7 @@ def shorten_path(
     Returns:
         Waypoints (K, D), free as by ``task.blocked`` and without unnecessary corners; None if none was found.
     """
-    return _optimise_to_free(path, task, final_checks, rounds, None)
+    return _optimise_to_free(path, task, final_checks, rounds, max_travel=None)
 
 
 def bend_path(path: FloatArray, task: ShortcutTask, max_ratio: float = 1.0) -> FloatArray | None:
@@ -160,22 +161,36 @@ def bend_path(path: FloatArray, task: ShortcutTask, max_ratio: float = 1.0) -> F
 def _optimise_to_free(
     path: FloatArray, task: ShortcutTask, final_checks: int, rounds: int, max_travel: float | None
 ) -> FloatArray | None:
-    """Result of :func:`shorten_path`, or with ``max_travel`` of :func:`bend_path`."""
-    ready = available_solvers()
-    if not ready or len(path) < 2:
+    """Optimise the corners of a path until the final check finds it free.
+
+    Points that a final check finds blocked become samples of the next rounds.
+
+    Args:
+        path: (M, D) waypoints.
+        task: Environment.
+        final_checks: Maximum number of final checks.
+        rounds: Maximum number of quadratic programs before the first final check.
+        max_travel: Travel [rad] above which a bent path is given up (:func:`bend_path`). None: the path is
+            shortened (:func:`shorten_path`).
+
+    Returns:
+        Free waypoints (K, D) without unnecessary corners, or None if none was found.
+    """
+    solvers = available_solvers()
+    if not solvers or len(path) < 2:
         return None
     current, extra_samples, blocked = _pad(path, task.lever), NO_SAMPLES, NO_SAMPLES
-    enough = None if max_travel is None else path_travel(path) + TRAVEL_TOLERANCE_RAD
-    keeps_length = enough == max_travel
+    sufficient_travel = None if max_travel is None else path_travel(path) + TRAVEL_TOLERANCE_RAD
+    keeps_length = sufficient_travel == max_travel
     hoped_travel = 0.0 if keeps_length else max_travel  # a path that may not get longer is bent soon or never
     for number in range(final_checks):
         previous, previous_blocked = current, blocked
-        enough_now = enough if keeps_length or not number else None
-        stopping = _StoppingCriteria(MAX_REPAIR_ROUNDS if number else rounds, enough_now, hoped_travel)
-        current = _optimise_corners(current, extra_samples, task, ready[0], stopping)
+        round_travel = sufficient_travel if keeps_length or not number else None
+        stopping = _StoppingCriteria(MAX_REPAIR_ROUNDS if number else rounds, round_travel, hoped_travel)
+        current = _optimise_corners(current, extra_samples, task, solvers[0], stopping)
         if max_travel is not None and path_travel(current) > max_travel:
             break
-        blocked = task.blocked(current, True)
+        blocked = task.blocked(current, True)  # all blocked points
         if not len(blocked.move):
             return _remove_corners(current, task)
         if len(previous_blocked.move) == len(blocked.move) and np.array_equal(previous, current):
@@ -185,7 +200,7 @@ def _optimise_to_free(
 
 
 def _pad(path: FloatArray, lever: FloatArray) -> FloatArray:
-    """The path with its longest lines halved until it has :data:`MAX_MOVES` lines."""
+    """Halve the longest line of a path again and again until it has :data:`MAX_MOVES` lines."""
     out = path
     while len(out) <= MAX_MOVES:
         k = int(np.argmax(np.abs(np.diff(out, axis=0)) @ lever))
@@ -194,12 +209,12 @@ def _pad(path: FloatArray, lever: FloatArray) -> FloatArray:
 
 
 def _remove_corners(path: FloatArray, task: ShortcutTask) -> FloatArray:
-    """The path without corners whose neighbours a free straight line connects."""
+    """Remove corners whose neighbours are connected by a free straight line."""
     out, k = path, 1
     while k < len(out) - 1:
         straight = out[[k - 1, k + 1]]
-        same = bool(np.abs(out[k] - straight).max(axis=1).min() < WAYPOINT_TOLERANCE_RAD)
-        if same or not len(task.blocked(straight, False).move):
+        is_duplicate = bool(np.abs(out[k] - straight).max(axis=1).min() < WAYPOINT_TOLERANCE_RAD)
+        if is_duplicate or not len(task.blocked(straight, False).move):
             out = np.delete(out, k, axis=0)
         else:
             k += 1
@@ -207,6 +222,7 @@ def _remove_corners(path: FloatArray, task: ShortcutTask) -> FloatArray:
 
 
 def _path_cost(path: FloatArray, weight: FloatArray) -> float:
+    """Return travel plus evenness: sum |step| + e n sum |W step|^2 over n lines; ``weight`` (D,) is W."""
     step = np.diff(path, axis=0)
     return path_travel(path) + EVENNESS_WEIGHT * len(step) * float(np.sum((step * weight) ** 2))
 
@@ -223,7 +239,7 @@ class _ProgramRows:
     lower: FloatArray
 
     def extended(self, other: "_ProgramRows") -> "_ProgramRows":
-        """Append other rows."""
+        """Return these rows followed by other rows for the same corners."""
         return _ProgramRows(
             np.append(self.move, other.move),
             sparse.vstack([self.slope, other.slope], format="csr"),
@@ -242,10 +258,10 @@ class _EvaluatedPath:
     Attributes:
         path: (M, D) waypoints.
         samples: Samples of the path.
-        margins: Those below the required margin.
-        merit: Cost plus penalty.
+        margins: Margins at samples that are below the required margin.
+        merit: Cost plus the penalty for the largest missing margin of each line.
         max_deficit: Largest missing margin [m].
-        end_margin: Smallest margin [m] at the ends.
+        end_margin: Smallest margin [m] at the two ends of the path.
         lever: (D,) [m/rad] largest displacement of any body per change of a coordinate.
     """
 
@@ -258,7 +274,7 @@ class _EvaluatedPath:
     lever: FloatArray
 
     def program_rows(self, margins: ClearanceMargins) -> _ProgramRows:
-        """Rows of margins at the samples, linearised at the path."""
+        """Linearise the margins at the samples as rows of a quadratic program for the inner corners."""
         lines, width = len(self.path) - 1, self.path.shape[1]
         samples = self.samples.select(margins.row)
         shape = (len(margins.row), (lines - 1) * width)
@@ -291,6 +307,7 @@ def _required_margin(
 def _evaluate(
     path: FloatArray, extra_samples: PathSamples, task: ShortcutTask, weight: FloatArray, end_margin: float
 ) -> _EvaluatedPath:
+    """Evaluate a path at evenly spaced samples of its lines, at its corners and at ``extra_samples``."""
     length = np.abs(np.diff(path, axis=0)) @ task.lever
     spacing = max(SAMPLE_SPACING_M, float(length.sum()) / MAX_SAMPLES)
     count = np.maximum(np.ceil(length / spacing), 2.0).astype(np.intp)
@@ -305,13 +322,11 @@ def _evaluate(
     margins = task.margins(samples.points(path), EXTRA_MARGIN_M)
     deficits = _required_margin(path, samples, task.lever, end_margin)[margins.row] - margins.margin
     deficient = np.flatnonzero(deficits > 0.0)
-    margins, deficits = (
-        ClearanceMargins(margins.row[deficient], margins.margin[deficient], margins.slope[deficient]),
-        deficits[deficient],
-    )
-    worst = np.zeros(len(count))
-    np.maximum.at(worst, samples.move[margins.row], deficits)
-    merit = _path_cost(path, weight) + MARGIN_PENALTY * float(worst.sum())
+    margins = ClearanceMargins(margins.row[deficient], margins.margin[deficient], margins.slope[deficient])
+    deficits = deficits[deficient]
+    max_deficits = np.zeros(len(count))  # of each line
+    np.maximum.at(max_deficits, samples.move[margins.row], deficits)
+    merit = _path_cost(path, weight) + MARGIN_PENALTY * float(max_deficits.sum())
     return _EvaluatedPath(
         path, samples, margins, merit, float(deficits.max(initial=0.0)), end_margin, task.lever
     )
@@ -341,20 +356,21 @@ def _optimise_corners(
 ) -> FloatArray:
     """Minimise cost and missing margin over the corners, starting from the path.
 
-    Rows of a rejected path are added to the next program, linearised there: linearised at the current path
-    only, programs would return the same path again.
+    If a step does not reduce the merit, the rows of its path are added to the next program, linearised at
+    that rejected path. With rows of the current path only, the program would return the same path again.
     """
-    enough, hoped_travel = stopping.sufficient_travel, stopping.hoped_travel
+    sufficient_travel, hoped_travel = stopping.sufficient_travel, stopping.hoped_travel
     weight = task.lever / task.lever.max()
     end_margin = float(task.margins(path[[0, -1]], QUERY_DISTANCE_M).margin.min(initial=np.inf))
     best = _evaluate(path, extra_samples, task, weight, end_margin)
-    trust, worse = INITIAL_TRUST_RAD, 0
+    trust, rejected_count = INITIAL_TRUST_RAD, 0
     rows: _ProgramRows | None = None
     for number in range(stopping.max_rounds):
         is_too_long = hoped_travel is not None and path_travel(best.path) > hoped_travel
         if is_too_long and number >= MIN_PROMISING_ROUNDS and best.max_deficit > MAX_PROMISING_DEFICIT_M:
             break
-        if enough is not None and best.max_deficit <= 0.0 and path_travel(best.path) <= enough:
+        has_margin = best.max_deficit <= 0.0
+        if sufficient_travel is not None and has_margin and path_travel(best.path) <= sufficient_travel:
             break
         if rows is None:
             rows = best.program_rows(task.margins(best.samples.points(best.path), QUERY_DISTANCE_M))
@@ -364,13 +380,14 @@ def _optimise_corners(
         tried = _evaluate(moved, extra_samples, task, weight, end_margin)
         gain = best.merit - tried.merit
         if gain > 0.0:
-            last = gain < MIN_GAIN_FRACTION * best.merit
-            best, rows, worse = tried, None, 0
-            if last:
+            is_last = gain < MIN_GAIN_FRACTION * best.merit
+            best, rows, rejected_count = tried, None, 0
+            if is_last:
                 break
         else:
-            rows, worse = rows.extended(tried.program_rows(tried.margins)), worse + 1
-            trust *= 0.5 if worse % 2 == 0 else 1.0
+            rows = rows.extended(tried.program_rows(tried.margins))
+            rejected_count += 1
+            trust *= 0.5 if rejected_count % 2 == 0 else 1.0
             if trust < MIN_TRUST_RAD:
                 break
     return best.path

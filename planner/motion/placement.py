@@ -2,9 +2,13 @@
 
 It finds a stock pose, and poses of movable bases. The search is seeded and goes from coarse to fine over few
 targets and few samples, batched over candidates. It starts from random and heuristic candidates, followed by
-generations of shrinking steps around the best. Candidates with round figures, at which people can clamp the
-stock, are refined from the best ones and preferred if they cost almost nothing. Collisions are checked last,
-on the best candidates.
+generations of shrinking steps around the best. Candidates with round coordinates, at which people can clamp
+the stock, are refined from the best ones and preferred if their margin is almost as large. Collisions are
+checked last, on the best candidates.
+
+A candidate is searched as a point (P,) of coordinates: x, y, z [m] and yaw [rad] of the stock, a rotation
+vector (3,) [rad] if the attitude of the stock is free, and for each movable base its shift x, y [m] and its
+yaw [rad].
 """
 
 import dataclasses
@@ -78,18 +82,20 @@ SIDE_UP_ROTATIONS: Final = np.array(
 """Rotation vectors [rad] that bring each of the six sides of a held stock to the top."""
 
 POSITION_INCREMENT_M: Final = 0.005
-"""Increment [m] of positions with round figures."""
+"""Increment [m] of round positions."""
 
 ROTATION_INCREMENT_RAD: Final = np.deg2rad(15.0)
-"""Increment [rad] of rotations with round figures. Quarter turns relative to a base are preferred."""
+"""Increment [rad] of round rotations. Quarter turns relative to a base are preferred."""
 
 ROTATION_INCREMENT_WORTH: Final = ((QUARTER_TURN_RAD, 0.98), (ROTATION_INCREMENT_RAD, 0.985))
-"""Increments [rad] of rotations, each with the fraction of the best margin for which it is preferred."""
+"""Increments [rad] of rotations, each with a fraction of the best margin. A candidate with such a rotation is
+preferred if its margin is at least this fraction of that of other candidates.
+"""
 
 SNAPPED_GENERATIONS: Final = 3
-"""Number of generations of candidates with round figures."""
+"""Number of generations of candidates with round coordinates."""
 SNAPPED_CHILDREN: Final = 6
-"""Number of candidates with round figures drawn around each parent."""
+"""Number of candidates with round coordinates drawn around each parent."""
 
 POSE_TOLERANCE: Final = 1e-6
 """Maximum difference [-, m] of the entries of two poses that count as equal."""
@@ -118,7 +124,11 @@ class PlacementCandidate:
 def _select_freest(
     scored: Sequence[tuple[float, PlacementCandidate]],
 ) -> tuple[tuple[float, PlacementCandidate], ...]:
-    """The best candidates with any free target, the first of equals first."""
+    """Select the candidates with the largest fraction of free targets, at most :data:`MAX_FREEST_CANDIDATES`.
+
+    ``scored`` are candidates with this fraction. Candidates without any free target are left out. Of those
+    with equal fractions, earlier ones come first.
+    """
     return tuple(
         sorted((item for item in scored if item[0]), key=lambda item: -item[0])[:MAX_FREEST_CANDIDATES]
     )
@@ -131,7 +141,8 @@ class PlacementTrace:
     Attributes:
         positions: (K, 3) [m] stock positions.
         score: (K,) [rad] smallest margins.
-        freest: A few candidates with free postures at most targets, best first, each with its fraction.
+        freest: Candidates with the largest fraction of targets with a free posture, largest first, each with
+            this fraction. It is empty if candidates were not checked for collisions.
     """
 
     positions: FloatArray
@@ -145,7 +156,14 @@ class PlacementTrace:
         return PlacementTrace(positions, score, _select_freest([*self.freest, *other.freest]))
 
     def metrics(self, chosen: int | None) -> dict[str, Any]:
-        """The search as data for the report, in degrees. Infeasible candidates have no score."""
+        """Return the search as data for the report, with scores in degrees.
+
+        Args:
+            chosen: Index of the candidate that the plan uses; None if it uses none.
+
+        Returns:
+            Report data. The score of an infeasible candidate is NaN.
+        """
         score = np.where(self.score > 0.0, self.score / DEG, np.nan)
         return {
             "positions": self.positions,
@@ -207,11 +225,12 @@ class PlacementSearch:
         self._excluded_quarters: set[int] = set()
         self._checked: list[tuple[float, FloatArray]] = []
         self._failure_counts: dict[int, IntArray] = {}
-        self._sample_targets(shifted=False)
+        self._sample_targets(with_slides=False)
 
-    def _sample_targets(self, shifted: bool) -> None:
-        self._coarse = [sample_coarsely(j.cell, j.targets, COARSE_TARGETS, shifted) for j in self._jobs]
-        self._fine = [sample_coarsely(j.cell, j.targets, FINE_TARGETS, shifted) for j in self._jobs]
+    def _sample_targets(self, with_slides: bool) -> None:
+        """Sample the targets of all operations, coarsely and finely, including long slides if required."""
+        self._coarse = [sample_coarsely(j.cell, j.targets, COARSE_TARGETS, with_slides) for j in self._jobs]
+        self._fine = [sample_coarsely(j.cell, j.targets, FINE_TARGETS, with_slides) for j in self._jobs]
 
     @functools.cached_property
     def _retry_sample(self) -> list[SampledTargets]:
@@ -226,8 +245,8 @@ class PlacementSearch:
         """Search for stock poses.
 
         If no pose is reachable with sliding freedoms at their middle, these are sampled as well, which is
-        slower. If all of the best candidates collide, which often have the same yaw quarter, the search
-        continues among the other quarters.
+        slower. If all of the best candidates collide, the search continues among the other quarters of yaw,
+        because the best candidates often lie in the same quarter.
 
         Args:
             models: Collision models of the operations. Without them collisions are not checked.
@@ -237,7 +256,7 @@ class PlacementSearch:
         """
         candidates, trace, quarters = self._search_generations(models)
         if not candidates and not trace.score.max() > 0.0 and self._has_long_slides:
-            self._sample_targets(shifted=True)
+            self._sample_targets(with_slides=True)
             candidates, trace, quarters = self._search_generations(models)
         while not candidates and not self._stock_fixed and quarters - self._excluded_quarters:
             self._excluded_quarters |= quarters
@@ -252,10 +271,13 @@ class PlacementSearch:
     def _retry_freest(
         self, models: Sequence[CellModel], trace: PlacementTrace
     ) -> tuple[list[PlacementCandidate], PlacementTrace]:
-        """Search around the freest candidates, with all branches and more samples.
+        """Search around the candidates with most free targets, with all branches and more samples.
 
-        Returns free candidates, best first, and the trace with all that were checked. Poses with the largest
-        joint margins often leave little room for bodies.
+        Poses with the largest joint margins often leave little space between bodies, so candidates that are
+        nearly free are worth another search.
+
+        Returns:
+            Free candidates, largest margin first, and the trace extended by all candidates that were checked.
         """
         nearly_free = sorted(
             (scored_point for scored_point in self._checked if scored_point[0] >= MIN_RETRY_FRACTION),
@@ -266,6 +288,7 @@ class PlacementSearch:
         points = self._snap_if_clamped(np.stack([point for _, point in nearly_free]))
         points = points[self._select_distinct(points, RETRY_PARENTS)]
         spread = self._step_sizes()
+        # points that were checked, with their scores and their fractions of free targets
         all_points, scores, fractions = points[:0], np.zeros(0), np.zeros(0)
         for generation in range(RETRY_GENERATIONS + 1):
             if generation:
@@ -283,11 +306,11 @@ class PlacementSearch:
                     fractions = np.append(fractions, fraction)
             if not len(all_points) or (fractions == 1.0).sum() >= RETRY_FREE_CANDIDATES:
                 break
-        first = len(trace.score)
+        first_number = len(trace.score)
         if not len(all_points):
             return [], trace
         checked = [
-            (fraction, self._candidate(all_points[k], float(scores[k]), first + k))
+            (fraction, self._candidate(all_points[k], float(scores[k]), first_number + k))
             for k, fraction in enumerate(fractions.tolist())
         ]
         positions = np.stack([candidate.stock[:3, 3] for _, candidate in checked])
@@ -334,24 +357,30 @@ class PlacementSearch:
             return "the stock has a different orientation there"
         score = float(self._score(point[None], self._fine)[0])
         if score <= 0.0 and self._has_long_slides:
-            self._sample_targets(shifted=True)
+            self._sample_targets(with_slides=True)
             score = float(self._score(point[None], self._fine)[0])
         if score <= 0.0:
             return "not all targets are reachable there with all margins"
         candidate = self._candidate(point, score, 0)
-        free = any(
-            self._free_fraction(models, candidate, few) == 1.0 for few in (self._coarse, self._retry_sample)
+        is_free = any(
+            self._free_fraction(models, candidate, sampled) == 1.0
+            for sampled in (self._coarse, self._retry_sample)
         )
-        return candidate if free else "bodies are too close to each other there"
+        return candidate if is_free else "bodies are too close to each other there"
 
     def _search_generations(
         self, models: Sequence[CellModel]
     ) -> tuple[list[PlacementCandidate], PlacementTrace, set[int]]:
-        """Run all generations. Returns candidates, the trace, and the yaw quarters of the best candidates."""
+        """Run all generations of the search.
+
+        Returns:
+            Candidates in the order in which to try them (only free ones if there are models), the trace, and
+            the yaw quarters 0 to 3 of the best candidates.
+        """
         # Generations of shrinking steps around the best candidates, scored at few targets.
         points = self._initial_points()
         scores = self._score(points, self._coarse)
-        seen, known = [points], [scores]
+        point_parts, score_parts = [points], [scores]
         spread = self._step_sizes()
         for generation in range(SEARCH_GENERATIONS):
             best = np.argsort(-scores, kind="stable")[:PARENTS_PER_GENERATION]
@@ -360,33 +389,31 @@ class PlacementSearch:
             steps = self._rng.normal(size=(len(points), CHILDREN_PER_PARENT, points.shape[1])) * step_sizes
             children = (points[:, None] + steps).reshape(-1, points.shape[1])
             child_scores = self._score(children, self._coarse)
-            seen.append(children)
-            known.append(child_scores)
+            point_parts.append(children)
+            score_parts.append(child_scores)
             points, scores = np.concatenate([points, children]), np.concatenate([scores, child_scores])
-        groups = [(np.concatenate(seen), np.concatenate(known), 1.0)]
+        groups = [(np.concatenate(point_parts), np.concatenate(score_parts), 1.0)]
         if not self._stock_fixed and self._stock.held_by is None:
             groups += [
                 (*self._search_snapped(*groups[0][:2], step), worth)
                 for step, worth in ROTATION_INCREMENT_WORTH
             ]
-        # Score the finalists of each group at more targets. Round figures win at a slightly lower score.
-        all_points, all_scores = (
-            np.concatenate([g[0] for g in groups]),
-            np.concatenate([g[1] for g in groups]),
-        )
+        # Score the finalists of each group at more targets. Round coordinates win at a slightly lower score.
+        all_points = np.concatenate([g[0] for g in groups])
+        all_scores = np.concatenate([g[1] for g in groups])
         ranked: list[tuple[float, PlacementCandidate]] = []
         quarters: set[int] = set()
-        first = 0
+        first_number = 0
         for points, scores, worth in groups:
             finalists = self._best_distinct(points, scores)
             quarters |= set(_yaw_quarters(points[finalists]).tolist())
             fine_scores = self._score(points[finalists], self._fine)
             ranked += [
-                (-s / worth, self._candidate(points[k], float(s), first + k))
+                (-s / worth, self._candidate(points[k], float(s), first_number + k))
                 for k, s in zip(finalists, fine_scores.tolist(), strict=True)
                 if s > 0.0
             ]
-            first += len(points)
+            first_number += len(points)
         ranked.sort(key=lambda item: item[0])
         ordered = [candidate for _, candidate in ranked]
         trace = PlacementTrace(self._stock_poses(all_points)[:, :3, 3], all_scores)
@@ -408,13 +435,19 @@ class PlacementSearch:
     def _search_snapped(
         self, points: FloatArray, scores: FloatArray, step: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Points with round figures and their scores, refined from the best ``points``.
+        """Search points with round coordinates, starting from the best of given points.
 
-        Rotations are multiples of ``step``.
+        Args:
+            points: (K, P) points.
+            scores: (K,) [rad] scores of the points.
+            step: Increment [rad] of rotations.
+
+        Returns:
+            All points that were evaluated, and their scores [rad].
         """
         points = self._snap(points[np.argsort(-scores, kind="stable")[:PARENTS_PER_GENERATION]], step)
         scores = self._score(points, self._coarse)
-        seen, known = [points], [scores]
+        point_parts, score_parts = [points], [scores]
         for generation in range(SNAPPED_GENERATIONS):
             best = np.argsort(-scores, kind="stable")[:PARENTS_PER_GENERATION]
             step_sizes = 0.3 * self._step_sizes() * 0.5**generation
@@ -422,21 +455,19 @@ class PlacementSearch:
             children = (points[best][:, None] + steps).reshape(-1, points.shape[1])
             children = np.unique(self._snap(children, step), axis=0)
             child_scores = self._score(children, self._coarse)
-            seen.append(children)
-            known.append(child_scores)
-            points, scores = (
-                np.concatenate([points[best], children]),
-                np.concatenate([scores[best], child_scores]),
-            )
-        return np.concatenate(seen), np.concatenate(known)
+            point_parts.append(children)
+            score_parts.append(child_scores)
+            points = np.concatenate([points[best], children])
+            scores = np.concatenate([scores[best], child_scores])
+        return np.concatenate(point_parts), np.concatenate(score_parts)
 
     def _snap_if_clamped(self, points: FloatArray) -> FloatArray:
-        """Points, snapped to round figures if people clamp the stock at them."""
+        """Snap points (K, P) to round coordinates if a person clamps the stock; else return them."""
         is_clamped_by_hand = not self._stock_fixed and self._stock.held_by is None
         return self._snap(points, ROTATION_INCREMENT_RAD) if is_clamped_by_hand else points
 
     def _snap(self, points: FloatArray, step: float) -> FloatArray:
-        """Snap points to round figures.
+        """Snap points (K, P) to round coordinates.
 
         The stock's yaw relative to the first arm's base becomes a multiple of ``step``. One corner gets a
         round x and y from that base, and the underside a round height above the floor. Bases are snapped in
@@ -470,9 +501,10 @@ class PlacementSearch:
         return out
 
     def _initial_points(self) -> FloatArray:
-        """Random points within the arms' reach.
+        """Draw the random points (K, P) of the first generation within the arms' reach.
 
-        Some have the edges of the stock parallel to the world axes.
+        The edges of the stock are parallel to the world axes for half of them. A third lies close to the
+        middle of the bases, and another third around the first guess if there is one.
         """
         centre = np.mean([arm.base[:3, 3] for arm in self._cell.arms], axis=0)
         reach = max(Chain.of(arm).robot.reach for arm in self._cell.arms)
@@ -505,6 +537,7 @@ class PlacementSearch:
         return np.concatenate(columns, axis=1)
 
     def _step_sizes(self) -> FloatArray:
+        """Return the standard deviations (P,) [m, rad] of the steps of the first generation."""
         stock = [0.0] * 4 if self._stock_fixed else [0.2, 0.2, 0.15, 0.4]
         tilt = [0.3] * 3 if self._stock_tilts else []
         return np.array(stock + tilt + [0.2, 0.2, 0.3] * len(self._movable))
@@ -513,7 +546,7 @@ class PlacementSearch:
         return np.asarray(self._stock_poses(point[None])[0])
 
     def _stock_poses(self, points: FloatArray) -> FloatArray:
-        """Stock poses (K, 4, 4) at points (K, P)."""
+        """Return the stock poses (K, 4, 4) in the world of points (K, P), on a support if there is one."""
         if self._stock.place is not None:
             return np.repeat(self._stock.place[None], len(points), axis=0)
         yaw_vectors = np.zeros((len(points), 3))
@@ -531,7 +564,10 @@ class PlacementSearch:
         return PlacementCandidate(self._stock_pose(point), self._bases(point), score, number)
 
     def _bases(self, point: FloatArray) -> dict[str, FloatArray]:
-        """Poses of the movable bases: translated in the world, rotated about their own vertical axis."""
+        """Return the base poses {arm: (4, 4)} in the world of a point (P,).
+
+        Bases are translated along world x and y, and rotated about a vertical axis through their origin.
+        """
         out = {}
         for k, arm in enumerate(self._movable):
             dx, dy, yaw = point[self._stock_columns + 3 * k : self._stock_columns + 3 * k + 3]
@@ -542,9 +578,9 @@ class PlacementSearch:
         return out
 
     def _point_of(self, stock: FloatArray, bases: Mapping[str, FloatArray]) -> FloatArray | None:
-        """The point (P,) for which :meth:`_stock_pose` and :meth:`_bases` return these poses.
+        """Return the point (P,) for which :meth:`_stock_pose` and :meth:`_bases` return these poses.
 
-        None if there is none.
+        Returns None if the rotation of the stock is not one that this search can produce.
         """
         columns = [np.zeros(4)]
         if not self._stock_fixed:
@@ -562,19 +598,22 @@ class PlacementSearch:
         return np.concatenate(columns)
 
     def _score(self, points: FloatArray, sampled: Sequence[SampledTargets]) -> FloatArray:
-        """Score (K,) [rad] of candidates: smallest margin over all targets with the best branches.
+        """Score points (K, P) by the smallest margin (K,) [rad] of all sampled targets on the best branches.
 
-        Negative scores are not reachable. Candidates in an excluded yaw quarter are -inf.
+        At most 0 means that a target is out of reach or violates a margin, or that a required support does
+        not reach the ground. The score is -inf in an excluded yaw quarter.
         """
         out = np.full(len(points), -np.inf)
         queried = np.flatnonzero(~np.isin(_yaw_quarters(points), list(self._excluded_quarters)))
         for first in range(0, len(queried), 64):
             rows = queried[first : first + 64]
-            part = points[rows]
-            stock = self._stock_poses(part)[:, None]
-            base_poses = [self._bases(p) for p in part]
-            bases = {a.name: np.array([m[a.name] for m in base_poses])[:, None] for a in self._movable}
-            scores = [placement_margin(f, stock, bases, self._settings) for f in sampled]
+            batch = points[rows]
+            stock = self._stock_poses(batch)[:, None]
+            base_poses = [self._bases(point) for point in batch]
+            bases = {
+                a.name: np.array([poses[a.name] for poses in base_poses])[:, None] for a in self._movable
+            }
+            scores = [placement_margin(targets, stock, bases, self._settings) for targets in sampled]
             out[rows] = np.min(scores, axis=0)
             if self._needs_support:  # a support that does not reach the ground carries nothing
                 air_gap = (
@@ -584,13 +623,13 @@ class PlacementSearch:
         return out
 
     def _best_distinct(self, points: FloatArray, scores: FloatArray) -> list[int]:
-        """Indices of the best candidates that differ sufficiently."""
+        """Return indices of the best reachable candidates that differ sufficiently, best first."""
         order = np.argsort(-scores, kind="stable")
         order = order[scores[order] > 0.0]
         return [int(order[k]) for k in self._select_distinct(points[order], MAX_CHECKED_CANDIDATES)]
 
     def _select_distinct(self, points: FloatArray, max_count: int) -> list[int]:
-        """Indices of up to ``max_count`` points that differ sufficiently, earlier ones first."""
+        """Return up to ``max_count`` indices of points (K, P) that differ sufficiently, lowest first."""
         out: list[int] = []
         tilt_weights = [0.3] * (self._stock_columns - 4)
         weight = np.array([1.0, 1.0, 1.0, 0.3] + tilt_weights + [1.0, 1.0, 0.3] * len(self._movable))
@@ -607,9 +646,14 @@ class PlacementSearch:
         candidate: PlacementCandidate,
         sampled: Sequence[SampledTargets] | None = None,
     ) -> float:
-        """Smallest fraction over the jobs of targets with a free posture; 0 if fixtures overlap.
+        """Return the fraction of sampled targets with a free posture, of the job in which it is smallest.
 
-        The fraction is that of ``sampled`` targets (default: coarse).
+        It is 0 if bodies that do not move overlap, or if the pedestal of the stock does.
+
+        Args:
+            models: Collision models of the jobs.
+            candidate: Stock and base poses.
+            sampled: Sampled targets of the jobs; None for the coarse samples.
         """
         jobs = list(zip(models, sampled or self._coarse, strict=True))
         placed = {id(m): m.with_stock(candidate.stock).with_bases(candidate.bases) for m, _ in jobs}
@@ -620,34 +664,39 @@ class PlacementSearch:
             for m in placed.values()
         ):
             return 0.0
-        return min(self._free_target_fraction(placed[id(model)], candidate, few) for model, few in jobs)
+        return min(
+            self._free_target_fraction(placed[id(model)], candidate, job_sample) for model, job_sample in jobs
+        )
 
     def _free_target_fraction(
         self, model: CellModel, candidate: PlacementCandidate, sampled: SampledTargets
     ) -> float:
-        """Fraction of the sampled targets with a free posture on the best branches.
+        """Return the fraction of the sampled targets with a free posture on the best combination of branches.
 
-        If the sample covers every branch, all combinations that reach all targets are tried.
+        If the sample is meant for every branch, all combinations that reach all targets are tried, else only
+        that with the largest margin.
         """
         scene = Scene.of(
             sampled.cell, sampled.targets.arms, candidate.stock, self._settings, model, candidate.bases
         )
         margins, q = branch_margins(scene, sampled, candidate.stock[None, None], self._settings)
         scores = choice_scores(margins, sampled.index)[0]
-        choices = np.argsort(-scores, kind="stable")
-        choices = choices[scores[choices] > 0.0] if sampled.every_branch else choices[:1]
+        combinations = np.argsort(-scores, kind="stable")
+        combinations = combinations[scores[combinations] > 0.0] if sampled.every_branch else combinations[:1]
         branch_choices = []
-        for pair in choices:
-            choice = np.unravel_index(pair, [margins[arm].shape[-1] for arm in sampled.targets.arms])
+        for combination in combinations:
+            branches = np.unravel_index(combination, [margins[arm].shape[-1] for arm in sampled.targets.arms])
             margin = np.min(
-                [margins[a][0, :, b] for a, b in zip(sampled.targets.arms, choice, strict=True)], axis=0
+                [margins[a][0, :, b] for a, b in zip(sampled.targets.arms, branches, strict=True)], axis=0
             )
-            joints = {a: q[a][0, :, b] for a, b in zip(sampled.targets.arms, choice, strict=True)}
+            joints = {a: q[a][0, :, b] for a, b in zip(sampled.targets.arms, branches, strict=True)}
             branch_choices.append((joints, margin))
-        failed = self._failure_counts.setdefault(id(sampled), np.zeros(sampled.targets.count, dtype=np.int64))
-        return max_free_targets(scene, sampled, branch_choices, failed) / sampled.targets.count
+        failure_counts = self._failure_counts.setdefault(
+            id(sampled), np.zeros(sampled.targets.count, dtype=np.int64)
+        )
+        return max_free_targets(scene, sampled, branch_choices, failure_counts) / sampled.targets.count
 
 
 def _yaw_quarters(points: FloatArray) -> IndexArray:
-    """Quarter of a turn (K,), 0 to 3, nearest to the yaw of candidates (K, 4 or more)."""
+    """Return the number (K,) of quarter turns, 0 to 3, that is nearest to the yaw of points (K, P)."""
     return np.round(points[:, 3] / QUARTER_TURN_RAD).astype(np.int64) % 4

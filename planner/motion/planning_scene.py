@@ -190,16 +190,20 @@ class Chain:
         return self.inverse(pose, [branch], last_joint)[..., 0, :]
 
     def _flange_pose(self, pose: FloatArray) -> FloatArray:
+        """Return flange poses (..., 4, 4) in the arm's base for TCP poses in the world."""
         return np.asarray(rigid_inverse(self.base) @ pose @ rigid_inverse(self.tcp))
 
     @property
     def middle(self) -> FloatArray:
-        """Middle (J,) of every joint's range."""
+        """Middle (J,) [rad] of every joint's range."""
         return np.asarray(0.5 * (self.robot.lower + self.robot.upper))
 
     @property
     def turns(self) -> FloatArray:
-        """Whole turns (T, 6) [rad] that can be added to angles of :meth:`inverse` within the limits."""
+        """Whole turns (T, 6) [rad] that can be added to angles of :meth:`inverse`, fewest turns first.
+
+        They can lead to angles within the limits, but not for every angle.
+        """
         choices = itertools.product(*(range(-m, m + 1) for m in self._max_turns))
         return FULL_TURN_RAD * np.array(
             sorted(choices, key=lambda c: (sum(map(abs, c)), c)), dtype=np.float64
@@ -207,6 +211,8 @@ class Chain:
 
     @property
     def _max_turns(self) -> tuple[int, ...]:
+        """Largest number of whole turns that can be added to each joint, in either direction."""
+        # angles of inverse() lie within pi of the middle of a range of half width span
         span = 0.5 * (self.robot.upper - self.robot.lower)
         return tuple(int(m) for m in np.floor((span + np.pi - 1e-9) / FULL_TURN_RAD))
 
@@ -216,7 +222,10 @@ class Chain:
         return np.asarray(self.robot.upper - self.robot.lower > FULL_TURN_RAD + 1e-9)
 
     def continuous(self, q: FloatArray, reference: FloatArray) -> FloatArray:
-        """Bring joints of ``q`` (..., 6) that may turn more than once nearest to ``reference`` (..., 6)."""
+        """Add whole turns to joints of ``q`` (..., 6) that may turn more than once.
+
+        Each of them comes within half a turn of its angle in ``reference`` (..., 6).
+        """
         return np.where(self.has_many_turns, wrap_near(q, reference), q)
 
     def limit_margin(self, q: FloatArray) -> FloatArray:
@@ -224,9 +233,9 @@ class Chain:
         return _without_nan(self.robot.limit_margin(q))
 
     def limit_margins(self, q: FloatArray, turns: FloatArray) -> list[FloatArray]:
-        """Limit margins (...,) of principal angles (..., 6) with each of the turns (T, 6) added.
+        """Return a list of T limit margins (...,) [rad], one for each of the turns (T, 6) added to ``q``.
 
-        Margins are -inf where ``q`` is NaN.
+        ``q`` (..., 6) are angles of :meth:`inverse`. Margins are -inf where it is NaN.
         """
         single_turn_margin = self._single_turn_margin(q)
         cached_margins: dict[tuple[int, float], FloatArray] = {}
@@ -242,9 +251,9 @@ class Chain:
         return out
 
     def best_limit_margin(self, q: FloatArray) -> FloatArray:
-        """Largest limit margin (...,) of principal angles (..., 6) over all :attr:`turns`; -inf where NaN.
+        """Return the limit margin (...,) [rad] of angles (..., 6) of :meth:`inverse` plus whole turns.
 
-        Each joint takes the turn that suits it best.
+        Each joint takes the number of turns that leaves it the largest margin. The margin is -inf for NaN.
         """
         margin = self._single_turn_margin(q)
         for j, max_turns in enumerate(self._max_turns):
@@ -257,7 +266,10 @@ class Chain:
         return _without_nan(np.asarray(margin))
 
     def _single_turn_margin(self, q: FloatArray) -> FloatArray | None:
-        """Limit margin (...,) of joints with one turn and of the coupling rod; None if there are none."""
+        """Return the limit margin (...,) [rad] that does not depend on whole turns; None if there is none.
+
+        It is that of joints with one turn, and of axis 3 if a parallel rod couples it to joint 2.
+        """
         smallest: FloatArray | None = None
         for j in np.flatnonzero(~self.has_many_turns):
             joint_margin = self._joint_margin(q, int(j), 0.0)
@@ -271,6 +283,7 @@ class Chain:
         return smallest
 
     def _joint_margin(self, q: FloatArray, joint: int, turn: float) -> FloatArray:
+        """Return the distance (...,) [rad] of one joint, with ``turn`` [rad] added, to its closer limit."""
         angle = q[..., joint] + turn
         return np.asarray(np.minimum(angle - self.robot.lower[joint], self.robot.upper[joint] - angle))
 
@@ -287,13 +300,14 @@ class Chain:
         - Shoulder: angle under which the stretched arm would see the distance of the wrist centre from axis
           1. With three parallel axes it is the point where axes 5 and 6 meet instead.
 
-        The wrist angle of an offset wrist has as its sine the factor of the Jacobian's determinant that
-        remains beside the other two. With seven axes the angles are those at which no other joint can
-        compensate with the last one held, see :mod:`planner.motion.seven_axes`.
+        The sine of the wrist angle of an offset wrist is the Jacobian's determinant divided by its factors of
+        the elbow and the shoulder. With seven axes the angles are those of the six axes that remain with the
+        last joint held, see :mod:`planner.motion.seven_axes`.
         """
         return np.stack(self._singularities(q), axis=-1)
 
     def _singularities(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the three angles (...,) of :meth:`singularities` as separate arrays."""
         form = self.robot.form
         if isinstance(form, OffsetParameters):
             return offset_wrist.singularities(form, q)
@@ -303,22 +317,23 @@ class Chain:
             return seven_axes.singularities(form, q)
         form = self.robot.opw
         theta2, theta3, theta5 = (form.signs[j] * q[..., j] - form.offsets[j] for j in (1, 2, 4))
+        # wrap(2 x) / 2 is the distance of x from the nearest multiple of pi
         wrist = np.abs(wrap_near(2.0 * theta5, np.zeros(()))) / 2.0
         elbow = np.abs(wrap_near(2.0 * (theta3 + np.arctan2(form.a2, form.c3)), np.zeros(()))) / 2.0
         tilt = theta2 + theta3
-        out = form.a1 + form.c2 * np.sin(theta2) + form.c3 * np.sin(tilt) + form.a2 * np.cos(tilt)
-        shoulder = np.arcsin(np.minimum(1.0, np.abs(out) / (form.c2 + np.hypot(form.a2, form.c3))))
+        radius = form.a1 + form.c2 * np.sin(theta2) + form.c3 * np.sin(tilt) + form.a2 * np.cos(tilt)
+        shoulder = np.arcsin(np.minimum(1.0, np.abs(radius) / (form.c2 + np.hypot(form.a2, form.c3))))
         return wrist, elbow, shoulder
 
     def joint_rates(self, q: FloatArray, twist: FloatArray) -> FloatArray:
-        """Compute joint rates of body twists of the TCP. A joint beyond six does not move.
+        """Compute the joint rates that move the TCP with given twists. A seventh joint does not move.
 
         Args:
             q: (..., J) [rad] joints.
-            twist: (..., K, 6) body twists, angular part first.
+            twist: (..., K, 6) twists in the frame of the TCP, angular part first.
 
         Returns:
-            Joint rates (..., K, J).
+            Joint rates (..., K, J), in rad per unit of the parameter by which the twists are derivatives.
         """
         jac = jacobian(self.robot, q)
         flange = forward_kinematics(self.robot, q)
@@ -332,26 +347,26 @@ class Chain:
         return self.with_fixed_last(np.swapaxes(rates, -1, -2))
 
     def with_fixed_last(self, rates: FloatArray) -> FloatArray:
-        """Rates (..., J) from rates (..., 6), with the last joint held."""
+        """Return joint rates (..., J) from those of six joints (..., 6), with a seventh joint held."""
         return (
             np.concatenate([rates, np.zeros((*rates.shape[:-1], 1))], axis=-1) if self.is_redundant else rates
         )
 
     def null_space_rates(self, q: FloatArray) -> FloatArray:
-        """Joint rates (..., J) per [rad] of the last joint of a redundant arm, with the TCP held."""
+        """Return joint rates (..., J) per radian of the last joint of a redundant arm, with the TCP held."""
         # J qdot = 0 with qdot_7 = 1: J_1..6 qdot_1..6 = -J_7
         jac = jacobian(self.robot, q)
-        others = np.linalg.solve(jac[..., :6], -jac[..., 6:])[..., 0]
-        return np.concatenate([others, np.ones((*others.shape[:-1], 1))], axis=-1)
+        first_six = np.linalg.solve(jac[..., :6], -jac[..., 6:])[..., 0]
+        return np.concatenate([first_six, np.ones((*first_six.shape[:-1], 1))], axis=-1)
 
 
 def _without_nan(margin: FloatArray) -> FloatArray:
-    """Margins with NaN replaced by -inf."""
+    """Return the margins with NaN (no solution) replaced by -inf."""
     return np.where(np.isnan(margin), -np.inf, margin)
 
 
 def wrap_near(angle: FloatArray, reference: FloatArray) -> FloatArray:
-    """Angles brought within pi of ``reference`` by whole turns."""
+    """Return angles [rad] brought within pi of ``reference`` by whole turns; the shapes broadcast."""
     return np.asarray(angle - FULL_TURN_RAD * np.round((angle - reference) / FULL_TURN_RAD))
 
 
@@ -359,7 +374,7 @@ SKIPPED_END_LENGTH_M = 0.05
 """Arc length [m] at each end of the flexible edge that is not checked against the tool that holds it."""
 
 TRANSIT_KIND = "transit"
-"""Kind of segments in which coupled TCPs move between works and keep their relative pose."""
+"""Kind of segments in which coupled TCPs move between working segments and keep their relative pose."""
 
 HELD_PREFIX = "held:"
 """Prefix of work frames that another arm's tool carries. The name of that arm follows it."""
@@ -427,15 +442,15 @@ class Scene:
         return Scene(chains, stock, settings, counted_model, tracks)
 
     def columns(self, arms: Sequence[str]) -> dict[str, slice]:
-        """Columns of each arm's joints if the joints of ``arms`` are concatenated."""
+        """Return the columns of each arm's joints if the joints of ``arms`` are concatenated."""
         return joint_columns({arm: self.chains[arm].robot for arm in arms})
 
     def track_displacements(
         self, targets: Targets, index: IndexArray | None = None, fraction: FloatArray | None = None
     ) -> dict[str, FloatArray]:
-        """Displacements {arm: (..., 3)} [m] of bases on coordinated tracks from their stations.
+        """Return the displacements {arm: (..., 3)} [m] of bases on coordinated tracks from their stations.
 
-        Other arms are left out.
+        Arms that are not on a coordinated track are left out.
 
         Args:
             targets: Targets with track positions.
@@ -459,7 +474,14 @@ class Scene:
         index: IndexArray,
         fraction: FloatArray | None = None,
     ) -> dict[str, FloatArray]:
-        """TCP poses {arm: (B, 4, 4)} in the world of joints {arm: (B, 6)}, with displaced bases."""
+        """Compute TCP poses {arm: (B, 4, 4)} in the world, with bases where coordinated tracks carry them.
+
+        Args:
+            targets: Targets with track positions.
+            q: {arm: (B, 6)} [rad] joints.
+            index: (B,) targets of the joints, or targets to which the moves lead.
+            fraction: (B,) fractions of these moves; None for their ends.
+        """
         displacements = self.track_displacements(targets, index, fraction)
         poses = {arm: self.chains[arm].pose(angles) for arm, angles in q.items()}
         return {
@@ -470,9 +492,10 @@ class Scene:
     def model_at(
         self, targets: Targets, index: IndexArray | None = None, fraction: FloatArray | None = None
     ) -> CellModel | None:
-        """Collision model with bases displaced, row by row, as at the targets.
+        """Return the collision model with bases where coordinated tracks carry them, a row for each target.
 
-        It is unchanged without a coordinated track. Arguments are those of :meth:`track_displacements`.
+        The model is unchanged without a coordinated track. Arguments are those of
+        :meth:`track_displacements`.
         """
         if self.model is None or not targets.track_positions:
             return self.model
@@ -483,9 +506,9 @@ class Scene:
         return self.model.with_bases(bases)
 
     def at_target(self, targets: Targets, row: int) -> "Scene":
-        """Scene with bases, including chains, where they are at one target.
+        """Return the scene with bases, including those of chains, where they are at the target ``row``.
 
-        Without a coordinated track it is the scene itself.
+        Without a coordinated track that is the scene itself.
         """
         if not targets.track_positions:
             return self
@@ -506,7 +529,8 @@ class Scene:
     ) -> dict[str, FloatArray]:
         """Transform poses in work frames to TCP poses in the world.
 
-        On a coordinated track they are the poses that the chain sees.
+        For an arm on a coordinated track they are shifted back by the displacement of its base, see
+        :class:`Scene`.
 
         Args:
             targets: Targets with their work frames.
@@ -526,14 +550,18 @@ class Scene:
     def tcp_poses(
         self, targets: Targets, values: FloatArray, index: IndexArray | None = None
     ) -> dict[str, FloatArray]:
-        """TCP poses in the world {arm: (..., 4, 4)} at freedom values (..., F), as :meth:`Targets.poses`.
+        """Compute the TCP poses {arm: (..., 4, 4)} in the world at values (..., F) of the freedoms.
 
-        On a coordinated track they are the poses that the chain sees.
+        ``index`` (...,) are the targets of the values; None if there is a row of values for each target. For
+        an arm on a coordinated track the poses are shifted back, as by :meth:`world_poses`.
         """
         return self.world_poses(targets, targets.poses(values, index), index)
 
     def edge_points(self, targets: Targets, index: IndexArray) -> FloatArray | None:
-        """Points (B, P, 3) of the flexible edge in the world at targets ``index`` (B,), if there is one."""
+        """Return points (B, P, 3) [m] of the flexible edge in the world at targets ``index`` (B,).
+
+        Returns None if the tool has no flexible edge, such as a bent wire.
+        """
         if targets.flexible_tool is None:
             return None
         frame = targets.frame.get(targets.arms[0], "stock")
@@ -552,8 +580,8 @@ class Scene:
     def allowed_contacts(self) -> Pairs:
         """Pairs of bodies that may touch in working segments.
 
-        These are the stock and the rigid edges of the tools that take part, and the heads of two tools that
-        form one sheet.
+        These are the stock and each rigid edge of a tool that takes part, and the heads of two forming tools
+        with each other, because only the sheet is between them.
         """
         if self.model is None:
             return frozenset()
@@ -564,7 +592,15 @@ class Scene:
         return frozenset(pairs | ({frozenset(heads)} if len(heads) > 1 else set()))
 
     def split_by_contacts(self, targets: Targets, move: IndexArray) -> list[tuple[Pairs, IndexArray]]:
-        """Split rows by the pairs of bodies that may touch; ``move`` (B,) are targets of moves."""
+        """Group moves by the pairs of bodies that may touch on them.
+
+        Args:
+            targets: Targets of the operation.
+            move: (B,) targets to which the moves lead.
+
+        Returns:
+            List of the pairs that may touch, and the indices in ``move`` of the moves on which they may.
+        """
         if not self.allowed_contacts:
             return [(frozenset(), np.arange(len(move)))]
         is_working = working_moves(targets)[move]
@@ -595,20 +631,22 @@ class Scene:
         """
         if self.model is None or len(index) == 0:
             return np.ones(len(index), dtype=bool)
-        ok = np.zeros(len(index), dtype=bool)
+        is_free = np.zeros(len(index), dtype=bool)
         move = index if positions is None else positions.move
         fraction = None if positions is None else positions.fraction
-        model_rows = self.model_at(targets, move, fraction) or self.model
-        for contacts, part_rows in self.split_by_contacts(targets, move):
-            part_joints = {arm: v[part_rows] for arm, v in q.items()}
-            ok[part_rows] = clearance.is_free(
-                model_rows.at_rows(part_rows), part_joints, self.settings.clearance, contacts | ignored
+        model = self.model_at(targets, move, fraction) or self.model
+        for contacts, rows in self.split_by_contacts(targets, move):
+            joints = {arm: v[rows] for arm, v in q.items()}
+            is_free[rows] = clearance.is_free(
+                model.at_rows(rows), joints, self.settings.clearance, contacts | ignored
             )
         if not edge:
-            return ok
-        rows = np.flatnonzero(ok)
-        ok[rows] = self._edge_keeps_clearance(targets, {arm: v[rows] for arm, v in q.items()}, index[rows])
-        return ok
+            return is_free
+        rows = np.flatnonzero(is_free)
+        is_free[rows] = self._edge_keeps_clearance(
+            targets, {arm: v[rows] for arm, v in q.items()}, index[rows]
+        )
+        return is_free
 
     def _edge_keeps_clearance(
         self, targets: Targets, q: Mapping[str, FloatArray], index: IndexArray
@@ -620,78 +658,79 @@ class Scene:
             return out
         radius, padding = targets.flexible_tool.radius, self.settings.clearance
         for obstacles, rows in _edge_obstacles(targets, index):
-            part = {arm: q[arm][rows] for arm in targets.arms}
+            joints = {arm: q[arm][rows] for arm in targets.arms}
             edge = clearance.FlexibleEdge(points[rows], radius, SKIPPED_END_LENGTH_M)
-            out[rows] = clearance.is_edge_clear(self.model, part, edge, padding, obstacles)
+            out[rows] = clearance.is_edge_clear(self.model, joints, edge, padding, obstacles)
         return out
 
     def smallest_clearances(
         self, targets: Targets, q: Mapping[str, FloatArray], move: IndexArray, reach: float
     ) -> MinClearance:
-        """Smallest counted distances (B,) between bodies, without the flexible edge.
+        """Measure the smallest counted distances (B,) [m] between bodies that may not touch.
+
+        The flexible edge is not among these bodies.
 
         Args:
             targets: Targets of the operation.
             q: {arm: (B, 6)} [rad] joints on the moves. With a coordinated track they are those at the ends of
                 the moves.
             move: (B,) targets to which the moves lead.
-            reach: Distance [m] up to which bodies are considered.
+            reach: Distance [m] up to which bodies are considered. It is the result if all are farther apart.
         """
-        distance, pair = np.full(len(move), reach), [("", "")] * len(move)
+        distance, pairs = np.full(len(move), reach), [("", "")] * len(move)
         if self.model is None:
-            return MinClearance(distance, tuple(pair))
-        model_rows = self.model_at(targets, move) or self.model
+            return MinClearance(distance, tuple(pairs))
+        model = self.model_at(targets, move) or self.model
         for contacts, rows in self.split_by_contacts(targets, move):
-            part = {arm: v[rows] for arm, v in q.items()}
-            closest = clearance.min_clearance(model_rows.at_rows(rows), part, reach, contacts)
+            joints = {arm: v[rows] for arm, v in q.items()}
+            closest = clearance.min_clearance(model.at_rows(rows), joints, reach, contacts)
             distance[rows] = closest.distance
-            for row, names in zip(rows, closest.pair, strict=True):
-                pair[row] = names
-        return MinClearance(distance, tuple(pair))
+            for row, pair in zip(rows, closest.pair, strict=True):
+                pairs[row] = pair
+        return MinClearance(distance, tuple(pairs))
 
     def smallest_distance(
         self, targets: Targets, q: Mapping[str, FloatArray], reach: float, same_arm: bool = False
     ) -> tuple[float, tuple[str, str], int]:
-        """Smallest true distance over all targets.
+        """Find the smallest true distance between bodies over all targets.
 
-        The result is exact, although distances are computed only at targets whose lower bound is below the
-        best so far.
+        Distances are computed only at targets whose lower bound is below the smallest distance so far. The
+        result is nevertheless exact.
 
         Args:
             targets: Targets of the operation.
             q: {arm: (N, 6)} [rad] joints.
             reach: Distance [m] up to which bodies are considered.
-            same_arm: Whether pairs of one arm are considered, or all others.
+            same_arm: True to consider the pairs of bodies of one arm, False for all other pairs.
 
         Returns:
-            Distance [m], pair of bodies and target.
+            Distance [m], pair of bodies and index of the target; ``reach``, empty names and 0 if all bodies
+            are farther apart.
         """
         best, pair, target = reach, ("", ""), 0
         if self.model is None:
             return best, pair, target
         model = (self.model_at(targets) or self.model).with_easing(NO_EASING)
-        other_kind = self_clearance.other_pairs(model) if same_arm else self_clearance.same_arm_pairs(model)
+        excluded = self_clearance.other_pairs(model) if same_arm else self_clearance.same_arm_pairs(model)
         for contacts, rows in self.split_by_contacts(targets, np.arange(targets.count)):
-            part, ignored, model_rows = (
-                {arm: v[rows] for arm, v in q.items()},
-                contacts | other_kind,
-                model.at_rows(rows),
-            )
+            joints = {arm: v[rows] for arm, v in q.items()}
+            ignored = contacts | excluded
+            model_rows = model.at_rows(rows)
             # Exact distances of a spread batch limit how far the lower bounds have to reach. Then batches are
             # evaluated in the order of their bounds until no bound is below the best distance.
             batch = spread_rows(len(rows), DISTANCE_BATCH_SIZE)
             spread_batch = clearance.min_clearance(
-                model_rows.at_rows(batch), {arm: v[batch] for arm, v in part.items()}, best, ignored
+                model_rows.at_rows(batch), {arm: v[batch] for arm, v in joints.items()}, best, ignored
             )
             bound_reach = float(spread_batch.distance.min(initial=best)) + 2.0 * clearance.BOUND_ERROR
-            lower = clearance.distance_lower_bound(model_rows, part, min(best, bound_reach), ignored)
+            lower = clearance.distance_lower_bound(model_rows, joints, min(best, bound_reach), ignored)
             order = np.argsort(lower, kind="stable")
             for start in range(0, len(order), DISTANCE_BATCH_SIZE):
                 batch = order[start : start + DISTANCE_BATCH_SIZE]
                 batch = batch[lower[batch] < best]
                 if not len(batch):
                     break
-                batch_joints = {arm: v[batch] for arm, v in part.items()}
+                batch_joints = {arm: v[batch] for arm, v in joints.items()}
                 closest = clearance.min_clearance(model_rows.at_rows(batch), batch_joints, best, ignored)
                 k = closest.worst()
                 if closest.distance[k] < best:
@@ -705,34 +744,49 @@ class Scene:
         end: Mapping[str, FloatArray],
         fraction: FloatArray,
     ) -> dict[str, FloatArray]:
-        """Interpolate TCP poses {arm: (..., 4, 4)} at a ``fraction`` (...,) of linear moves in the world.
+        """Interpolate the TCP poses {arm: (..., 4, 4)} in the world on linear moves.
 
         A TCP whose work frame is held by another arm moves linearly in that frame, which itself moves.
+
+        Args:
+            targets: Targets of the operation.
+            start: {arm: (..., 4, 4)} TCP poses in the world at the start of each move.
+            end: {arm: (..., 4, 4)} TCP poses in the world at the end of each move.
+            fraction: (...,) fractions of the moves, 0 to 1.
         """
         out: dict[str, FloatArray] = {}
         for arm, holder in frame_holders(targets):
             if holder is None:
                 out[arm] = interpolate(start[arm], end[arm], fraction)
             else:
-                first, last = inverse(start[holder]) @ start[arm], inverse(end[holder]) @ end[arm]
-                out[arm] = out[holder] @ interpolate(first, last, fraction)
+                held_start = inverse(start[holder]) @ start[arm]
+                held_end = inverse(end[holder]) @ end[arm]
+                out[arm] = out[holder] @ interpolate(held_start, held_end, fraction)
         return {arm: out[arm] for arm in targets.arms}
 
     def edge_clearance(
         self, targets: Targets, q: Mapping[str, FloatArray], index: IndexArray
     ) -> tuple[FloatArray, list[tuple[str, str]]]:
-        """Smallest distances (B,) [m] of the flexible edge to bodies it may not touch, and the pairs.
+        """Measure the smallest distances (B,) [m] of the flexible edge to bodies that it may not touch.
 
-        The stock counts except in cutting segments. Without an edge the distances are infinite.
+        The edge may touch the stock only in cutting segments.
+
+        Args:
+            targets: Targets of the operation.
+            q: {arm: (B, 6)} [rad] joints.
+            index: (B,) targets of the joints.
+
+        Returns:
+            Distances (B,) [m], infinite without a flexible edge, and the names of edge and closest body.
         """
         distance, pairs = np.full(len(index), np.inf), [("", "")] * len(index)
         points = self.edge_points(targets, index)
         if points is None or targets.flexible_tool is None or self.model is None:
             return distance, pairs
         for obstacles, rows in _edge_obstacles(targets, index):
-            part = {arm: q[arm][rows] for arm in targets.arms}
+            joints = {arm: q[arm][rows] for arm in targets.arms}
             edge = clearance.FlexibleEdge(points[rows], targets.flexible_tool.radius, SKIPPED_END_LENGTH_M)
-            closest = edge_clearance(self.model, part, edge, obstacles)
+            closest = edge_clearance(self.model, joints, edge, obstacles)
             distance[rows] = closest.distance
             for row, pair in zip(rows, closest.pair, strict=True):
                 pairs[row] = pair
@@ -740,7 +794,7 @@ class Scene:
 
 
 def _translate(poses: FloatArray, translation: FloatArray) -> FloatArray:
-    """Poses (..., 4, 4) translated by (..., 3) [m]."""
+    """Return poses (..., 4, 4) translated by vectors (..., 3) [m]; the leading shapes broadcast."""
     out = np.array(
         np.broadcast_to(poses, (*np.broadcast_shapes(poses.shape[:-2], translation.shape[:-1]), 4, 4))
     )
@@ -749,9 +803,9 @@ def _translate(poses: FloatArray, translation: FloatArray) -> FloatArray:
 
 
 def _edge_obstacles(targets: Targets, index: IndexArray) -> list[tuple[Against, IndexArray]]:
-    """Rows of ``index`` (B,) with the bodies that the edge is checked against.
+    """Group the targets ``index`` (B,) by the bodies that the flexible edge is checked against there.
 
-    The stock is left out where the edge cuts.
+    The stock is left out where the edge cuts. Returns a list of these bodies with positions in ``index``.
     """
     is_working = working_moves(targets)[index]
     choices: list[tuple[Against, IndexArray]] = [
@@ -762,7 +816,11 @@ def _edge_obstacles(targets: Targets, index: IndexArray) -> list[tuple[Against, 
 
 
 def frame_holders(targets: Targets) -> list[tuple[str, str | None]]:
-    """Arms, each with the arm that holds its work frame or None. Holders come first."""
+    """Return all arms, each with the arm that holds its work frame, or None if no arm does.
+
+    Arms whose work frame is not held come first, so that a holder comes before the arm that works on its
+    frame.
+    """
     frames = {arm: targets.frame.get(arm, "stock") for arm in targets.arms}
     pairs = [
         (arm, f.removeprefix(HELD_PREFIX) if f.startswith(HELD_PREFIX) else None) for arm, f in frames.items()

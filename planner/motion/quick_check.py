@@ -40,7 +40,7 @@ class QuickCheck:
         max_targets: Approximate number of checked targets of all operations together.
 
     Attributes:
-        checked: {operation: number of targets that were checked}.
+        checked: {index of the operation: number of its targets that were checked}.
         is_stock_placed: Whether the stock pose is stated, or one of the few candidate poses is feasible.
     """
 
@@ -55,18 +55,18 @@ class QuickCheck:
         return spread_rows(count, max(MIN_TARGETS, round(self._max_targets * count / total)))
 
     def first_issues(self, scene: Scene, targets: Targets, operation: int) -> list[Issue]:
-        """Issues of the first checked target that has no posture; empty if all have one."""
+        """Return the issues of the first checked target that has no posture; empty if all have one."""
         rows = self.target_rows(operation)
         for number, posture in enumerate(_coarse_postures(scene, select_targets(targets, rows))):
             self.checked[operation] = max(number + 1, self.checked.get(operation, 0))
-            if posture is None and isinstance(
-                fault := _search_target(scene, targets, int(rows[number])), list
-            ):
-                return fault
+            if posture is None:
+                result = _search_target(scene, targets, int(rows[number]))
+                if isinstance(result, list):
+                    return result
         return []
 
     def all_reachable(self, scene: Scene, targets: Targets, operation: int) -> bool:
-        """Whether all checked targets have a posture."""
+        """Whether all checked targets have a free posture among the coarse samples."""
         postures = _coarse_postures(scene, select_targets(targets, self.target_rows(operation)))
         return all(posture is not None for posture in postures)
 
@@ -92,6 +92,7 @@ def find_posture(
 
 
 def _search_target(scene: Scene, targets: Targets, row: int) -> dict[str, FloatArray] | list[Issue]:
+    """Search a posture {arm: (6,)} [rad] of one target with the path search, or diagnose why it has none."""
     single = select_targets(targets, np.array([row]))
     grid, result = find_path(scene, single)
     if not isinstance(result, BlockedSearch):
@@ -104,41 +105,44 @@ def _search_target(scene: Scene, targets: Targets, row: int) -> dict[str, FloatA
 def _coarse_postures(scene: Scene, targets: Targets) -> Iterator[dict[str, FloatArray] | None]:
     """Yield for each target a free posture {arm: (6,)} with all margins, or None if no coarse sample has one.
 
-    The best postures of all targets are checked together before the first result. The others of a target are
-    checked when its turn comes.
+    The :data:`FIRST_BATCH` best postures of all targets are checked together, before the first result.
+    Further postures of a target are checked when the caller asks for its result.
     """
     values = coarse_samples(targets)
     table = independent_states(
         scene, targets, SampleGrid(values, np.zeros((0, values.shape[1]), dtype=np.intp))
     )
-    orders = [_ranked_states(table, row) for row in range(targets.count)]
-    best = [order[:FIRST_BATCH] for order in orders]
-    index = np.repeat(np.arange(targets.count), [len(numbers) for numbers in best])
-    q = _state_joints(table, index, np.concatenate(best))
+    ranked_states = [_ranked_states(table, row) for row in range(targets.count)]
+    first_batches = [states[:FIRST_BATCH] for states in ranked_states]
+    index = np.repeat(np.arange(targets.count), [len(states) for states in first_batches])
+    q = _state_joints(table, index, np.concatenate(first_batches))
     free = scene.keeps_clearance(targets, q, index)
-    for row, order in enumerate(orders):
+    for row, states in enumerate(ranked_states):
         free_rows = np.flatnonzero(free & (index == row))
-        joints = {arm: joints[free_rows[0]] for arm, joints in q.items()} if len(free_rows) else None
-        start, batch = FIRST_BATCH, 2 * FIRST_BATCH
-        while joints is None and start < len(order):
-            numbers = np.full(len(order[start : start + batch]), row)
-            batch_joints = _state_joints(table, numbers, order[start : start + batch])
-            free_batch = np.flatnonzero(scene.keeps_clearance(targets, batch_joints, numbers))
-            joints = (
-                {arm: joints[free_batch[0]] for arm, joints in batch_joints.items()}
-                if len(free_batch)
+        posture = {arm: joints[free_rows[0]] for arm, joints in q.items()} if len(free_rows) else None
+        start, size = FIRST_BATCH, 2 * FIRST_BATCH
+        while posture is None and start < len(states):
+            batch_index = np.full(len(states[start : start + size]), row)
+            batch_joints = _state_joints(table, batch_index, states[start : start + size])
+            free_rows = np.flatnonzero(scene.keeps_clearance(targets, batch_joints, batch_index))
+            posture = (
+                {arm: joints[free_rows[0]] for arm, joints in batch_joints.items()}
+                if len(free_rows)
                 else None
             )
-            start, batch = start + batch, 2 * batch
-        yield joints
+            start, size = start + size, 2 * size
+        yield posture
 
 
 def _ranked_states(table: dict[str, list[BranchStates]], row: int) -> IndexArray:
-    """Numbers (P,) of the allowed states of all arms at target ``row``, largest margin first.
+    """Return the numbers (P,) of the allowed states of all arms at target ``row``, smallest penalty first.
 
-    States are numbered in the order (branch, ..., sample).
+    A state is one branch for each arm and a sample of the freedoms. States are numbered in C order of the
+    shape (branches of the first arm, ..., branches of the last arm, samples).
     """
-    penalties = [np.stack([rung.penalty[row].min(axis=-1) for rung in rungs]) for rungs in table.values()]
+    penalties = [
+        np.stack([branch.penalty[row].min(axis=-1) for branch in branches]) for branches in table.values()
+    ]
     cost = functools.reduce(lambda a, b: a[..., None, :] + b, penalties).reshape(-1)
     order = np.argsort(cost, kind="stable")
     return np.asarray(order[: np.isfinite(cost).sum()])
@@ -147,21 +151,25 @@ def _ranked_states(table: dict[str, list[BranchStates]], row: int) -> IndexArray
 def _state_joints(
     table: dict[str, list[BranchStates]], index: IndexArray, states: IndexArray
 ) -> dict[str, FloatArray]:
-    """Joints {arm: (P, 6)} of states, given by their numbers (P,), at targets ``index`` (P,)."""
-    samples = next(iter(table.values()))[0].q.shape[1]
-    shape = (*(len(rungs) for rungs in table.values()), samples)
-    *branches, at = np.unravel_index(states, shape)
+    """Return the joints {arm: (P, 6)} of states at targets ``index`` (P,).
+
+    ``states`` (P,) are numbered as in :func:`_ranked_states`.
+    """
+    sample_count = next(iter(table.values()))[0].q.shape[1]
+    shape = (*(len(arm_branches) for arm_branches in table.values()), sample_count)
+    *branches, sample = np.unravel_index(states, shape)
     return {
-        arm: _pick_joints(rungs, branch, index, at)
-        for (arm, rungs), branch in zip(table.items(), branches, strict=True)
+        arm: _pick_joints(arm_branches, branch, index, sample)
+        for (arm, arm_branches), branch in zip(table.items(), branches, strict=True)
     }
 
 
 def _pick_joints(
-    rungs: Sequence[BranchStates], branch: IndexArray, index: IndexArray, at: IndexArray
+    arm_branches: Sequence[BranchStates], branch: IndexArray, index: IndexArray, sample: IndexArray
 ) -> FloatArray:
-    out = np.empty((len(at), rungs[0].q.shape[-1]))
+    """Return the joints (P, J) of an arm on branches (P,) at targets ``index`` (P,) and samples (P,)."""
+    out = np.empty((len(sample), arm_branches[0].q.shape[-1]))
     for number in np.unique(branch):
         selected = branch == number
-        out[selected] = rungs[number].q[index[selected], at[selected]]
+        out[selected] = arm_branches[number].q[index[selected], sample[selected]]
     return out

@@ -39,7 +39,8 @@ class ReachField:
     Attributes:
         points: (G, 3) [m] grid points in the world.
         pitch: (3,) [m] spacing along the edges of the stock.
-        state: {arm: (G,)} state of the arm, numbered as in :mod:`planner.motion.freedom_ranges`.
+        state: {arm: (G,)} state of the arm at each point, such as
+            :data:`planner.motion.freedom_ranges.NO_REACH`.
         targets: Number of targets that were used.
         samples: Number of samples that were used.
     """
@@ -81,7 +82,10 @@ def compute_reach_field(
 
 
 def _grid_points(lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Centres (G, 3) of equal boxes, as close to cubes as their number allows, and their sizes (3,)."""
+    """Divide a box into at most :data:`MAX_GRID_POINTS` equal boxes that are nearly cubes.
+
+    Returns their centres (G, 3) [m] in the frame of the box and their size (3,) [m].
+    """
     size = np.maximum(upper - lower, 1e-9)
     edge = float(np.prod(size) / MAX_GRID_POINTS) ** (1.0 / 3.0)
     while np.prod(np.ceil(size / edge)) > MAX_GRID_POINTS:
@@ -95,7 +99,18 @@ def _grid_points(lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, Floa
 def _nearest_targets(
     scene: Scene, sampled: Targets, arm: str, points: FloatArray
 ) -> tuple[IndexArray, FloatArray]:
-    """The nearest working target (G,) of each grid point, and the vector (G, 3) from its nearest point."""
+    """Find the target whose wire or tool tip is nearest to each grid point.
+
+    Args:
+        scene: Cell with the stock in its pose.
+        sampled: Working targets.
+        arm: Name of the arm.
+        points: (G, 3) [m] grid points in the world.
+
+    Returns:
+        Index (G,) of the target in ``sampled``, and the vector (G, 3) [m] from the nearest point of its wire
+        or tool tip to the grid point.
+    """
     lines = scene.edge_points(sampled, np.arange(sampled.count))
     if lines is None:
         tcp = scene.tcp_poses(dataclasses.replace(sampled, track_positions={}), sampled.neutral_values())[arm]

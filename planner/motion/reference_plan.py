@@ -1,7 +1,8 @@
 """Reference plans: an earlier plan of a similar problem, from which planning starts.
 
-What is taken over is checked like everything else: margins, clearance and moves between targets. Where it
-does not hold, the full search follows. Notes report what was taken over and what was not.
+Stock poses, branches and paths can be taken over from it. They are checked like those of a search: margins,
+clearance and moves between targets. Where they do not hold, the full search follows. Notes report what was
+taken over and what was not.
 """
 
 import dataclasses
@@ -27,7 +28,9 @@ from planner.targets import Freedom, Targets
 MAX_REFERENCE_STATES: Final = 48
 """Number of states of the reference path that a new path may use at every target."""
 FULL_TURN_OFFSET_RAD: Final = np.deg2rad(30.0)
-"""Offset [rad] of further samples of full turns on both sides, if these states alone have no path."""
+"""Offset [rad] of further samples of full turns, on both sides of states of the reference path. They are used
+if these states alone have no path.
+"""
 READ_METRICS: Final = ("branch", "trajopt_cost", "limit_margin_deg", "singularity_margin_deg")
 """Metrics of an operation's plan that this module reads."""
 MAX_COST_RATIO: Final = 1.5
@@ -37,7 +40,7 @@ SEARCH_HINT: Final = "plan without --like and use tandem compare to see which pl
 
 @dataclasses.dataclass(frozen=True)
 class ReferencePlan:
-    """An earlier plan and the problem it belongs to.
+    """An earlier plan and the problem that it belongs to.
 
     Raises:
         TandemError: ``plan.damaged`` if the plan does not fit the problem.
@@ -59,11 +62,11 @@ class ReferencePlan:
         elif not all(map(_is_complete, plan.operations)):
             wrong = "it contains an incomplete path"
         if wrong:
-            what = f"the plan of {plan.problem_name} is damaged: {wrong}"
-            raise issue_error("plan.damaged", what, hint="plan that problem again")
+            message = f"the plan of {plan.problem_name} is damaged: {wrong}"
+            raise issue_error("plan.damaged", message, hint="plan that problem again")
 
     def incompatibility_reason(self, problem: Problem) -> str:
-        """Return why nothing can be taken over for a problem; empty if something may be."""
+        """Return why nothing of this plan can be taken over for a problem; empty if something may be."""
         arms = {arm.name: arm for arm in self.problem.cell.arms}
         new_arms = {arm.name: arm for arm in problem.cell.arms}
         if list(arms) != list(new_arms):
@@ -75,9 +78,8 @@ class ReferencePlan:
             ) != content_digest(arm.custom_data):
                 return f"arm {name} is a {reference_arm.data.title} there and a {arm.data.title} here"
             is_base_fixed = not arm.base_auto
-            reference_base = self.plan.bases.get(
-                name, reference_arm.base
-            )  # the plan has no bases of arms on tracks
+            # the plan has no bases of arms on tracks
+            reference_base = self.plan.bases.get(name, reference_arm.base)
             if is_base_fixed and np.abs(reference_base - arm.base).max() > POSE_TOLERANCE:
                 return f"the base of arm {name} has a different pose"
         counts = [[len(p.setups), len(p.operations)] for p in (self.problem, problem)]
@@ -90,21 +92,25 @@ class ReferencePlan:
         return ""
 
     def stock_pose(self, setup: Setup) -> FloatArray:
-        """Stock pose (4, 4) in a setup."""
+        """Return the stock pose (4, 4) in the world that the reference plan has in a setup."""
         return self.plan.stock_poses[setup.number - 1]
 
     def placement_margin_deg(self, setup: Setup) -> float | None:
-        """Smallest margin [deg] of that stock pose; None if no placement was searched."""
+        """Return the smallest margin [deg] of the reference plan's stock pose in a setup.
+
+        Returns None if that pose was not searched, so that its margin is unknown.
+        """
         name = "placement" if setup.number == 1 else f"placement_{setup.number}"
         value = self.plan.metrics.get(f"{name}_score_deg")
         return float(value) if isinstance(value, int | float) else None
 
     def operation_path(self, index: int) -> "ReferencePath":
-        """Path of the operation with this index."""
+        """Return the reference path of the operation with an index from 0."""
         return ReferencePath(self.problem.name, self.plan.operations[index])
 
 
 def _is_rigid(pose: object) -> bool:
+    """Whether an object is a (4, 4) matrix of a rotation and a translation."""
     if not isinstance(pose, np.ndarray) or pose.shape != (4, 4) or not np.isfinite(pose).all():
         return False
     rotation = pose[:3, :3]
@@ -114,7 +120,7 @@ def _is_rigid(pose: object) -> bool:
 
 
 def _is_complete(operation: OperationPlan) -> bool:
-    """Whether an operation's arrays are finite and as long as its targets, and its metrics are present."""
+    """Whether an operation has finite arrays with one row for each target, for all arms, and its metrics."""
     targets, arms = operation.targets, set(operation.targets.arms)
     count, branch = targets.count, operation.metrics.get("branch")
     if (
@@ -152,11 +158,12 @@ class ReferencePath:
         return dict(self.operation.metrics["branch"])
 
     def freedom_samples(self, targets: Targets) -> list[FloatArray] | str:
-        """Return samples of the freedoms along the reference path.
+        """Return samples of the freedoms of ``targets`` along the reference path.
 
         Returns:
-            Two arrays (S, F), coordinates of the path and coordinates around half of them; or the reason why
-            the path cannot be used for ``targets``.
+            Two arrays (S, F) of values of the freedoms, to be tried in this order: those of the path, and
+            those around every second state of it, offset by :data:`FULL_TURN_OFFSET_RAD`. If the path cannot
+            be used for ``targets``, the reason why.
         """
         reference_targets = self.operation.targets
         if reference_targets.arms != targets.arms or dict(reference_targets.frame) != dict(targets.frame):
@@ -188,17 +195,21 @@ class ReferencePath:
 
     @property
     def approach_and_retreat(self) -> tuple[HomeMotion, HomeMotion]:
-        """Approach and retreat."""
+        """Approach and retreat of the operation in the reference plan."""
         operation = self.operation
         return (
-            HomeMotion(dict(operation.approach), operation.arm_order, "entry" in operation.synchronised),
-            HomeMotion(dict(operation.retreat), operation.arm_order, "exit" in operation.synchronised),
+            HomeMotion(
+                dict(operation.approach), operation.arm_order, together="entry" in operation.synchronised
+            ),
+            HomeMotion(
+                dict(operation.retreat), operation.arm_order, together="exit" in operation.synchronised
+            ),
         )
 
     def takeover_note(
         self, path_reason: str, kept_ends: Mapping[str, bool], metrics: Mapping[str, Any]
     ) -> Issue:
-        """Report what was taken over from the reference path.
+        """Return a note on what was taken over from the reference path and how the new path compares with it.
 
         Args:
             path_reason: Why the path was not taken over; empty if it was.
@@ -229,6 +240,7 @@ class ReferencePath:
 
 
 def _freedom_kind(freedom: Freedom) -> tuple[str, type[Freedom], bool]:
+    """Return what two freedoms must have in common for values of one to be used for the other."""
     return freedom.name, type(freedom), is_full_turn(freedom)
 
 
@@ -237,7 +249,7 @@ def _join_texts(texts: Sequence[str]) -> str:
 
 
 def _format_metrics(metrics: Mapping[str, Any]) -> str:
-    """Cost and smallest margins of a path as text."""
+    """Format the cost and the smallest margins of a path for a note."""
     out = f"cost {metrics['trajopt_cost']:.3g}"
     for name, description in (
         ("limit_margin_deg", "joint limits"),
@@ -252,7 +264,7 @@ def _format_metrics(metrics: Mapping[str, Any]) -> str:
 def placement_note(
     name: str, setup: Setup, placement: PlacementCandidate | str, reference_margin_deg: float | None
 ) -> Issue:
-    """Report whether the stock pose of a setup was taken over.
+    """Return a note that says whether the stock pose of a setup was taken over.
 
     Args:
         name: Name of the reference problem.
@@ -275,8 +287,8 @@ def placement_note(
 
 
 def incompatible_note(name: str, reason: str) -> Issue:
-    """Report that nothing was taken over from the plan of the problem ``name``, and why."""
-    return _reference_note(f"nothing was taken over from the plan of {name}: {reason}", None)
+    """Return a note that nothing was taken over from the plan of the problem ``name``, and why."""
+    return _reference_note(f"nothing was taken over from the plan of {name}: {reason}", field=None)
 
 
 def _reference_note(message: str, field: str | None, hint: str | None = None) -> Issue:

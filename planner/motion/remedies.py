@@ -76,16 +76,16 @@ GRID_LEVELS_M: Final = (-0.6, -0.4, -0.2, 0.2, 0.4, 0.6)
 """Vertical moves [m] of a stock that rests on nothing."""
 GRID_TARGETS: Final = 3
 """Number of targets at which all grid points are tried first. Those that pass are tried at
-`SPREAD_TARGETS`.
+:data:`SPREAD_TARGETS` targets.
 """
 POSE_BATCH_SIZE: Final = 64
 """Number of stock poses whose reach is computed together."""
 MIN_SCORE_FRACTION: Final = 0.6
-"""Minimum fraction of the best margin for grid points that are tried, nearest first."""
+"""Minimum margin of a grid point, as a fraction of the best one, for which a path is searched there."""
 MAX_GRID_TRIALS: Final = 5
-"""Maximum number of grid points that are tried."""
+"""Maximum number of grid points for which a path is searched."""
 MIN_TRIAL_DISTANCE_M: Final = 0.2
-"""Minimum distance [m] between grid points that are tried."""
+"""Minimum distance [m] between grid points for which a path is searched."""
 
 CLEARANCE_STEP_MM: Final = 0.5
 """Increment [mm] of the clearances that are tried."""
@@ -104,43 +104,44 @@ def suggest_remedies(
         problem: Problem without a plan.
         targets: Targets of all operations.
         operation: Index of the operation that has no path.
-        issues: Its issues.
-        has_plan: Whether a changed problem has a complete plan.
+        issues: Issues of this operation.
+        has_plan: Returns whether a changed problem has a complete plan.
+
+    Returns:
+        The issues. The first one that a change may resolve has another hint, and the remedy if one helps. The
+        issues are unchanged if there is none, or if the planner chooses a stock pose.
     """
-    first = next(
+    first_index = next(
         (k for k, i in enumerate(issues) if i.code.removeprefix("motion.") in PATH_CODES | HOME_CODES), None
     )
-    if first is None or any(setup.stock.place is None for setup in problem.setups):
+    if first_index is None or any(setup.stock.place is None for setup in problem.setups):
         return list(issues)
-    trial = _RemedySearch(problem, targets[operation], operation, issues[first].index or 0, has_plan)
-    code = issues[first].code.removeprefix("motion.")
-    remedy = trial.find_home(issues[first]) if code in HOME_CODES else trial.find_move(issues[first])
+    first = issues[first_index]
+    search = _RemedySearch(problem, targets[operation], operation, first.index or 0, has_plan)
+    code = first.code.removeprefix("motion.")
+    remedy = search.find_home(first) if code in HOME_CODES else search.find_move(first)
     if remedy is None:
-        hint = f"{issues[first].hint}; tried without success: {trial.summary()}" if trial.tried else None
+        hint = f"{first.hint}; tried without success: {search.summary()}" if search.tried else None
         # A station of a track or gantry that reaches the job comes before all else.
         station_advice = stations.suggest_axis(problem, targets) if code in PATH_CODES else ""
-        hint = f"{station_advice}; or {hint or issues[first].hint}" if station_advice else hint
-        advised_issue = dataclasses.replace(issues[first], hint=hint or issues[first].hint)
+        hint = f"{station_advice}; or {hint or first.hint}" if station_advice else hint
+        advised_issue = dataclasses.replace(first, hint=hint or first.hint)
     else:
         advised_issue = dataclasses.replace(
-            issues[first],
-            hint=f"{_describe_remedy(remedy)} (tried: the job can be planned then)",
-            remedy=remedy,
+            first, hint=f"{_describe_remedy(remedy)} (tried: the job can be planned then)", remedy=remedy
         )
-    widest = None
+    clearance_remedy = None
     if code == "collision":  # with a budget of its own, whatever was tried before
-        clearance_search = _RemedySearch(
-            problem, targets[operation], operation, issues[first].index or 0, has_plan
-        )
-        widest = clearance_search.find_clearance(issues[first])
-    if widest is not None:
-        joint_hint = f"{advised_issue.hint}; or {_describe_remedy(widest)}"
+        clearance_search = _RemedySearch(problem, targets[operation], operation, first.index or 0, has_plan)
+        clearance_remedy = clearance_search.find_clearance(first)
+    if clearance_remedy is not None:
+        joint_hint = f"{advised_issue.hint}; or {_describe_remedy(clearance_remedy)}"
         advised_issue = dataclasses.replace(
-            advised_issue, hint=joint_hint, remedy=advised_issue.remedy or widest
+            advised_issue, hint=joint_hint, remedy=advised_issue.remedy or clearance_remedy
         )
-    out = [advised_issue if k == first else issue for k, issue in enumerate(issues)]
+    out = [advised_issue if k == first_index else issue for k, issue in enumerate(issues)]
     aggregated = [
-        k for k, issue in enumerate(out) if k != first and len(aggregate([advised_issue, issue])) == 1
+        k for k, issue in enumerate(out) if k != first_index and len(aggregate([advised_issue, issue])) == 1
     ]
     for k in aggregated:  # issues that are aggregated show the hint of the worst, so all get it
         out[k] = dataclasses.replace(out[k], hint=advised_issue.hint, remedy=advised_issue.remedy)
@@ -148,7 +149,7 @@ def suggest_remedies(
 
 
 def apply_remedy(problem: Problem, remedy: Remedy) -> Problem:
-    """Return the problem with the change applied."""
+    """Return a copy of the problem with the change of a remedy applied."""
     cell, stock = problem.cell, problem.stock
     shift = MM * np.array(remedy.move_mm or (0.0, 0.0, 0.0))
     if remedy.what == "stock" and stock.place is not None:
@@ -177,6 +178,7 @@ def apply_remedy(problem: Problem, remedy: Remedy) -> Problem:
 
 
 def _describe_remedy(remedy: Remedy) -> str:
+    """Return the instruction for a hint, such as "move the stock by (100, 0, 0) mm"."""
     if remedy.what == "clearance":
         stated = (
             (self_clearance.CLEARANCE_FIELD, remedy.clearance_mm),
@@ -196,26 +198,38 @@ def _describe_remedy(remedy: Remedy) -> str:
 
 
 class _RemedySearch:
-    """Tries changes for one operation that has no path; ``index`` is the target where its paths end."""
+    """Tries changes for one operation that has no path, within a budget of trials, searches and plans.
+
+    Attributes:
+        tried: {what was changed: largest tried move [m], or 0 if it was not moved}.
+        removed: Obstacles whose removal opens no path.
+    """
 
     def __init__(self, problem: Problem, job: Targets, operation: int, index: int, has_plan: HasPlan) -> None:
+        """Prepare the search.
+
+        Args:
+            problem: Problem without a plan.
+            job: Targets of the operation.
+            operation: Index of the operation.
+            index: Index of the target at which its paths end.
+            has_plan: Returns whether a changed problem has a complete plan.
+        """
         self._problem, self._job, self._operation, self._has_plan = problem, job, operation, has_plan
         around = np.arange(index - NEIGHBOUR_TARGETS, index + NEIGHBOUR_TARGETS + 1)
         spread = np.linspace(0, job.count - 1, SPREAD_TARGETS).round().astype(np.intp)
         rows = np.concatenate([[index], around, spread])
         rows = rows[(rows >= 0) & (rows < job.count)]
         self._rows = rows[np.sort(np.unique(rows, return_index=True)[1])]
-        self._initial_overlaps, self._initial_support_issues = (
-            self._fixture_overlaps(problem),
-            len(support.support_issues(problem)),
-        )
+        self._initial_overlaps = self._fixture_overlaps(problem)
+        self._initial_support_issues = len(support.support_issues(problem))
         searches = MAX_SEARCHES if count_rotational_freedoms(job) <= 1 else MAX_ROTATIONAL_SEARCHES
         self._trials_left, self._searches_left, self._plans_left = MAX_TRIALS, searches, MAX_PLANS
         self.tried: dict[str, float] = {}
         self.removed: list[str] = []
 
     def summary(self) -> str:
-        """Describe what was tried."""
+        """Describe for a hint what was tried without success."""
         out = [f"{', '.join(self.removed)} removed one by one"] if self.removed else []
         out += [
             f"{name} moved by up to {size / MM:.0f} mm" if size > 0.0 else name
@@ -248,19 +262,20 @@ class _RemedySearch:
     def _find_far_move(self) -> Remedy | None:
         """Find a move of the stock, of any size, to where the arms reach the job.
 
-        Of a grid of stock poses around the bases, those with most of the best margin are tried, nearest
-        first. Poses close to one that failed are skipped.
+        The stock poses of :meth:`_reachable_moves` are tried, nearest first. Poses close to one that failed
+        are skipped.
         """
-        name, tried = self._stock_name, list[FloatArray]()
+        name = self._stock_name
+        tried: list[FloatArray] = []
         if not self._is_stock_movable:
             return None
         for move in self._reachable_moves():
             if len(tried) >= MAX_GRID_TRIALS or not self._has_budget:
                 break
-            if any(np.linalg.norm(move - other) < MIN_TRIAL_DISTANCE_M for other in tried):
+            if any(np.linalg.norm(move - tried_move) < MIN_TRIAL_DISTANCE_M for tried_move in tried):
                 continue
             tried.append(move)
-            self.tried[f"the {name}"] = max(float(np.linalg.norm(trial)) for trial in tried)
+            self.tried[f"the {name}"] = max(float(np.linalg.norm(tried_move)) for tried_move in tried)
             x, y, z = (move / MM).round().tolist()
             remedy = Remedy("stock", name, (x, y, z))
             changed = apply_remedy(self._problem, remedy)
@@ -271,9 +286,11 @@ class _RemedySearch:
         return None
 
     def _reachable_moves(self) -> FloatArray:
-        """Moves (K, 3) [m] of the stock to poses from which the arms reach a few targets well, nearest first.
+        """Return moves (K, 3) [m] of the stock after which the arms reach a few targets, shortest first.
 
-        The height changes only if the stock rests on nothing and no pose at the same height is good.
+        The moves lead to a grid around the bases. Those with at least :data:`MIN_SCORE_FRACTION` of the best
+        margin are returned. The height changes only if the stock rests on nothing and the arms reach the
+        targets from no pose at the same height.
         """
         problem = self._problem
         setup, scene = problem.setup_of(self._operation), self._make_scene(problem)
@@ -293,7 +310,7 @@ class _RemedySearch:
         for levels in ((0.0,), () if rests_on_something else GRID_LEVELS_M):
             moves = np.stack(np.meshgrid(x * step, y * step, np.array(levels), indexing="ij"), axis=-1)
             moves, score = moves.reshape(-1, 3), np.zeros(0)
-            for count in (GRID_TARGETS, SPREAD_TARGETS):
+            for count in (GRID_TARGETS, SPREAD_TARGETS):  # all moves at a few targets, then those that pass
                 sampled = sample_coarsely(
                     setup.cell, self._job, count, with_slides=count_rotational_freedoms(self._job) > 1
                 )
@@ -316,9 +333,9 @@ class _RemedySearch:
         """Find the widest clearance with which the whole job can be planned.
 
         The first trial is the clearance of the best posture where paths end, then one step less. If that is
-        too much elsewhere, the interval is bisected until the budget runs out. Only the setting that applies
-        to the colliding bodies changes. Controllers with spline blocks are excluded: their curves need extra
-        margin, which is part of the clearance here.
+        too much elsewhere, the interval is bisected, up to :data:`MAX_CLEARANCES` trials. Only the setting
+        that applies to the colliding bodies changes. Controllers with spline blocks are excluded: their
+        curves need extra margin, which is part of the clearance here.
         """
         same_arm = len(issue.bodies) == 2 and self_clearance.is_same_arm(*issue.bodies)
         settings = self._problem.settings
@@ -327,7 +344,9 @@ class _RemedySearch:
         best_possible = required - ((issue.limit or 0.0) - (issue.value or 0.0))
         if not 0.0 < best_possible < required or self._problem.cell.controller.path == "spline":
             return None
-        low, high, remedy_found = 0, int(best_possible / CLEARANCE_STEP_MM) + 1, None
+        # in steps of the clearance: low can be planned (or is 0), high cannot
+        low, high = 0, int(best_possible / CLEARANCE_STEP_MM) + 1
+        widest = None
         for number in range(MAX_CLEARANCES):
             value = high - 1 if number < 2 else (low + high) // 2
             if not low < value < high:
@@ -335,13 +354,16 @@ class _RemedySearch:
             remedy = self._clearance_remedy(same_arm, value * CLEARANCE_STEP_MM)
             changed = apply_remedy(self._problem, remedy)
             if self._opens_path(changed, remedy) and self._has_plan(changed):
-                low, remedy_found = value, remedy
+                low, widest = value, remedy
             else:
                 high = value
-        return remedy_found
+        return widest
 
     def _clearance_remedy(self, same_arm: bool, value: float) -> Remedy:
-        """Remedy that lowers one clearance [mm], and the other with it if it is stated and would be wider."""
+        """Return the remedy that sets the clearance of one arm, or of all other bodies, to a value [mm].
+
+        A stated clearance of one arm is lowered with the other one, so that it is not wider.
+        """
         if same_arm:
             return Remedy("clearance", self_clearance.SELF_CLEARANCE_FIELD, own_clearance_mm=value)
         stated = self._problem.settings.own_clearance
@@ -366,16 +388,20 @@ class _RemedySearch:
         return "stock" if self._problem.stock.sheet is None else "sheet"
 
     def find_home(self, issue: Issue) -> Remedy | None:
-        """Find another home posture from which the arms reach the job and return."""
+        """Find another home posture of one arm from which the arms reach the job and return.
+
+        Axis 1 is rotated by :data:`HOME_ROTATIONS_DEG` to both sides, and axis 2 backwards by the first of
+        these angles.
+        """
         setup, initial_scene = self._problem.setup_of(self._operation), self._make_scene(self._problem)
         _, path_result = find_path(initial_scene, self._job)
         names = [a for a in self._job.arms if issue.arm in (None, a)]
-        for rotation, name in itertools.product(
-            [(0, s * t) for t in HOME_ROTATIONS_DEG for s in (1, -1)] + [(1, -HOME_ROTATIONS_DEG[0])], names
-        ):
+        rotations = [(0, sign * angle) for angle in HOME_ROTATIONS_DEG for sign in (1, -1)]
+        rotations += [(1, -HOME_ROTATIONS_DEG[0])]
+        for (joint, angle_deg), name in itertools.product(rotations, names):
             arm = setup.cell.arm(name)
             home = arm.home.copy()
-            home[rotation[0]] += DEG * rotation[1]
+            home[joint] += DEG * angle_deg
             self.tried["other home postures"] = 0.0
             margin = float(initial_scene.chains[name].limit_margin(home))
             if self._plans_left <= 0 or margin < self._problem.settings.joint_margin:
@@ -395,49 +421,56 @@ class _RemedySearch:
         return None
 
     def _blocking_obstacles(self, issue: Issue) -> list[Obstacle]:
-        """Obstacles without which there is a path. Those that the issue names are tried first."""
+        """Return the obstacles without which there is a path.
+
+        At most :data:`MAX_REMOVED_OBSTACLES` movable ones are removed, one by one, first those that the issue
+        names.
+        """
         cell = self._problem.setup_of(self._operation).cell
         movable_obstacles = [o for o in cell.obstacles if is_movable(self._problem, o)]
         movable_obstacles.sort(key=lambda o: o.name not in issue.bodies)
         out = []
         for obstacle in movable_obstacles[:MAX_REMOVED_OBSTACLES]:
-            rest = tuple(o for o in self._problem.cell.obstacles if o.name != obstacle.name)
-            without = dataclasses.replace(
-                self._problem, cell=dataclasses.replace(self._problem.cell, obstacles=rest)
+            remaining = tuple(o for o in self._problem.cell.obstacles if o.name != obstacle.name)
+            changed = dataclasses.replace(
+                self._problem, cell=dataclasses.replace(self._problem.cell, obstacles=remaining)
             )
-            if self._is_passable(without, scene := self._make_scene(without)) and isinstance(
-                self._search_path(scene), PathResult
-            ):
+            scene = self._make_scene(changed)
+            if self._is_passable(changed, scene) and isinstance(self._search_path(scene), PathResult):
                 out.append(obstacle)
             else:
                 self.removed.append(obstacle.name)
         return out
 
     def _candidate_moves(self, size: float, obstacles: Sequence[Obstacle]) -> Iterator[Remedy]:
+        """Yield moves by ``size`` [m] along the world axes: of the obstacles, the stock, then the bases.
+
+        A body that rests on an obstacle is moved only horizontally, and so is a base.
+        """
         problem = self._problem
         for obstacle in obstacles:
-            for move in _axis_moves(
-                size,
-                not _rests_on_obstacle(
-                    _bounding_box(obstacle.shapes, np.eye(4)), problem.cell, obstacle.name
-                ),
-            ):
+            rests_on_other = _rests_on_obstacle(
+                _bounding_box(obstacle.shapes, np.eye(4)), problem.cell, obstacle.name
+            )
+            for move in _axis_moves(size, vertical=not rests_on_other):
                 yield Remedy("obstacle", obstacle.name, move)
         if self._is_stock_movable:
-            rests_on_obstacle = _rests_on_obstacle(_stock_box(problem), problem.cell, "")
-            for move in _axis_moves(size, not rests_on_obstacle):
+            rests_on_obstacle = _rests_on_obstacle(_stock_box(problem), problem.cell, name="")
+            for move in _axis_moves(size, vertical=not rests_on_obstacle):
                 yield Remedy("stock", self._stock_name, move)
         for arm in self._job.arms:
-            for move in _axis_moves(size, False):
+            for move in _axis_moves(size, vertical=False):
                 yield Remedy("base", arm, move)
 
     def _opens_path(self, changed: Problem, remedy: Remedy) -> bool:
-        """Whether after a change no fixtures overlap, the homes are free and the job has a path."""
+        """Whether the job has a path after a change that causes no new problem.
+
+        The change must not take away a support, make fixtures overlap, or bring home postures too close to
+        bodies. The check of the path uses coarse samples only.
+        """
         self._trials_left -= 1
-        if (
-            len(support.support_issues(changed)) > self._initial_support_issues
-        ):  # something would lose its support
-            return False
+        if len(support.support_issues(changed)) > self._initial_support_issues:
+            return False  # a body would lose its support
         scene = self._make_scene(changed)
         if not self._fixture_overlaps(changed) <= self._initial_overlaps or _hits_other(changed, remedy):
             return False
@@ -450,32 +483,32 @@ class _RemedySearch:
         return isinstance(self._search_path(scene), PathResult)
 
     def _search_path(self, scene: Scene) -> object:
+        """Search a path with coarse samples only, which takes one search of the budget."""
         self._searches_left -= 1
         return find_path(scene, self._job, fine=False)[1]
 
     def _make_scene(self, problem: Problem) -> Scene:
+        """Create the scene of the operation in a changed problem, with a collision model."""
         setup = problem.setup_of(self._operation)
         stock_pose = setup.stock.place if setup.stock.place is not None else np.eye(4)
         model = plant.build_cell_model(setup.cell, setup.stock, stock_pose)
         return Scene.of(setup.cell, self._job.arms, stock_pose, problem.settings, model)
 
     def _fixture_overlaps(self, problem: Problem) -> frozenset[tuple[str, str]]:
-        """Pairs of static bodies that overlap."""
+        """Return the pairs of static bodies of the operation's cell that overlap."""
         model = self._make_scene(problem).model
-        return (
-            frozenset((a, b) for a, b, _ in clearance.find_overlaps(model))
-            if model is not None
-            else frozenset()
-        )
+        if model is None:
+            return frozenset()
+        return frozenset((a, b) for a, b, _ in clearance.find_overlaps(model))
 
     def _is_passable(self, problem: Problem, scene: Scene) -> bool:
         """Whether some combination of branches has a free sample at each of a few targets.
 
-        These targets include those where paths end. Without such a combination a search is useless.
+        These targets include the one where paths end, and its neighbours. Without such a combination a path
+        search must fail, so this check saves its time.
         """
-        if (
-            count_rotational_freedoms(self._job) > 1
-        ):  # too many samples for collisions: require reach at a few targets only
+        if count_rotational_freedoms(self._job) > 1:
+            # There are too many samples to check collisions. Require reach at a few targets only.
             sampled = sample_coarsely(
                 problem.setup_of(self._operation).cell, self._job, SPREAD_TARGETS, with_slides=True
             )
@@ -484,23 +517,24 @@ class _RemedySearch:
         grid = sample_freedoms(sampled_targets, SPIN_STEP_RAD, SLIDE_SAMPLES)
         table = compute_reach(scene, sampled_targets, grid)
         for branches in itertools.product(*(r.branches for r in table.values())):
-            rungs = {arm: r.branches[b] for (arm, r), b in zip(table.items(), branches, strict=True)}
-            check = CollisionChecker(scene, sampled_targets, grid, rungs)
-            if check.possible.any(axis=1).all() and all(
-                check.free_samples(i).any() for i in range(sampled_targets.count)
+            states = {arm: r.branches[b] for (arm, r), b in zip(table.items(), branches, strict=True)}
+            checker = CollisionChecker(scene, sampled_targets, grid, states)
+            if checker.possible.any(axis=1).all() and all(
+                checker.free_samples(i).any() for i in range(sampled_targets.count)
             ):
                 return True
         return False
 
 
 def _subject(remedy: Remedy) -> str:
+    """Return what a remedy moves, as named in hints."""
     return {"stock": f"the {remedy.name}", "base": f"the base of {remedy.name}"}.get(remedy.what, remedy.name)
 
 
-def _axis_moves(size: float, up: bool) -> list[tuple[float, float, float]]:
-    """Moves [mm] by ``size`` [m] along the world axes, including vertical ones if ``up``."""
+def _axis_moves(size: float, vertical: bool) -> list[tuple[float, float, float]]:
+    """Return moves [mm] by ``size`` [m] along world x, y and, if ``vertical``, z, in both directions."""
     out = []
-    for axis, sign in itertools.product(range(3 if up else 2), (1.0, -1.0)):
+    for axis, sign in itertools.product(range(3 if vertical else 2), (1.0, -1.0)):
         move = [0.0, 0.0, 0.0]
         move[axis] = float(np.round(sign * size / MM, 6))
         out.append((move[0], move[1], move[2]))
@@ -508,6 +542,7 @@ def _axis_moves(size: float, up: bool) -> list[tuple[float, float, float]]:
 
 
 def _move_obstacle(obstacle: Obstacle, shift: FloatArray) -> Obstacle:
+    """Return a copy of an obstacle with its shapes translated by ``shift`` (3,) [m] in the world."""
     shapes = []
     for shape in obstacle.shapes:
         pose = shape.pose.copy()
@@ -517,19 +552,23 @@ def _move_obstacle(obstacle: Obstacle, shift: FloatArray) -> Obstacle:
 
 
 def _bounding_box(shapes: Sequence[Shape], frame: FloatArray) -> FloatArray:
-    """Lower and upper corner (2, 3) [m] of shapes in a frame (4, 4) of the world."""
+    """Return the lower and the upper corner (2, 3) [m], in the world, of the bounding box of shapes.
+
+    ``frame`` (4, 4) is the frame in which the poses of the shapes are given.
+    """
     points = np.concatenate([transform(frame @ shape.pose, hull_points(shape)) for shape in shapes])
     return np.stack([points.min(axis=0), points.max(axis=0)])
 
 
 def _stock_box(problem: Problem) -> FloatArray:
+    """Return the bounding box (2, 3) [m] of the stock and its support in the world."""
     stock_pose = problem.stock.place if problem.stock.place is not None else np.eye(4)
     shapes = shapes_by_body(problem.cell, problem.stock)
     return _bounding_box([*shapes["stock"], *problem.stock.support], stock_pose)
 
 
 def _rests_on_obstacle(box: FloatArray, cell: Cell, name: str) -> bool:
-    """Whether a body's box rests on another obstacle."""
+    """Whether the bounding box (2, 3) of a body rests on an obstacle other than the one called ``name``."""
     others = (_bounding_box(o.shapes, np.eye(4)) for o in cell.obstacles if o.name != name)
     return any(
         _overlap_in_plan(box, other) and abs(box[0, 2] - other[1, 2]) < MAX_SUPPORT_GAP_M for other in others
@@ -537,14 +576,14 @@ def _rests_on_obstacle(box: FloatArray, cell: Cell, name: str) -> bool:
 
 
 def _overlap_in_plan(a: FloatArray, b: FloatArray) -> bool:
-    """Whether two boxes overlap in plan view."""
+    """Whether two bounding boxes (2, 3) overlap in plan view."""
     return bool((np.minimum(a[1], b[1])[:2] > np.maximum(a[0], b[0])[:2]).all())
 
 
 def is_movable(problem: Problem, obstacle: Obstacle) -> bool:
     """Whether an obstacle can be moved.
 
-    It is not a floor or a wall, no base or stock rests on it, and no external axis carries it.
+    It can if it is not a floor or a wall, no base or stock rests on it, and no external axis carries it.
     """
     if any(obstacle.name in bodies for bodies in problem.cell.carried_bodies.values()):
         return False

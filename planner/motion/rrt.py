@@ -16,7 +16,9 @@ import numpy as np
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 
 IsFree = Callable[[FloatArray], BoolArray]
+"""Returns whether points (B, D) are free."""
 IsSurelyFree = Callable[[FloatArray, FloatArray], BoolArray]
+"""Returns whether boxes around points (B, D), with half extents (B, D), are certainly free."""
 
 MAX_GROWTH_STEPS = 8
 """Maximum number of steps by which a tree grows at a time."""
@@ -43,10 +45,11 @@ class ConfigurationSpace:
     """Space of D coordinates in which a collision-free path is searched.
 
     Attributes:
-        free: Whether points (B, D) are free.
+        free: Returns whether points (B, D) are free.
         lower: (D,) lower bounds of random points.
         upper: (D,) upper bounds of random points.
-        step: Spacing of the points that are checked on a line, by the largest coordinate.
+        step: Spacing of the points that are checked on a line, measured as the largest difference of any
+            coordinate.
     """
 
     free: IsFree
@@ -83,28 +86,33 @@ def connect_points(
     samples = np.random.default_rng(seed).uniform(lower, upper, (rounds, len(start)))
     trees = (_RrtTree(start), _RrtTree(goal))
     growth = _TreeGrowth(trees, samples, free, step)
-    for count in range(rounds):
-        first_tree, second_tree = trees if count % 2 == 0 else trees[::-1]
-        new_index = growth.grow_first(count)
+    for round_number in range(rounds):
+        first_tree, second_tree = trees if round_number % 2 == 0 else trees[::-1]
+        new_index = growth.grow_first(round_number)
+        # The second tree grows toward the new point until it reaches it or is blocked.
         while new_index is not None:
-            other_index = growth.grow_second(count, first_tree.points[new_index])
+            other_index = growth.grow_second(round_number, first_tree.points[new_index])
             if other_index is None:
                 break
             if np.array_equal(second_tree.points[other_index], first_tree.points[new_index]):
-                ends = (
+                to_start, to_goal = (
                     (first_tree.path_to_root(new_index), second_tree.path_to_root(other_index))
-                    if count % 2 == 0
+                    if round_number % 2 == 0
                     else (second_tree.path_to_root(other_index), first_tree.path_to_root(new_index))
                 )
-                path = np.concatenate([ends[0][::-1], ends[1][1:]])
+                path = np.concatenate([to_start[::-1], to_goal[1:]])
                 rng = np.random.default_rng(seed)
-                rng.uniform(lower, upper, (count + 1, len(start)))  # skip the samples that were used
+                rng.uniform(lower, upper, (round_number + 1, len(start)))  # skip the samples that were used
                 return _shortcut_path(path, free, step, rng)
     return None
 
 
 def _connect_by_axes(start: FloatArray, goal: FloatArray, free: IsFree, step: float) -> FloatArray | None:
-    """Find a short free path on which some coordinates move after the others; None if there is none."""
+    """Find a path with one corner on which some coordinates move first and the others afterwards.
+
+    Corners are tried in the order of the length of their paths. Returns the waypoints (3, D), or None if no
+    corner gives a free path.
+    """
     differences = np.abs(goal - start)
     moving = np.flatnonzero(differences > step)
     if len(moving) < 2 or len(moving) > MAX_ORDERED_COORDINATES:
@@ -118,9 +126,8 @@ def _connect_by_axes(start: FloatArray, goal: FloatArray, free: IsFree, step: fl
     if not len(corners):
         return None
     lines = [np.concatenate([_line_points(start, c, step), _line_points(c, goal, step)]) for c in corners]
-    sparse_lines = [
-        line[::FIRST_CHECK_STRIDE] for line in lines
-    ]  # sparse points already reject nearly all lines
+    # Sparse points of all lines are checked together first, because they reject nearly all blocked lines.
+    sparse_lines = [line[::FIRST_CHECK_STRIDE] for line in lines]
     line_index = np.repeat(np.arange(len(sparse_lines)), [len(points) for points in sparse_lines])
     is_blocked = np.bincount(line_index, ~free(np.concatenate(sparse_lines)), len(sparse_lines)) > 0
     for k in np.flatnonzero(~is_blocked).tolist():
@@ -137,20 +144,20 @@ class PathSamples:
     fraction: FloatArray
 
     def extended(self, other: "PathSamples") -> "PathSamples":
-        """Append other points."""
+        """Return these points followed by other points on the same path."""
         return PathSamples(np.append(self.move, other.move), np.append(self.fraction, other.fraction))
 
     def subsampled(self, count: int) -> "PathSamples":
-        """Select at most ``count`` points, evenly spread."""
+        """Return at most ``count`` of the points, spread evenly over their order."""
         rows = np.unique(np.linspace(0, len(self.move) - 1, min(count, len(self.move))).astype(np.intp))
         return self.select(rows)
 
     def select(self, rows: IndexArray) -> "PathSamples":
-        """Select points by their rows, which may repeat."""
+        """Return the points at the given indices, which may repeat."""
         return PathSamples(self.move[rows], self.fraction[rows])
 
     def points(self, path: FloatArray) -> FloatArray:
-        """Coordinates (P, D) on a path (M, D)."""
+        """Return the coordinates (P, D) of the points on a path (M, D)."""
         start, end = path[self.move], path[self.move + 1]
         return np.asarray(start + self.fraction[:, None] * (end - start))
 
@@ -168,18 +175,18 @@ def find_blocked(
 ) -> PathSamples:
     """Find points of a path that are not free.
 
-    Lines are bisected until they are checked every ``step``. A few points cost hardly more than one. If few
-    pieces remain, their halves are therefore checked together with them, and the halves of these. The result
-    is the same.
+    Lines are bisected until they are checked every ``step``. A query of a few points takes hardly longer than
+    that of one. If few pieces remain, their halves are therefore checked together with them, and the halves
+    of these. The result is the same.
 
     Args:
         path: (M, D) waypoints.
-        free: Whether points (B, D) are free.
-        step: Spacing of checks by the largest coordinate.
-        surely_free: Whether (B,) everything within (B, D) of points (B, D) is certainly free. Nothing is
-            checked there.
-        find_all: Whether all blocked points are returned, including those where a line is bisected, or only
-            those of the first failing check.
+        free: Returns whether points (B, D) are free.
+        step: Spacing of checks, measured as the largest difference of any coordinate.
+        surely_free: Returns whether (B,) boxes around points (B, D), with half extents (B, D), are certainly
+            free. Pieces of the path in such boxes are not checked.
+        find_all: Whether all blocked points are returned, or only those of the first generation of pieces
+            that has any. At most about :data:`MAX_BLOCKED_SAMPLES` are returned.
     """
     move = np.arange(len(path) - 1)
     pieces = _PathPieces(move, np.zeros(len(move)), np.ones(len(move)))
@@ -193,32 +200,37 @@ def find_blocked(
         ):
             generations.append(generations[-1].halves())
         points = np.concatenate([generation.midpoints(path) for generation in generations])
-        reach = np.concatenate([generation.half_extents(path) for generation in generations])
-        open_ = np.ones(len(points), dtype=bool) if surely_free is None else ~surely_free(points, reach)
-        is_small = reach.max(axis=1) <= step
+        half_extents = np.concatenate([generation.half_extents(path) for generation in generations])
+        all_open = (
+            np.ones(len(points), dtype=bool) if surely_free is None else ~surely_free(points, half_extents)
+        )
+        all_fine = half_extents.max(axis=1) <= step
         ends = np.cumsum([len(generation.move) for generation in generations])[:-1]
         queried: list[PathSamples] = []
         # Of each generation only the pieces count whose parents were not decided.
         undecided = np.arange(len(pieces.move))
         for generation, is_open, is_fine in zip(
-            generations, np.split(open_, ends), np.split(is_small, ends), strict=True
+            generations, np.split(all_open, ends), np.split(all_fine, ends), strict=True
         ):
-            checked_midpoints, end = undecided[is_open[undecided]], undecided[(is_open & is_fine)[undecided]]
+            # Open pieces are checked at their midpoint. Fine ones are checked at their end, too, and others
+            # are bisected.
+            open_pieces = undecided[is_open[undecided]]
+            last_pieces = undecided[(is_open & is_fine)[undecided]]
             middle = 0.5 * (generation.low + generation.high)
             queried.append(
                 PathSamples(
-                    np.append(generation.move[checked_midpoints], generation.move[end]),
-                    np.append(middle[checked_midpoints], generation.high[end]),
+                    np.append(generation.move[open_pieces], generation.move[last_pieces]),
+                    np.append(middle[open_pieces], generation.high[last_pieces]),
                 )
             )
             bisected = undecided[(is_open & ~is_fine)[undecided]]
             undecided = np.append(bisected, bisected + len(generation.move))
         all_queried = functools.reduce(PathSamples.extended, queried)
-        bad = ~free(all_queried.points(path)) if len(all_queried.move) else np.zeros(0, dtype=bool)
-        for samples, failed in zip(
-            queried, np.split(bad, np.cumsum([len(a.move) for a in queried])[:-1]), strict=True
+        is_blocked = ~free(all_queried.points(path)) if len(all_queried.move) else np.zeros(0, dtype=bool)
+        for samples, blocked in zip(
+            queried, np.split(is_blocked, np.cumsum([len(a.move) for a in queried])[:-1]), strict=True
         ):
-            out = out.extended(samples.select(np.flatnonzero(failed)))
+            out = out.extended(samples.select(np.flatnonzero(blocked)))
             if (len(out.move) and not find_all) or len(out.move) > MAX_BLOCKED_SAMPLES:
                 return out
         pieces = generations[-1].halves().select(undecided)
@@ -234,20 +246,20 @@ class _PathPieces:
     high: FloatArray
 
     def select(self, rows: IndexArray) -> "_PathPieces":
-        """Select pieces by their rows."""
+        """Return the pieces at the given indices."""
         return _PathPieces(self.move[rows], self.low[rows], self.high[rows])
 
     def halves(self) -> "_PathPieces":
-        """The first halves of all pieces, then the second halves."""
+        """Return the first halves of all pieces, followed by the second halves."""
         middle = 0.5 * (self.low + self.high)
         return _PathPieces(np.tile(self.move, 2), np.append(self.low, middle), np.append(middle, self.high))
 
     def midpoints(self, path: FloatArray) -> FloatArray:
-        """Midpoints (P, D)."""
+        """Return the midpoints (P, D) of the pieces on a path (M, D)."""
         return PathSamples(self.move, 0.5 * (self.low + self.high)).points(path)
 
     def half_extents(self, path: FloatArray) -> FloatArray:
-        """Half extents (P, D) of the pieces by coordinate."""
+        """Return half of the change (P, D) of each coordinate over the pieces of a path (M, D)."""
         return np.asarray(
             0.5 * (self.high - self.low)[:, None] * np.abs(path[self.move + 1] - path[self.move])
         )
@@ -260,36 +272,62 @@ MAX_BLOCKED_SAMPLES: Final = 200
 
 
 class _RrtTree:
+    """A tree of points that are connected by free straight lines.
+
+    Attributes:
+        parent: Index of the parent of each point, -1 for the root.
+    """
+
     def __init__(self, root: FloatArray) -> None:
         self._points = root[None].copy()
         self.parent = [-1]
 
     @property
     def points(self) -> FloatArray:
-        """Points (P, D) so far."""
+        """Points (P, D) of the tree in the order in which they were added, the root first."""
         return self._points[: len(self.parent)]
 
     def nearest(self, target: FloatArray) -> tuple[int, float]:
-        """Index of the point nearest to a target by the largest coordinate, and its distance."""
+        """Return the index of the tree point nearest to a target, and its distance.
+
+        The distance is the largest difference of any coordinate.
+        """
         distances = np.abs(self.points - target).max(axis=1)
         index = int(np.argmin(distances))
         return index, float(distances[index])
 
     def line(self, index: int, distance: float, target: FloatArray, step: float) -> FloatArray:
-        """Points (K, D) on the line from a tree point, at ``distance`` from the target, toward the target."""
-        base = self.points[index]
+        """Return points (K, D) on the line from a tree point toward a target.
+
+        Args:
+            index: Index of the tree point.
+            distance: Distance from the tree point to the target.
+            target: (D,) target.
+            step: Maximum spacing of the points. The line has at most :data:`MAX_GROWTH_STEPS` of them.
+        """
+        start = self.points[index]
         fraction = min(1.0, MAX_GROWTH_STEPS * step / distance)
         count = max(1, int(np.ceil(fraction * distance / step)))
-        line = base + fraction * (np.arange(1, count + 1) / count)[:, None] * (target - base)
+        line = start + fraction * (np.arange(1, count + 1) / count)[:, None] * (target - start)
         if fraction == 1.0:
-            line[-1] = target
+            line[-1] = target  # exactly, so that both trees can meet
         return np.asarray(line)
 
     def add(self, parent_index: int, line: FloatArray, is_free: BoolArray) -> int | None:
-        """Add the end of the free part of a line. Returns its index, or None if no point is free."""
+        """Add the end of the free part of a line to the tree.
+
+        Args:
+            parent_index: Index of the tree point at which the line starts.
+            line: (K, D) points of the line.
+            is_free: (K,) whether these points are free.
+
+        Returns:
+            Index of the new point, or None if the first point of the line is not free.
+        """
         free_count = len(is_free) if is_free.all() else int(np.argmin(is_free))
         if free_count == 0:
             return None
+        # the array of points grows by doubling
         if len(self.parent) == len(self._points):
             self._points = np.concatenate([self._points, np.empty_like(self._points)])
         self._points[len(self.parent)] = line[free_count - 1]
@@ -297,7 +335,7 @@ class _RrtTree:
         return len(self.parent) - 1
 
     def path_to_root(self, index: int) -> FloatArray:
-        """Points from ``index`` to the root."""
+        """Return the points (M, D) from the point ``index`` to the root, both included."""
         out = []
         while index >= 0:
             out.append(self.points[index])
@@ -310,24 +348,30 @@ _TreeLine = tuple[int, FloatArray, BoolArray]
 
 
 class _TreeGrowth:
-    """Two trees. In each round one grows toward a sample (R, D) and the other toward the new point.
+    """Growth of two trees: in each round one grows toward a sample, and the other toward the new point.
 
     Lines of later rounds are checked together in advance, from the trees as they are, which takes little
     longer than one line. If a tree changes meanwhile so that another point is nearest, the line is discarded
-    and checked again. The trees therefore grow exactly as they would line by line.
+    and another one is checked. The trees therefore grow exactly as they would line by line.
     """
 
     def __init__(
         self, trees: tuple[_RrtTree, _RrtTree], samples: FloatArray, free: IsFree, step: float
     ) -> None:
+        """Prepare the growth; ``samples`` (R, D) are those of R rounds."""
         self._trees, self._samples, self._free, self._step = trees, samples, free, step
+        # lines that were checked in advance, by round
         self._first_lines: dict[int, _TreeLine] = {}
         self._second_lines: dict[int, _TreeLine] = {}
         self._queried_until, self._misses, self._lookahead = 0, 0, 1
 
     def grow_first(self, round_number: int) -> int | None:
-        """Grow the first tree of a round toward its sample. Returns the new point, or None."""
+        """Grow the first tree of a round toward its sample.
+
+        Returns the index of the new or reached point, or None if the tree could not grow.
+        """
         if round_number == self._queried_until:
+            # Look farther ahead while most of the lines could be used, and less far otherwise.
             self._lookahead = (
                 max(1, self._lookahead // 2) if 4 * self._misses > self._lookahead else 2 * self._lookahead
             )
@@ -340,12 +384,13 @@ class _TreeGrowth:
         )
 
     def grow_second(self, round_number: int, target: FloatArray) -> int | None:
-        """Grow the other tree toward a point. Returns the new point, or None."""
+        """Grow the second tree of a round toward a point (D,), and return as :meth:`grow_first`."""
         return self._extend(
             self._trees[1 - round_number % 2], target, self._second_lines.pop(round_number, None)
         )
 
     def _extend(self, tree: _RrtTree, target: FloatArray, known_line: _TreeLine | None) -> int | None:
+        """Grow a tree toward a point; ``known_line`` saves the check if it is the line that is needed."""
         index, distance = tree.nearest(target)
         if distance < POINT_TOLERANCE:
             return index
@@ -356,6 +401,7 @@ class _TreeGrowth:
         return tree.add(index, line, self._free(line))
 
     def _query_lines(self, rounds: range) -> None:
+        """Check lines of several rounds in advance: those toward samples, then those toward their ends."""
         self._first_lines = self._build_lines({n: (self._trees[n % 2], self._samples[n]) for n in rounds})
         ends = {
             n: line[np.argmin(is_free) - 1]
@@ -367,7 +413,7 @@ class _TreeGrowth:
         self._queried_until = rounds.stop
 
     def _build_lines(self, requests: Mapping[int, tuple[_RrtTree, FloatArray]]) -> dict[int, _TreeLine]:
-        """Lines of trees toward points, by the round that requests them."""
+        """Check lines of trees toward points, by round, in one query. Reached points have no line."""
         lines_by_round = {}
         for number, (tree, target) in requests.items():
             index, distance = tree.nearest(target)
@@ -384,6 +430,7 @@ class _TreeGrowth:
 
 
 def _is_line_free(a: FloatArray, b: FloatArray, free: IsFree, step: float) -> bool:
+    """Whether the straight line from ``a`` (excluded) to ``b`` is free."""
     return bool(free(_line_points(a, b, step)).all())
 
 
@@ -394,6 +441,7 @@ def _line_points(a: FloatArray, b: FloatArray, step: float) -> FloatArray:
 
 
 def _shortcut_path(path: FloatArray, free: IsFree, step: float, rng: np.random.Generator) -> FloatArray:
+    """Replace parts of a path (M, D) by free straight lines between randomly chosen pairs of its points."""
     points = list(path)
     blocked: set[tuple[int, int]] = set()  # with few points left the same pairs are drawn again
     for _ in range(MAX_SHORTCUT_TRIES):

@@ -1,9 +1,9 @@
 """Clearance of an arm to itself: which pairs it applies to, and how such distances are reported.
 
 Base, links and tool of one arm keep ``Settings.self_clearance``, all other pairs keep ``Settings.clearance``.
-So that queries can use a single figure, the distance of pairs of one arm is increased by the difference of
-both settings (:class:`planner.cell.bodies.ClearanceEasing`). This is called the counted distance. Users see
-true distances, each with its own limit.
+So that queries can compare all distances with one limit, the distance of pairs of one arm is increased by the
+difference of both settings (:class:`planner.cell.bodies.ClearanceEasing`). This is called the counted
+distance. Users see true distances, each with its own limit.
 """
 
 import itertools
@@ -36,19 +36,19 @@ def is_same_arm(first: str, other: str) -> bool:
 
 
 def same_arm_pairs(model: CellModel) -> Pairs:
-    """Pairs of bodies of a cell that belong to one arm."""
+    """Return the pairs of bodies of a cell that belong to the same arm, as sets of two body names."""
     names = sorted({solid.body for solid in model.solids})
     return frozenset(frozenset(pair) for pair in itertools.combinations(names, 2) if is_same_arm(*pair))
 
 
 def other_pairs(model: CellModel) -> Pairs:
-    """Pairs of bodies of a cell that do not belong to one arm."""
+    """Return the pairs of bodies of a cell that do not belong to the same arm, as sets of two body names."""
     names = sorted({solid.body for solid in model.solids})
     return frozenset(map(frozenset, itertools.combinations(names, 2))) - same_arm_pairs(model)
 
 
 def with_counted_distances(model: CellModel, settings: Settings) -> CellModel:
-    """Cell model with counted distances.
+    """Return a copy of a cell model whose distances are counted distances.
 
     Every pair keeps its clearance if its counted distance is at least ``settings.clearance``.
     """
@@ -57,7 +57,7 @@ def with_counted_distances(model: CellModel, settings: Settings) -> CellModel:
 
 
 def required_clearance(settings: Settings, pair: tuple[str, str]) -> float:
-    """Required clearance [m] of a pair of bodies."""
+    """Return the clearance [m] that a pair of bodies, given by their names, has to keep."""
     return settings.self_clearance if is_same_arm(*pair) else settings.clearance
 
 

@@ -55,37 +55,35 @@ def inverse_kinematics(
     x6, y6, z6 = c * r[..., 0] - s * r[..., 1], s * r[..., 0] + c * r[..., 1], r[..., 2]
     from_shoulder = flange[..., :3, 3] - form.c4 * z6 - form.a4 * x6
     from_shoulder[..., 2] -= form.c1
-    shoulder_in_link6 = [
-        -np.sum(from_shoulder * axis, axis=-1) for axis in (x6, y6, z6)
-    ]  # the shoulder, in link 6
-    rows = [np.stack([x6[..., k], y6[..., k], z6[..., k]]) for k in range(3)]  # of its rotation
+    # the shoulder in the frame of link 6, and the rows of the rotation of link 6
+    shoulder_in_link6 = [-np.sum(from_shoulder * axis, axis=-1) for axis in (x6, y6, z6)]
+    rotation_rows = [np.stack([x6[..., k], y6[..., k], z6[..., k]]) for k in range(3)]
     # law of cosines in the triangle shoulder, elbow, wrist: cos(bend) = (d^2 - u^2 - f^2) / (2 u f)
     upper, fore = form.upper, form.fore
     square = np.sum(from_shoulder * from_shoulder, axis=-1)
     bend = _arccos((square - upper**2 - fore**2) / (2.0 * upper * fore))
-    across, offset_angle = (
-        np.hypot(shoulder_in_link6[0], shoulder_in_link6[2]),
-        np.arctan2(shoulder_in_link6[0], shoulder_in_link6[2]),
-    )
+    across = np.hypot(shoulder_in_link6[0], shoulder_in_link6[2])
+    offset_angle = np.arctan2(shoulder_in_link6[0], shoulder_in_link6[2])
     wrist_solutions = {}
     for elbow in {b % 2 for b in branches}:
         theta4 = form.straight + (bend if elbow else -bend)
         c4, s4 = np.cos(theta4), np.sin(theta4)
-        seen_x = -(form.a2 * c4 - form.c2 * s4 + form.a3)  # the shoulder, in the forearm
-        seen_z = -(form.a2 * s4 + form.c2 * c4 + form.c3)
+        # x and z of the shoulder in the frame of the forearm
+        shoulder_x = -(form.a2 * c4 - form.c2 * s4 + form.a3)
+        shoulder_z = -(form.a2 * s4 + form.c2 * c4 + form.c3)
         with np.errstate(invalid="ignore", divide="ignore"):
-            half_angle = _arccos(seen_z / across)
+            half_angle = _arccos(shoulder_z / across)
         for wrist in {b // 4 for b in branches if b % 2 == elbow}:
             theta6 = (half_angle if wrist == 0 else -half_angle) - offset_angle
             c6, s6 = np.cos(theta6), np.sin(theta6)
-            side = np.where(seen_x < 0.0, -1.0, 1.0)
+            side = np.where(shoulder_x < 0.0, -1.0, 1.0)
             theta5 = np.arctan2(
                 -side * shoulder_in_link6[1], side * (c6 * shoulder_in_link6[0] + s6 * shoulder_in_link6[2])
             )
             c5, s5 = np.cos(theta5), np.sin(theta5)
             # rotation of link 3: that of link 6 with the rotations of joints 6, 5 and 4 removed
             link3_rotation = []
-            for x, y, z in rows:
+            for x, y, z in rotation_rows:
                 x, z = c6 * x + s6 * z, c6 * z - s6 * x
                 x, y = c5 * x - s5 * y, s5 * x + c5 * y
                 link3_rotation.append((c4 * x + s4 * z, y, c4 * z - s4 * x))
@@ -112,6 +110,7 @@ def inverse_kinematics(
 
 
 def _arccos(cosine: FloatArray) -> FloatArray:
+    """Return the arc cosine [rad], NaN where the cosine exceeds 1 by more than rounding."""
     clipped = np.clip(cosine, -1.0, 1.0)
     return np.arccos(np.where(np.abs(cosine - clipped) > COSINE_TOLERANCE, np.nan, clipped))
 
@@ -119,10 +118,10 @@ def _arccos(cosine: FloatArray) -> FloatArray:
 def singularities(form: SevenParameters, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Compute the angles from singularities of the wrist, the elbow and the shoulder.
 
-    - Wrist: angle of axis 4 from perpendicular to axis 6.
-    - Elbow: angle from stretched or folded, or that under which the upper arm would see the distance of axis
-      5 from the shoulder.
-    - Shoulder: angle of axes 1 and 3 from aligned.
+    - Wrist: angle by which axis 4 differs from perpendicular to axis 6.
+    - Elbow: angle from stretched or folded; or, if it is smaller, the angle under which the upper arm would
+      see the distance of axis 5 from the shoulder.
+    - Shoulder: angle between axes 1 and 3.
 
     Args:
         form: Kinematic parameters.
@@ -140,20 +139,19 @@ def singularities(form: SevenParameters, q: FloatArray) -> tuple[FloatArray, Flo
 
 
 def reach_gap(form: SevenParameters, flange: FloatArray) -> FloatArray:
-    """Distance (...,) [m] of flange poses from the reachable region, by distance alone, for any last joint.
+    """Return a lower bound (...,) [m] of the distance of flange poses from the reachable region.
+
+    Only the distance from the shoulder counts, not the rotation. The last joint is free.
 
     Args:
         form: Kinematic parameters.
         flange: (..., 4, 4) flange poses in the form's base.
     """
-    circle_centre = (
-        flange[..., :3, 3] - form.c4 * flange[..., :3, 2]
-    )  # centre of the circle on which link 6 lies
+    # centre of the circle of radius a4 on which link 6 lies as the last joint turns
+    circle_centre = flange[..., :3, 3] - form.c4 * flange[..., :3, 2]
     distance = np.hypot(
         np.hypot(circle_centre[..., 0], circle_centre[..., 1]), circle_centre[..., 2] - form.c1
     )
-    outer_radius, inner_radius = (
-        form.upper + form.fore + abs(form.a4),
-        abs(form.upper - form.fore) - abs(form.a4),
-    )
+    outer_radius = form.upper + form.fore + abs(form.a4)
+    inner_radius = abs(form.upper - form.fore) - abs(form.a4)
     return np.asarray(np.maximum(np.maximum(distance - outer_radius, inner_radius - distance), 0.0))

@@ -2,8 +2,9 @@
 
 The stock is placed where its pose is not stated, then every operation is planned.
 
-With spline blocks (``controller: {path: spline}``) the plan keeps extra margins. The curve between two
-targets is known within bounds only, which the proof subtracts.
+With spline blocks (``controller: {path: spline}``) the plan keeps extra margins. The curve that the
+controller follows between two targets is known only within bounds. The proof subtracts these from clearances
+and margins.
 """
 
 import dataclasses
@@ -61,27 +62,29 @@ def with_margins(problem: Problem, targets: Sequence[Targets]) -> tuple[Problem,
 
 
 def _with_redundant_joints(problem: Problem, targets: Targets) -> Targets:
-    """The targets with the last joint of each redundant arm as a freedom."""
+    """Return the targets with the last joint of each redundant arm as an additional freedom."""
     names = {freedom.name for freedom in targets.freedoms}
-    turns = any(not is_sampled_as_slide(freedom) for freedom in targets.freedoms)
+    has_rotation = any(not is_sampled_as_slide(freedom) for freedom in targets.freedoms)
     out = []
     for arm in (problem.cell.arm(name) for name in targets.arms):
         if not Chain.of(arm).is_redundant:
             continue
         robot, margin = arm.data, problem.settings.joint_margin
         middle = 0.5 * (robot.lower[-1] + robot.upper[-1])
-        half = min(0.5 * (robot.upper[-1] - robot.lower[-1]) - margin, np.pi)
+        half_range = min(0.5 * (robot.upper[-1] - robot.lower[-1]) - margin, np.pi)
         name = f"axis_{robot.axes}_{arm.name}"
         while name in names:
             name += "_"
-        bounds = np.full(targets.count, middle - half), np.full(targets.count, middle + half)
-        out.append(JointFreedom(name, arm.name, *bounds, is_sole_rotation=not turns))
+        lower = np.full(targets.count, middle - half_range)
+        upper = np.full(targets.count, middle + half_range)
+        out.append(JointFreedom(name, arm.name, lower, upper, is_sole_rotation=not has_rotation))
     return dataclasses.replace(targets, freedoms=(*targets.freedoms, *out)) if out else targets
 
 
 def _with_sag_and_spline_margins(
     problem: Problem, targets: Sequence[Targets]
 ) -> tuple[Problem, tuple[Targets, ...]]:
+    """Widen the margins for compensated sag and for spline blocks, and lower feeds for spline blocks."""
     settings_before = problem.settings
     clearance, joint_margin = sag.sag_margins(problem)
     if clearance > 0.0 or joint_margin > 0.0:
@@ -118,7 +121,7 @@ def _with_sag_and_spline_margins(
 
 
 def _are_near_stops(targets: Targets) -> BoolArray:
-    """Whether moves to targets (N,) are one of two before or after a stop."""
+    """Whether (N,) the move to a target is one of the two moves before or after a stop."""
     stop = targets.stop.copy()
     stop[[0, -1]] = True
     out = stop.copy()
@@ -174,7 +177,10 @@ def solve(
 def _with_remedies(
     problem: Problem, targets: Sequence[Targets], operation: int, issues: Sequence[Issue]
 ) -> list[Issue]:
+    """Return the issues of an operation, with hints on changes of the problem that were tried."""
+
     def has_plan(changed: Problem) -> bool:
+        """Whether a changed problem has a complete plan."""
         try:
             _solve(changed, targets, _ignore_progress, [0])
         except TandemError:
@@ -196,9 +202,11 @@ def _solve(
     report_progress("cell", 0.0)
     metrics: dict[str, Any] = {"stages": {}}
     notes: list[Issue] = []
-    if reference is not None and (reason := reference.incompatibility_reason(problem)):
-        notes.append(incompatible_note(reference.problem.name, reason))
-        reference = None
+    if reference is not None:
+        reason = reference.incompatibility_reason(problem)
+        if reason:
+            notes.append(incompatible_note(reference.problem.name, reason))
+            reference = None
     bases = {arm.name: arm.base for arm in problem.cell.arms if not arm.linear_axes}
     stock_poses: list[FloatArray] = []
     operations: list[OperationPlan] = []
@@ -282,7 +290,7 @@ class SetupGroup:
 
     Attributes:
         setups: The setups.
-        jobs: Targets of each setup's operations.
+        jobs: Targets of the operations of each setup.
     """
 
     setups: tuple[Setup, ...]
@@ -301,24 +309,24 @@ class SetupGroup:
         return stock.place if stock.place is not None else from_parts(stock.attitude, np.zeros(3))
 
     def with_bases(self, bases: Mapping[str, FloatArray]) -> "SetupGroup":
-        """The same group with the arms fixed on the given bases."""
+        """Return the same group with the arms fixed on the given bases {arm: (4, 4)}."""
 
-        def cell(setup: Setup) -> Cell:
+        def with_fixed_bases(setup: Setup) -> Cell:
             arms = tuple(
                 dataclasses.replace(arm, base=bases.get(arm.name, arm.base), base_auto=False)
                 for arm in setup.cell.arms
             )
             return dataclasses.replace(setup.cell, arms=arms)
 
-        setups = tuple(dataclasses.replace(setup, cell=cell(setup)) for setup in self.setups)
+        setups = tuple(dataclasses.replace(setup, cell=with_fixed_bases(setup)) for setup in self.setups)
         return dataclasses.replace(self, setups=setups)
 
     def models(self) -> list[CellModel]:
-        """Collision model of each setup."""
+        """Create the collision model of each setup, with the stock in its pose."""
         return [plant.build_cell_model(setup.cell, setup.stock, self.stock_pose) for setup in self.setups]
 
     def model_per_job(self, models: Sequence[CellModel]) -> list[CellModel]:
-        """Model of each job, given those of the setups."""
+        """Return the collision model of each operation, given one for each setup."""
         return [model for model, jobs in zip(models, self.jobs, strict=True) for _ in jobs]
 
     def placement_search(self, settings: Settings, in_air: bool) -> PlacementSearch:
@@ -337,7 +345,10 @@ class SetupGroup:
 
 
 def setup_groups(problem: Problem, targets: Sequence[Targets]) -> list[SetupGroup]:
-    """Group the setups of a problem, with their targets, by stock pose."""
+    """Group consecutive setups of a problem, with their targets, during which the stock is not moved.
+
+    With a turntable, each setup is a group of its own.
+    """
     out: list[SetupGroup] = []
     for setup in problem.setups:
         jobs = tuple(targets[i] for i in setup.operations)
@@ -374,30 +385,31 @@ class _GroupPlanner:
     def operations(
         self, placement: PlacementCandidate | None = None
     ) -> Iterator[tuple[Setup, CellModel, int, Targets]]:
-        """Yield setup, model, index and targets of every operation; ``placement`` places the model."""
+        """Yield setup, collision model, index and targets of every operation.
+
+        If a placement is given, the stock and the bases of the models are moved there.
+        """
         group = self.group
         for setup, jobs, model in zip(group.setups, group.jobs, self.models, strict=True):
-            placed = (
+            placed_model = (
                 model if placement is None else model.with_stock(placement.stock).with_bases(placement.bases)
             )
             for index, job in zip(setup.operations, jobs, strict=True):
-                yield setup, placed, index, job
+                yield setup, placed_model, index, job
 
     def scenes(self, placement: PlacementCandidate) -> Iterator[tuple[int, Targets, Scene]]:
         """Yield index, targets and scene of every operation at a placement."""
         settings = self.problem.settings
-        for setup, placed, index, job in self.operations(placement):
-            yield (
-                index,
-                job,
-                Scene.of(setup.cell, job.arms, placement.stock, settings, placed, placement.bases),
-            )
+        for setup, placed_model, index, job in self.operations(placement):
+            scene = Scene.of(setup.cell, job.arms, placement.stock, settings, placed_model, placement.bases)
+            yield index, job, scene
 
     def placement_search(self) -> PlacementSearch:
         """Create the placement search of the stock."""
         has_support = any(setup.stock.support for setup in self.group.setups)
         accepted_code = "stock.support" if has_support else "stock.hangs"
-        return self.group.placement_search(self.problem.settings, accepted_code in self.problem.accept)
+        # A stock in the air is an issue of its own. The search allows it only if the user accepts that issue.
+        return self.group.placement_search(self.problem.settings, in_air=accepted_code in self.problem.accept)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -419,15 +431,14 @@ class _SetupGroupPlan:
     notes: tuple[Issue, ...] = ()
 
     def add_metrics(self, metrics: dict[str, Any], group: SetupGroup) -> None:
-        """Add the metrics of the group to those of the plan."""
+        """Add the durations and the placement of the group to the metrics of the plan."""
         for stage, seconds in self.stages.items():
             metrics["stages"][stage] = metrics["stages"].get(stage, 0.0) + seconds
         name = f"placement_{group.setups[0].number}" if "placement_score_deg" in metrics else "placement"
         if self.trace is not None:
             metrics[name] = self.trace
-        if (
-            self.trace is not None or self.placement.score > 0.0
-        ):  # searched, or taken over from a reference plan
+        # only a placement that was searched, or taken over from a reference plan, has a score
+        if self.trace is not None or self.placement.score > 0.0:
             metrics[f"{name}_score_deg"] = float(np.rad2deg(self.placement.score))
 
 
@@ -438,10 +449,14 @@ def _submit_later_groups(
     executor: Executor,
     reference: ReferencePlan | None,
 ) -> "dict[int, Iterator[_SetupGroupPlan | _SetupGroupFailure]]":
-    """Submit all groups after the first one, by the number of their first setup.
+    """Submit the planning of all groups after the first one.
 
-    The last group is submitted first, so that a caller that waits for one takes up the next. Empty if bases
-    have to be searched first.
+    The last group is submitted first, so that a caller that waits for the next group computes it while other
+    processes compute later ones. Nothing is submitted if bases have to be searched, because all groups depend
+    on the bases of the first one.
+
+    Returns:
+        The results, which are read later, by the number of the first setup of each group.
     """
     if any(arm.base_auto for group in groups for setup in group.setups for arm in setup.cell.arms):
         return {}
@@ -465,9 +480,10 @@ class _SetupGroupFailure:
 def _group_result(
     problem: Problem, group: SetupGroup, previous: int, reference: ReferencePlan | None
 ) -> Iterator[_SetupGroupPlan | _SetupGroupFailure]:
-    """Yield the result or failure of :func:`_plan_group`.
+    """Yield the result of :func:`_plan_group`, or why it failed.
 
-    ``previous`` is the last operation of the group before.
+    ``previous`` is the index of the last operation of the previous group. It is reported if planning fails
+    before the first operation of this group.
     """
     current = [previous]
     try:
@@ -477,7 +493,11 @@ def _group_result(
 
 
 def _await_group(call: Iterator[_SetupGroupPlan | _SetupGroupFailure], current: list[int]) -> _SetupGroupPlan:
-    """Result of a submitted group. Raises and sets ``current`` as :func:`_plan_group` does."""
+    """Wait for the plan of a submitted group.
+
+    Raises:
+        TandemError: The group has no plan. ``current`` is set to the index of the failing operation.
+    """
     result = next(call)
     if isinstance(result, _SetupGroupFailure):
         current[0] = result.operation
@@ -493,24 +513,39 @@ def _plan_group(
     executor: Executor = SERIAL,
     reference: ReferencePlan | None = None,
 ) -> _SetupGroupPlan:
+    """Place the stock of a group, unless its pose is stated, and plan the operations of the group.
+
+    Args:
+        problem: Problem.
+        group: Setups with a common stock pose.
+        report_progress: Receives stage and fraction.
+        current: One element, set to the index of the operation that is planned.
+        executor: Runs independent work.
+        reference: Plan of a similar problem, whose stock pose and paths are tried first.
+
+    Raises:
+        TandemError: No plan exists; the issues say why.
+    """
     stages = {}
     lap = time.perf_counter()
     planner = _GroupPlanner(problem, group, group.models(), current, report_progress, executor)
     stages["cell"] = time.perf_counter() - lap
     if group.is_placed:
         placement = PlacementCandidate(group.stock_pose, {}, 0.0, 0)
-        if issues := _overlap_issues(planner):
+        issues = _overlap_issues(planner)
+        if issues:
             raise TandemError(issues)
-        return _SetupGroupPlan(placement, _plan_operations(planner, placement, reference), stages, None)
+        operations = _plan_operations(planner, placement, reference)
+        return _SetupGroupPlan(placement, operations, stages, trace=None)
     _require_free_homes(planner)
     report_progress("placement", 0.0)
     lap = time.perf_counter()
     notes: list[Issue] = []
     if reference is not None:
-        name, first = reference.problem.name, group.setups[0]
+        name, first_setup = reference.problem.name, group.setups[0]
         models = group.model_per_job(planner.models)
         reference_placement = planner.placement_search().evaluate(
-            reference.stock_pose(first), reference.plan.bases, models
+            reference.stock_pose(first_setup), reference.plan.bases, models
         )
         stages["placement"] = time.perf_counter() - lap
         if isinstance(reference_placement, PlacementCandidate):
@@ -519,9 +554,10 @@ def _plan_group(
             except TandemError as error:
                 reference_placement = f"it leads to no plan: {error.issues[0].message}"
             else:
-                note = placement_note(name, first, reference_placement, reference.placement_margin_deg(first))
-                return _SetupGroupPlan(reference_placement, operations, stages, None, (note,))
-        notes.append(placement_note(name, first, reference_placement, None))
+                reference_margin_deg = reference.placement_margin_deg(first_setup)
+                note = placement_note(name, first_setup, reference_placement, reference_margin_deg)
+                return _SetupGroupPlan(reference_placement, operations, stages, trace=None, notes=(note,))
+        notes.append(placement_note(name, first_setup, reference_placement, reference_margin_deg=None))
     placements, trace = planner.placement_search().run(group.model_per_job(planner.models))
     stages["placement"] = time.perf_counter() - lap
     placement, operations = _first_feasible(planner, placements, trace)
@@ -535,18 +571,29 @@ def _plan_operations(
     fine: bool = True,
     paths: _PathsByOperation | None = None,
 ) -> list[OperationPlan]:
-    """Plans of all operations of one group, starting from the ``reference`` plan if given.
+    """Plan all operations of a group at a placement.
 
-    If the reference leads to no plan, the operation is planned without it. ``fine`` is that of
-    :class:`PathSearchOptions`; ``paths`` are known paths at this placement.
+    Args:
+        planner: The group.
+        placement: Stock pose and bases.
+        reference: Plan of a similar problem. If it leads to no plan of an operation, that operation is
+            planned without it.
+        fine: Whether finer samples are tried, as for :class:`PathSearchOptions`.
+        paths: Paths at this placement that are already known.
+
+    Raises:
+        TandemError: An operation has no plan.
+        NoCoarsePathError: Not ``fine``, and only finer samples might have a path.
     """
     out = []
     problem = planner.problem
-    for setup, placed, index, job in planner.operations(placement):
+    for setup, placed_model, index, job in planner.operations(placement):
         planner.progress("motion", index / len(problem.operations))
         planner.current[0] = index
         name, controller = problem.operations[index].name, setup.cell.controller
-        scene = Scene.of(setup.cell, job.arms, placement.stock, problem.settings, placed, placement.bases)
+        scene = Scene.of(
+            setup.cell, job.arms, placement.stock, problem.settings, placed_model, placement.bases
+        )
         reference_path = None if reference is None else reference.operation_path(index)
         known_path = None if paths is None else paths.get(index)
         options = PathSearchOptions(reference_path, fine, known_path)
@@ -566,50 +613,55 @@ def _plan_operations(
 def _first_feasible(
     planner: _GroupPlanner, placements: Sequence[PlacementCandidate], trace: PlacementTrace
 ) -> tuple[PlacementCandidate, list[OperationPlan]]:
-    """The first placement at which all operations have plans.
+    """Return the first placement at which all operations have plans, with these plans.
 
     Placements that need no fine samples come first, because fine samples take long. While every other
     placement is planned, the path at the next one is searched ahead, possibly in another process.
+
+    Raises:
+        TandemError: No placement leads to plans: ``motion.no_placement`` with the issues of the best one.
     """
     candidates, reasons, paths = _placements_to_try(planner, placements, trace)
-    failed: dict[int, list[Issue]] = {}
-    first = planner.group.setups[0].operations[0]
+    issues_by_candidate: dict[int, list[Issue]] = {}
+    first_operation = planner.group.setups[0].operations[0]
     for fine in (False, True) if len(candidates) > 1 else (True,):
         ahead: Iterator[tuple[SampleGrid, PathResult] | None] | None = None
         for k, placement in enumerate(candidates):
-            known, ahead = paths, ahead if k % 2 else None
+            # Paths are searched ahead only at candidates with odd k, while the previous one is planned.
+            known_paths, ahead = paths, ahead if k % 2 else None
             if ahead is not None:
-                path_result, planner.current[0] = next(ahead), first
+                path_result, planner.current[0] = next(ahead), first_operation
                 if path_result is None:
                     continue
-                known = {first: path_result}
+                known_paths = {first_operation: path_result}
             elif not fine and k + 1 < len(candidates):
                 ahead = _search_ahead(planner, candidates[k + 1])
-            if k in failed:
+            if k in issues_by_candidate:  # it failed without fine samples for another reason
                 continue
             try:
-                return placement, _plan_operations(planner, placement, fine=fine, paths=known)
+                return placement, _plan_operations(planner, placement, fine=fine, paths=known_paths)
             except NoCoarsePathError:
                 continue
             except TandemError as error:
-                failed[k] = list(error.issues)
-    reasons = reasons or failed.get(0, [])
+                issues_by_candidate[k] = list(error.issues)
+    reasons = reasons or issues_by_candidate.get(0, [])
     raise TandemError([_no_placement_issue(trace, planner.group, candidates, reasons), *reasons])
 
 
 def _search_ahead(
     planner: _GroupPlanner, placement: PlacementCandidate
 ) -> Iterator[tuple[SampleGrid, PathResult] | None] | None:
-    """Submit the path search for the first operation of a group at a placement, with the first samples.
+    """Submit the path search of a group's first operation at a placement, with the first samples.
 
-    None if tools are aimed there, which the plan itself does.
+    Returns None if spins of the targets follow aims, because :func:`plan_operation` then searches a path of
+    other targets (:func:`with_aims`).
     """
     _, job, scene = next(planner.scenes(placement))
     return planner.executor.submit(_coarse_path, scene, job) if with_aims(scene, job) is job else None
 
 
 def _coarse_path(scene: Scene, targets: Targets) -> Iterator[tuple[SampleGrid, PathResult] | None]:
-    """Yield the known path for :func:`plan_operation` if no fine samples are needed, else None."""
+    """Yield a path that :func:`plan_operation` can start from, or None if only fine samples may have one."""
     grid, path_result = find_path(scene, targets, fine=False)
     yield (
         None
@@ -619,23 +671,27 @@ def _coarse_path(scene: Scene, targets: Targets) -> Iterator[tuple[SampleGrid, P
 
 
 def _require_free_homes(planner: _GroupPlanner) -> None:
-    """Require that bases do not overlap and homes are free wherever the stock is.
+    """Require that bases do not overlap and that homes are free, wherever the stock is.
 
-    Otherwise a search is useless.
+    Otherwise no stock pose can be feasible, and the search is skipped. The check is made with the stock and
+    its support far away.
+
+    Raises:
+        TandemError: ``motion.overlap`` or ``motion.home``.
     """
-    away = from_parts(
-        np.eye(3), np.array([FAR_STOCK_OFFSET_M, FAR_STOCK_OFFSET_M, FAR_STOCK_OFFSET_M])
-    )  # moves its support, too
+    away = from_parts(np.eye(3), np.array([FAR_STOCK_OFFSET_M, FAR_STOCK_OFFSET_M, FAR_STOCK_OFFSET_M]))
     out: list[Issue] = []
     for setup, model in zip(planner.group.setups, planner.models, strict=True):
         overlaps = [
-            overlaps
-            for overlaps in clearance.find_overlaps(model.with_stock(away))
-            if _is_between_bases(overlaps)
+            overlap
+            for overlap in clearance.find_overlaps(model.with_stock(away))
+            if _is_between_bases(overlap)
         ]
-        searched = {f"{arm.name}/base_link" for arm in setup.cell.arms if arm.base_auto}
+        movable_bases = {f"{arm.name}/base_link" for arm in setup.cell.arms if arm.base_auto}
         out += [
-            _overlap_issue(setup, model, overlap) for overlap in overlaps if not searched & set(overlap[:2])
+            _overlap_issue(setup, model, overlap)
+            for overlap in overlaps
+            if not movable_bases & set(overlap[:2])
         ]
     if out:
         raise TandemError(list(aggregate(out)))
@@ -647,9 +703,13 @@ def _require_free_homes(planner: _GroupPlanner) -> None:
 def _check_group(
     problem: Problem, group: SetupGroup, current: list[int], quick_check: QuickCheck | None = None
 ) -> tuple[PlacementCandidate | None, list[Issue]]:
-    """A placement at which a group passes the check, or issues.
+    """Check a group of setups: find a placement at which all of its operations have a path.
 
-    Every operation of the group has a path there, or the targets of the quick check have a posture.
+    With a quick check, only the targets that it selects need a posture.
+
+    Returns:
+        The placement and no issues, or None and the issues. A quick check of a stock that is placed by the
+        planner reports no issues.
     """
     planner = _GroupPlanner(problem, group, group.models(), current, _ignore_progress)
     if group.is_placed:
@@ -668,9 +728,7 @@ def _check_group(
     candidates, reasons, paths = _placements_to_try(planner, placements, trace)
     if paths is not None:
         return candidates[0], []
-    if (
-        len(candidates) > 1
-    ):  # as the plan does: prefer a placement that needs no fine samples, which take long
+    if len(candidates) > 1:  # as the plan does: prefer a placement that needs no fine samples
         for placement in candidates:
             if _has_coarse_path(planner, placement):
                 return placement, []
@@ -709,18 +767,19 @@ def find_quick_placement(
 
 
 def _overlap_issues(planner: _GroupPlanner) -> list[Issue]:
-    """``motion.overlap`` for bodies that overlap as stated, together with homes that are not free.
+    """Return ``motion.overlap`` for static bodies that overlap as stated, and homes that are not free.
 
-    Homes are not reported while bases overlap, because they mean nothing then.
+    Homes are reported only together with overlaps, because the plan itself checks them otherwise. While
+    bases overlap they are left out, because homes on wrong bases mean nothing.
     """
     out: list[Issue] = []
     has_base_overlap = False
     group = planner.group
     for setup, model in zip(group.setups, planner.models, strict=True):
-        placed = model.with_stock(group.stock_pose)
-        overlaps = clearance.find_overlaps(placed)
+        placed_model = model.with_stock(group.stock_pose)
+        overlaps = clearance.find_overlaps(placed_model)
         has_base_overlap = has_base_overlap or any(map(_is_between_bases, overlaps))
-        out += [_overlap_issue(setup, placed, overlap) for overlap in overlaps]
+        out += [_overlap_issue(setup, placed_model, overlap) for overlap in overlaps]
     if has_base_overlap:
         return list(aggregate(out))
     if not out:
@@ -739,17 +798,22 @@ BodyOverlap = tuple[str, str, float]
 
 
 def _is_between_bases(overlap: BodyOverlap) -> bool:
+    """Whether both overlapping bodies are bases of arms."""
     return all(body.endswith("/base_link") for body in overlap[:2])
 
 
-def _overlap_issue(setup: Setup, placed: CellModel, overlap: BodyOverlap) -> Issue:
-    """``motion.overlap`` of two bodies, with the tried move of the stock or with the bases to separate."""
-    first, other, depth = overlap
-    message = f"{first} and {other} overlap by {depth / MM:.1f} mm"
+def _overlap_issue(setup: Setup, model: CellModel, overlap: BodyOverlap) -> Issue:
+    """Return ``motion.overlap`` of two bodies.
+
+    If the stock is one of them, a move that separates it is tried and suggested. If both are bases, the issue
+    names the field of the second one. ``model`` has the stock in its pose.
+    """
+    first, second, depth = overlap
+    message = f"{first} and {second} overlap by {depth / MM:.1f} mm"
     field, remedy = None, None
     if _is_between_bases(overlap):
-        names = [body.partition("/")[0] for body in (first, other)]
-        base_distance = float(np.linalg.norm(placed.bases[names[0]][:3, 3] - placed.bases[names[1]][:3, 3]))
+        names = [body.partition("/")[0] for body in (first, second)]
+        base_distance = float(np.linalg.norm(model.bases[names[0]][:3, 3] - model.bases[names[1]][:3, 3]))
         message = f"{message}: the bases of {names[0]} and {names[1]} are {base_distance / MM:.1f} mm apart"
         number = next(i for i, arm in enumerate(setup.cell.arms) if arm.name == names[1])
         field = f"cell.arms.{number}.base"
@@ -757,11 +821,9 @@ def _overlap_issue(setup: Setup, placed: CellModel, overlap: BodyOverlap) -> Iss
     else:
         message = f"{message}; arms would move into other bodies"
         hint = "correct the pose or the size of one of them; a stock ends where its support begins"
-        is_stock_movable = "stock" in (first, other) and "support" not in (
-            first,
-            other,
-        )  # the support moves with its stock
-        move = _separating_move(setup, placed, placed.stock_pose) if is_stock_movable else None
+        # the support moves with the stock, so a move cannot separate these two
+        is_stock_movable = "stock" in (first, second) and "support" not in (first, second)
+        move = _separating_move(setup, model, model.stock_pose) if is_stock_movable else None
         if move is not None:
             hint = f"move the stock by ({', '.join(f'{v / MM:g}' for v in move)}) mm (tried); or {hint}"
             remedy = Remedy("stock", "stock", _to_mm(move))
@@ -769,7 +831,7 @@ def _overlap_issue(setup: Setup, placed: CellModel, overlap: BodyOverlap) -> Iss
         "motion.overlap",
         message,
         field=field,
-        bodies=(first, other),
+        bodies=(first, second),
         **measurement(depth / MM, 1.0, "mm"),
         hint=hint,
         remedy=remedy,
@@ -777,9 +839,10 @@ def _overlap_issue(setup: Setup, placed: CellModel, overlap: BodyOverlap) -> Iss
 
 
 def _separating_move(setup: Setup, model: CellModel, stock_pose: FloatArray) -> FloatArray | None:
-    """Smallest move (3,) [m] along a world axis that takes the stock out of all overlaps.
+    """Find the smallest move (3,) [m] along a world axis that takes the stock out of all overlaps.
 
-    The stock keeps its support. Moves are up to 20 steps of `STOCK_MOVE_STEP_M`. None if there is none.
+    The move must not cause new issues of the stock's support. Moves of up to 20 steps of
+    :data:`STOCK_MOVE_STEP_M` are tried. Returns None if none of them helps.
     """
     support_codes = {issue.code for issue in support.setup_support_issues(setup)}
     for size in STOCK_MOVE_STEP_M * np.arange(1, 21):
@@ -795,6 +858,7 @@ def _separating_move(setup: Setup, model: CellModel, stock_pose: FloatArray) -> 
 
 
 def _to_mm(move: FloatArray) -> tuple[float, float, float]:
+    """Convert a move (3,) [m] to a tuple in millimetres."""
     return (float(move[0] / MM), float(move[1] / MM), float(move[2] / MM))
 
 
@@ -804,10 +868,16 @@ def _path_issues(
     quick_check: QuickCheck | None = None,
     paths: _PathsByOperation | None = None,
 ) -> list[Issue]:
-    """Issues of operations without a path, and of what makes a path impossible.
+    """Return the issues of the operations of a group that have no path at a placement.
 
-    These are quick-check targets without a posture, and homes that are not free. ``current`` is set to the
-    first of these operations. ``paths`` receives the paths that are found.
+    Homes that are not free are reported instead of a path. With a quick check, only its targets without a
+    posture are reported. The planner's ``current`` is set to the first operation with an issue.
+
+    Args:
+        planner: The group.
+        placement: Stock pose and bases.
+        quick_check: Targets to check; None to search a path of all targets.
+        paths: Receives the paths that are found, if given.
     """
     out: list[Issue] = []
     for index, job, scene in planner.scenes(placement):
@@ -845,11 +915,15 @@ def _has_coarse_path(planner: _GroupPlanner, placement: PlacementCandidate) -> b
 def _placements_to_try(
     planner: _GroupPlanner, placements: Sequence[PlacementCandidate], trace: PlacementTrace
 ) -> tuple[Sequence[PlacementCandidate], list[Issue], _PathsByOperation | None]:
-    """Placements to try, issues, and paths.
+    """Choose the placements at which plans are tried.
 
-    The placement search checks few postures of a target. If it finds no placement, the first of its freest
-    candidates that has a path after all is tried, with its paths. If none has, the issues are those of the
-    freest one.
+    The placement search checks few postures of a target. If it finds no placement, its candidates with most
+    free targets may still have paths, so they are searched.
+
+    Returns:
+        Placements found by the search, no issues and no paths. If there are none: the first of the candidates
+        with most free targets that has paths, and these paths; or no placement and the issues of the first of
+        these candidates.
     """
     if placements:
         return placements[:MAX_PLANNED_PLACEMENTS], [], None
@@ -866,15 +940,22 @@ def _placements_to_try(
 def _no_placement_issue(
     trace: PlacementTrace, group: SetupGroup, tried: Sequence[PlacementCandidate], reasons: Sequence[Issue]
 ) -> Issue:
-    """``motion.no_placement``. ``tried`` are the placements that were planned without success.
+    """Return ``motion.no_placement``, which says how far the placement search came.
 
-    ``reasons`` are reported with it, for the first of them or for the freest candidate.
+    Args:
+        trace: All candidates of the search.
+        group: Setups with a common stock pose.
+        tried: Placements that were planned without success, best first.
+        reasons: Issues that are reported as well: those of the first of ``tried``, or of the candidate with
+            most free targets.
     """
     stock = group.setups[0].stock
     best = int(np.argmax(trace.score))
-    at = trace.positions[best]
-    reachable = int((trace.score > 0).sum())
-    message = f"no stock pose was found for the whole job: {len(trace.score)} poses tried, {reachable} of "
+    position = trace.positions[best]
+    reachable_count = int((trace.score > 0).sum())
+    message = (
+        f"no stock pose was found for the whole job: {len(trace.score)} poses tried, {reachable_count} of "
+    )
     message += "them reachable with all margins"
     if tried and reasons:
         x, y, z = tried[0].stock[:3, 3] / MM
@@ -886,25 +967,26 @@ def _no_placement_issue(
         hint, is_same_everywhere = "", False
         if stock.pedestal is not None and stock.pedestal.kind == "table":
             hint = "put the stock on a pedestal, which leaves room for tools (support: pedestal); "
-        elif not reachable and stock.support and stock.sheet is None and stock.held_by is None:
+        elif not reachable_count and stock.support and stock.sheet is None and stock.held_by is None:
             hint = "make the support longer, because it has to reach the floor; "
         free_text = ""
         if trace.freest:
             fraction, freest = trace.freest[0]
-            at, free_text = freest.stock[:3, 3], f", with free postures for {fraction:.0%} of a few targets"
+            position = freest.stock[:3, 3]
+            free_text = f", with free postures for {fraction:.0%} of a few targets"
         if trace.freest and reasons:
             hint += (
                 "resolve the collision there, which is reported as well (a longer wire or tool, or a smaller "
             )
             hint += "stock where a tool or a wrist hits it); "
-        x, y, z = at / MM
+        x, y, z = position / MM
         message += f", the best at {x:.0f}, {y:.0f}, {z:.0f} mm{free_text}"
     return Issue(
         "motion.no_placement",
         message,
         field="stock.place",
-        value=float(np.rad2deg(trace.score[best])) if reachable else None,
-        unit="deg" if reachable else None,
+        value=float(np.rad2deg(trace.score[best])) if reachable_count else None,
+        unit="deg" if reachable_count else None,
         hint="resolve the issue that is reported as well: it occurs at every pose"
         if is_same_everywhere
         else f"{hint}use larger arms, move the bases closer or let them move (base: auto), or split the job",

@@ -1,11 +1,12 @@
 """Stations: positions of tracks, gantries and turntables during each operation.
 
 External axes move to their station before the operation and stand while it runs. A coordinated track
-(:mod:`planner.motion.coordinated_track`) stands at its station before the first target. For it the offset of
-its law is chosen.
+(:mod:`planner.motion.coordinated_track`) stands at its station before the first target and moves afterwards.
+For it the offset of its law is chosen.
 
-Candidate values of an axis are a grid over its range. An axis keeps its previous value if the work is as good
-there; else it takes the shortest travel to where the margin is. The first value with a free path is used.
+Candidate values of an axis are a grid over its range, scored by the margins of the arms. Values with a good
+margin are tried first, the nearest to the previous value before the others, so that an axis moves only if
+that improves the margin. The first value with a free path is used.
 """
 
 import dataclasses
@@ -67,7 +68,7 @@ is feasible.
 GOOD_SCORE_FRACTION: Final = 0.6
 """Fraction of the best margin above which candidates are good. Of good candidates the nearest comes first."""
 MAX_PATH_SEARCHES: Final = 8
-"""Maximum number of candidates for which a path is searched, per axis of a unit."""
+"""Maximum number of candidates for which a path is searched, for each axis of a unit."""
 MIN_LINEAR_DISTANCE_M: Final = 0.2
 """Minimum distance [m] between tried values of a linear axis."""
 MIN_ANGULAR_DISTANCE_RAD: Final = 10.0 * DEG
@@ -84,7 +85,15 @@ TRAVEL_EXTRA_CLEARANCE_M: Final = 1e-3
 
 @dataclasses.dataclass(frozen=True)
 class _LinearUnit:
-    """The track or gantry of an arm."""
+    """The track or gantry of an arm.
+
+    Attributes:
+        name: Name of the arm.
+        axes: Linear axes by name.
+        scale: Displayed unit in m.
+        unit_text: Displayed unit.
+        min_distance: Minimum distance [m] between values that are tried.
+    """
 
     name: str
     axes: Mapping[str, LinearAxis]
@@ -94,15 +103,17 @@ class _LinearUnit:
 
     @property
     def first_axis(self) -> LinearAxis:
-        """Its first axis: that of a track, or the one on the floor."""
+        """The axis of a track, or the axis of a gantry that stands on the floor."""
         return next(iter(self.axes.values()))
 
     @property
     def unit(self) -> str:
+        """Names of the mechanical units of its axes, for users."""
         return " and ".join(dict.fromkeys(axis.unit for axis in self.axes.values()))
 
     @property
     def subject(self) -> str:
+        """What the unit carries, for users."""
         return f"arm {self.name}"
 
     @property
@@ -117,11 +128,12 @@ class _LinearUnit:
 
     @property
     def range_text(self) -> str:
+        """Ranges of its axes for users, without the unit."""
         spans = (f"{axis.axis_name} {axis.low / MM:g} to {axis.high / MM:g}" for axis in self.axes.values())
         return ", ".join(span.strip() for span in spans)
 
     def candidates(self) -> FloatArray:
-        """Candidate values (K, A)."""
+        """Return candidate values (K, A) [m] of its A axes: all combinations of a grid for each axis."""
         step = LINEAR_STEP_M
         while True:
             grids = [linear_values(axis, step) for axis in self.axes.values()]
@@ -133,39 +145,48 @@ class _LinearUnit:
     def poses_at(
         self, problem: Problem, setup: Setup, grid: FloatArray
     ) -> tuple[FloatArray, Mapping[str, FloatArray]]:
-        """Stock poses (K, 1, 4, 4) and bases for values (K, A)."""
+        """Return stock poses (K, 1, 4, 4) and base poses {arm: (K, 1, 4, 4)} at values (K, A) of the axes."""
         base = problem.cell.arm(self.name).base
         bases = np.tile(base, (len(grid), 1, 1, 1))
         bases[:, 0, :3, 3] += grid @ np.stack([axis.axis for axis in self.axes.values()])
         return np.tile(_stock_pose(setup), (len(grid), 1, 1, 1)), {self.name: bases}
 
     def check_travel(
-        self, setup: Setup, start: Mapping[str, float], goal: Mapping[str, float], enough: float
+        self, setup: Setup, start: Mapping[str, float], goal: Mapping[str, float], min_clearance: float
     ) -> AxisMotionCheck:
-        """Check the travel from ``start`` to ``goal``, one axis after the other.
+        """Check the travel from values ``start`` to ``goal`` [m], one axis after the other.
 
-        The check ends at the first axis that is too close.
+        Returns the check of the first axis that comes closer to bodies than ``min_clearance`` [m], else that
+        of the last axis that moves.
         """
-        model, current = _build_model(setup), {name: start[name] for name in self.names}
-        same_arm_pairs = self_clearance.same_arm_pairs(
-            model
-        )  # a travel of the base changes no distance within its arm
+        model = _build_model(setup)
+        current = {name: start[name] for name in self.names}
+        # a travel of the base changes no distance within its arm
+        same_arm_pairs = self_clearance.same_arm_pairs(model)
         travel = AxisMotionCheck(external_axis_motion.MAX_MEASURED_DISTANCE_M, 0.0, ("", ""), clear=True)
         for name in motion_order(self.axes, start, goal):
             ends = (current[name], goal[name])
             travel = external_axis_motion.check_linear_motion(
-                model, name, ends, _home_postures(setup), enough, same_arm_pairs
+                model, name, ends, _home_postures(setup), min_clearance, same_arm_pairs
             )
             if not travel.clear:
                 return travel
-            reached = {**current, name: goal[name]}
-            model, current = external_axis_motion.model_at_values(model, reached, current), reached
+            new_values = {**current, name: goal[name]}
+            model, current = external_axis_motion.model_at_values(model, new_values, current), new_values
         return travel
 
 
 @dataclasses.dataclass(frozen=True)
 class _RotaryUnit:
-    """The turntable or positioner of a cell."""
+    """The turntable or positioner of a cell, which carries the stock.
+
+    Attributes:
+        first_axis: The turntable, with its tilt axis if it is a positioner.
+        name: Name under which stations list it.
+        scale: Displayed unit in rad.
+        unit_text: Displayed unit.
+        min_distance: Minimum distance [rad] between values that are tried.
+    """
 
     first_axis: Turntable
     name: str = STOCK_AXIS
@@ -175,10 +196,12 @@ class _RotaryUnit:
 
     @property
     def unit(self) -> str:
+        """Name of its mechanical unit, for users."""
         return self.first_axis.unit
 
     @property
     def subject(self) -> str:
+        """What the unit carries, for users."""
         return "the block"
 
     @property
@@ -193,6 +216,7 @@ class _RotaryUnit:
 
     @property
     def range_text(self) -> str:
+        """Ranges of its axes for users, without the unit."""
         spans = (
             f"{axis.axis_name} {axis.low / DEG:g} to {axis.high / DEG:g}"
             for axis in self.first_axis.axes.values()
@@ -200,7 +224,7 @@ class _RotaryUnit:
         return ", ".join(spans).strip()
 
     def candidates(self) -> FloatArray:
-        """Candidate values (K, A): of the rotation, and of the tilt if there is one."""
+        """Return candidate values (K, A) [rad] of the rotation and, if there is one, of the tilt."""
         if self.first_axis.tilt is None:
             return rotary_values(self.first_axis)[:, None]
         mesh = np.meshgrid(
@@ -213,32 +237,34 @@ class _RotaryUnit:
     def poses_at(
         self, problem: Problem, setup: Setup, grid: FloatArray
     ) -> tuple[FloatArray, Mapping[str, FloatArray]]:
-        """Stock poses (K, 1, 4, 4) for values (K, A), and no bases."""
+        """Return stock poses (K, 1, 4, 4) at values (K, A) of the axes, and no base poses."""
         stock_pose, current_values = _stock_pose(setup), setup.stock.axis_values
         return self.first_axis.move_pose(
             stock_pose, dict(zip(self.names, grid.T, strict=True)), current_values
         )[:, None], {}
 
     def check_travel(
-        self, setup: Setup, start: Mapping[str, float], goal: Mapping[str, float], enough: float
+        self, setup: Setup, start: Mapping[str, float], goal: Mapping[str, float], min_clearance: float
     ) -> AxisMotionCheck:
-        """Check the travel from ``start`` to ``goal``, one axis after the other.
+        """Check the travel from values ``start`` to ``goal`` [rad], one axis after the other.
 
-        The check ends at the first axis that is too close.
+        Returns the check of the first axis that comes closer to bodies than ``min_clearance`` [m], else that
+        of the last axis that moves.
         """
-        model, current = _build_model(setup), {name: start[name] for name in self.names}
+        model = _build_model(setup)
+        current = {name: start[name] for name in self.names}
         travel = AxisMotionCheck(external_axis_motion.MAX_MEASURED_DISTANCE_M, 0.0, ("", ""), clear=True)
         for name in self.names:
             if goal[name] != current[name]:
                 ends = (current[name], goal[name])
                 tilt = current.get(TILT_AXIS, 0.0)
                 travel = external_axis_motion.check_rotary_motion(
-                    model, name, tilt, ends, _home_postures(setup), enough
+                    model, name, tilt, ends, _home_postures(setup), min_clearance
                 )
                 if not travel.clear:
                     return travel
-                reached = {**current, name: goal[name]}
-                model, current = external_axis_motion.model_at_values(model, reached, current), reached
+                new_values = {**current, name: goal[name]}
+                model, current = external_axis_motion.model_at_values(model, new_values, current), new_values
         return travel
 
 
@@ -246,7 +272,7 @@ _ExternalUnit = _LinearUnit | _RotaryUnit
 
 
 StationTest = Callable[[Scene, Targets, int], bool]
-"""Whether the targets of an operation, by its index, can be worked with everything as in the scene."""
+"""Returns whether the arms reach the targets of an operation, given by its index, in a scene."""
 
 
 def assign_stations(
@@ -282,9 +308,8 @@ def assign_stations(
     out: dict[int, dict[str, float]] = {}
     targets_on_tracks: list[Targets] = []
     for index, operation_targets in enumerate(targets):
-        moving_units = [
-            units[name] for name in units if name in (*operation_targets.arms, STOCK_AXIS)
-        ]  # in the order of programs
+        # in the order in which programs move them
+        moving_units = [units[name] for name in units if name in (*operation_targets.arms, STOCK_AXIS)]
         choice = _StationChoice(current, operation_targets)
         if moving_units:
             choice = _choose_stations(
@@ -306,7 +331,16 @@ def assign_stations(
 def _require_travel_home(
     problem: Problem, units: Mapping[str, _ExternalUnit], current: Mapping[str, float]
 ) -> None:
-    """Require (``motion.station``) that external axes can travel home after the last operation."""
+    """Require that external axes can travel home after the last operation.
+
+    Args:
+        problem: Problem with its stations.
+        units: All tracks, gantries and turntables of the cell.
+        current: Values [m, rad] of all axes after the last operation.
+
+    Raises:
+        TandemError: ``motion.station`` if an axis comes too close to a body.
+    """
     index = len(problem.operations) - 1
     clearance = problem.settings.clearance + TRAVEL_EXTRA_CLEARANCE_M
     homes = problem.axis_homes
@@ -329,7 +363,7 @@ def _require_travel_home(
 
 
 def linear_values(track: LinearAxis, step: float = LINEAR_STEP_M) -> FloatArray:
-    """Candidate values (K,) [m] of a linear axis, in whole tenths of a millimetre and including its home.
+    """Return candidate values (K,) [m] of a linear axis, in tenths of a millimetre and including its home.
 
     Args:
         track: The axis.
@@ -340,9 +374,9 @@ def linear_values(track: LinearAxis, step: float = LINEAR_STEP_M) -> FloatArray:
 
 
 def rotary_values(table: RotaryAxis, max_count: int = MAX_TURNTABLE_ANGLES) -> FloatArray:
-    """Candidate angles (K,) [rad] of a rotary axis within its range, counted from its home.
+    """Return candidate angles (K,) [rad] of a rotary axis within its range.
 
-    Angles are whole tenths of a degree.
+    They are evenly spaced from its home, in whole tenths of a degree, and include the home itself.
 
     Args:
         table: The axis.
@@ -357,6 +391,7 @@ def rotary_values(table: RotaryAxis, max_count: int = MAX_TURNTABLE_ANGLES) -> F
 
 
 def _stock_pose(setup: Setup) -> FloatArray:
+    """Return the stated stock pose (4, 4); the identity if none is stated."""
     return setup.stock.place if setup.stock.place is not None else np.eye(4)
 
 
@@ -377,7 +412,8 @@ class _StationSearch:
         index: Index of the operation.
         targets: Targets of the operation.
         values: Values [m, rad] of all axes by name. Axes move to new values one after the other.
-        passes: A quick test of a scene that replaces the search of a path, or None.
+        passes: Quick test of a station that replaces the search of a path and the check of the travel, or
+            None.
     """
 
     problem: Problem
@@ -387,27 +423,24 @@ class _StationSearch:
     passes: StationTest | None
 
     def setup(self) -> Setup:
-        """The setup of the operation."""
+        """Return the setup of the operation, with all axes at ``values``."""
         return self.problem.setup_of(self.index)
 
     def with_values(self, values: Mapping[str, float]) -> "_StationSearch":
-        """Return this search with all axes at other ``values``."""
+        """Return this search with all axes at other values."""
         problem = self.problem.with_stations({**self.problem.stations, self.index: values})
         return dataclasses.replace(self, problem=problem, values=values)
 
-    def scene_and_targets(self, value: Mapping[str, float]) -> tuple[Scene, Targets]:
-        """The scene, and the targets, with some axes at the given values and all others at theirs."""
-        problem = self.with_values({**self.values, **value}).problem
+    def scene_and_targets(self, changed_values: Mapping[str, float]) -> tuple[Scene, Targets]:
+        """Return scene and targets with some axes at the given values, and the others at ``values``."""
+        problem = self.with_values({**self.values, **changed_values}).problem
         scene = _make_scene(problem, self.index, self.targets, _build_model(problem.setup_of(self.index)))
         return scene, with_aims(scene, self.targets)
 
 
 @dataclasses.dataclass(frozen=True)
 class _StationChoice:
-    """Values of all axes before the first target, and the targets.
-
-    The targets have the positions of coordinated tracks.
-    """
+    """Values [m, rad] of all axes before the first target, and targets with coordinated track positions."""
 
     values: Mapping[str, float]
     targets: Targets
@@ -416,8 +449,11 @@ class _StationChoice:
 def _choose_stations(search: _StationSearch, units: Sequence[_ExternalUnit]) -> _StationChoice:
     """Choose values of ``units``, which move one after the other, with which the operation has a path.
 
-    Raises ``TandemError`` if there are none. Each unit is judged by the arms that are placed by then, and by
-    whether the following units have values, too.
+    The first unit is chosen by the margins of the arms whose place is known by then. A value is feasible only
+    if values of the following units can be chosen, too.
+
+    Raises:
+        TandemError: ``motion.station`` if there are no such values.
     """
     unit, *rest = units
     is_coordinated = isinstance(unit, _LinearUnit) and unit.first_axis.follow_fraction is not None
@@ -427,23 +463,36 @@ def _choose_stations(search: _StationSearch, units: Sequence[_ExternalUnit]) -> 
 def _choose_fixed_station(
     search: _StationSearch, unit: _ExternalUnit, rest: Sequence[_ExternalUnit]
 ) -> _StationChoice:
+    """Choose the values of a unit that stands during the operation.
+
+    Candidates are scored by the margins at a few targets and tried in the order of :func:`_trial_order`.
+
+    Args:
+        search: The operation.
+        unit: The unit.
+        rest: Units that are chosen after this one.
+
+    Raises:
+        TandemError: ``motion.station`` if no value leads to a path; if only a unit of ``rest`` has no value,
+            its issue.
+    """
     problem, index, targets = search.problem, search.index, search.targets
     setup = search.setup()
     grid = unit.candidates()
-    placed = unit.poses_at(problem, setup, grid)
+    stock_and_bases = unit.poses_at(problem, setup, grid)
     previous = np.array([search.values[name] for name in unit.names])
     max_targets = SCORED_TARGETS // len(unit.names)  # fewer for positioners, which have many more values
     aimed = with_aims(_make_scene(problem, index, targets), targets)
     for count in (max_targets,) if search.passes is None else (QUICK_SCORED_TARGETS, max_targets):
-        sampled = sample_coarsely(setup.cell, aimed, count, False)
-        score = placement_margin(sampled, *placed, problem.settings, _placed_arms(targets, rest))
+        sampled = sample_coarsely(setup.cell, aimed, count, with_slides=False)
+        score = placement_margin(sampled, *stock_and_bases, problem.settings, _placed_arms(targets, rest))
         tried: list[FloatArray] = []
         first_reason: str | Issue = ""
         for k in _trial_order(grid, score, previous, unit.min_distance):
             if len(tried) >= MAX_PATH_SEARCHES * len(unit.names):
                 break
             is_close = any(np.abs(grid[k] - other).max() < unit.min_distance for other in tried)
-            if is_close and (grid[k] != previous).any():
+            if is_close and (grid[k] != previous).any():  # the previous value is tried in any case
                 continue
             tried.append(grid[k])
             result = _try_value(search, unit, rest, _values_by_name(unit, grid[k]))
@@ -458,24 +507,32 @@ def _choose_fixed_station(
 
 
 def _try_value(
-    search: _StationSearch, unit: _ExternalUnit, rest: Sequence[_ExternalUnit], value: Mapping[str, float]
+    search: _StationSearch, unit: _ExternalUnit, rest: Sequence[_ExternalUnit], values: Mapping[str, float]
 ) -> _StationChoice | Issue | str:
-    """Try one value of ``unit``.
+    """Try one station of a unit.
 
-    Returns the choice, the travel collision, the issue of the ``rest``, or that there is no path.
+    Args:
+        search: The operation.
+        unit: The unit.
+        rest: Units that are chosen after this one.
+        values: Values [m, rad] of the axes of the unit.
+
+    Returns:
+        The choice of all units if the station is feasible; else the issue of a unit of ``rest``, or a text
+        that describes a collision on the travel, or :data:`NO_PATH_TEXT`.
     """
-    if any(value[name] != search.values[name] for name in unit.names) and search.passes is None:
+    if any(values[name] != search.values[name] for name in unit.names) and search.passes is None:
         clearance = search.problem.settings.clearance + TRAVEL_EXTRA_CLEARANCE_M
-        travel = unit.check_travel(search.setup(), search.values, value, clearance)
+        travel = unit.check_travel(search.setup(), search.values, values, clearance)
         if not travel.clear:
             return f"on the way there {_describe_collision(travel)}"
-    all_values = {**search.values, **value}
+    all_values = {**search.values, **values}
     if rest:
         try:
             return _choose_stations(search.with_values(all_values), rest)
         except TandemError as error:
             return error.issues[0]
-    scene, aimed_targets = search.scene_and_targets(value)
+    scene, aimed_targets = search.scene_and_targets(values)
     passes = search.passes
     is_feasible = (
         isinstance(find_path(scene, aimed_targets)[1], PathResult)
@@ -486,16 +543,25 @@ def _try_value(
 
 
 def _placed_arms(targets: Targets, rest: Sequence[_ExternalUnit]) -> tuple[str, ...]:
-    """Arms of the targets that are placed when only the units of ``rest`` are not."""
-    return tuple(arm for arm in targets.arms if all(axis.name != arm for axis in rest))
+    """Return the arms of the targets whose place does not depend on the units of ``rest``."""
+    return tuple(arm for arm in targets.arms if all(unit.name != arm for unit in rest))
 
 
 def _choose_coordinated_track(
     search: _StationSearch, unit: _ExternalUnit, rest: Sequence[_ExternalUnit]
 ) -> _StationChoice:
-    """Choose the positions of a coordinated track.
+    """Choose the positions of a coordinated track at the targets of an operation.
 
-    With them there is a travel to the first one and a path.
+    The track has a free travel to the first position, and the arms have a path while it moves.
+
+    Args:
+        search: The operation.
+        unit: The coordinated track.
+        rest: Units that are chosen after this one.
+
+    Raises:
+        TandemError: ``problem.track`` if freedoms let the tool slide along the track, ``motion.station`` if
+            no law of the track is feasible.
     """
     problem, index, targets = search.problem, search.index, search.targets
     scene, name = _make_scene(problem, index, targets), problem.operations[index].name
@@ -512,11 +578,10 @@ def _choose_coordinated_track(
     rest_issues: list[Issue] = []
 
     def failure_reason(track_targets: Targets) -> str:
+        """Return why track positions are not feasible; empty if they are. Keeps the choice or the issue."""
         values = track_targets.track_positions[unit.name]
-        start, track_search = (
-            {unit.name: float(values[0])},
-            dataclasses.replace(search, targets=track_targets),
-        )
+        start = {unit.name: float(values[0])}
+        track_search = dataclasses.replace(search, targets=track_targets)
         result = _try_value(track_search, unit, rest, start)
         if result == NO_PATH_TEXT:
             return _first_obstruction(*track_search.scene_and_targets(start))
@@ -544,26 +609,28 @@ def _choose_coordinated_track(
     hint += "(remove follow)"
     if choice.tried:
         if choice.fault.endswith(BELOW_FLOOR_TEXT):
-            first = "raise the base, or narrow range_mm to where it is on or above the floor"
+            specific_hint = "raise the base, or narrow range_mm to where it is on or above the floor"
         elif choice.fault.startswith(BASE_MOVES_TEXT):
-            first = "remove the obstacle, or narrow range_mm to where the base is clear"
+            specific_hint = "remove the obstacle, or narrow range_mm to where the base is clear"
         else:
-            first = f"remove the obstacle, or {MORE_POSES_HINT}"
-        hint = f"{first}; or {hint}"
+            specific_hint = f"remove the obstacle, or {MORE_POSES_HINT}"
+        hint = f"{specific_hint}; or {hint}"
     raise issue_error("motion.station", message, arm=unit.name, hint=hint, field=f"operations.{index}")
 
 
 def _base_collision(
     search: _StationSearch, unit: _ExternalUnit, choice_values: Mapping[str, float], positions: FloatArray
 ) -> str:
-    """Describe what the base is too close to while it moves along ``positions`` (N,) [m].
+    """Describe what the base of an arm is too close to while a coordinated track moves it; empty if nothing.
 
-    The rest of the arm is checked at its targets.
+    Only the base and what the track carries with it are checked, over the whole range of ``positions`` (N,)
+    [m]. The rest of the arm is checked on its path.
     """
     low, high = float(positions.min()), float(positions.max())
     setup = search.with_values({**choice_values, unit.name: low}).setup()
     model = _build_model(setup)
     bodies = sorted({solid.body for solid in model.solids})
+    # Pairs of the model are ignored, because the arm is not at home while the track moves.
     ignored_pairs = frozenset(map(frozenset, itertools.combinations(bodies, 2)))
     clearance = search.problem.settings.clearance + TRAVEL_EXTRA_CLEARANCE_M
     travel = external_axis_motion.check_linear_motion(
@@ -576,25 +643,31 @@ def _base_collision(
 
 
 def _values_by_name(unit: _ExternalUnit, row: FloatArray) -> dict[str, float]:
-    """Values (A,) of a unit by their names in stations."""
+    """Return values (A,) of the axes of a unit by their names in stations."""
     return dict(zip(unit.names, row.tolist(), strict=True))
 
 
 def _trial_order(grid: FloatArray, score: FloatArray, previous: FloatArray, min_distance: float) -> list[int]:
-    """Indices of values (K, A) with a margin, in the order in which they are tried.
+    """Return the indices of candidate values at which the job is reached, in the order to try them.
 
-    Good ones come first, by distance from ``previous`` (A,), then the others by margin.
+    Values with a good margin come first, by distance from the previous value, then the others by margin. If a
+    unit has several axes, many values are close to each other. The first value in this order and the one
+    farthest from all values before it therefore alternate.
 
-    Several axes have many values within ``min_distance`` of each other. The nearest value and the one
-    farthest from those before it therefore alternate.
+    Args:
+        grid: (K, A) [m, rad] candidate values.
+        score: (K,) [rad] margins; the job is reached where they are above 0.
+        previous: (A,) [m, rad] previous value.
+        min_distance: Distance [m, rad] below which values near one that is tried are left out; several axes
+            only.
     """
-    reached = np.flatnonzero(score > 0.0)
-    if not len(reached):
+    reachable = np.flatnonzero(score > 0.0)
+    if not len(reachable):
         return []
-    good = score >= GOOD_SCORE_FRACTION * score.max()
+    is_good = score >= GOOD_SCORE_FRACTION * score.max()
     distance = np.abs(grid - previous).sum(axis=1)
-    good_indices = sorted((k for k in reached if good[k]), key=lambda k: (distance[k], -score[k]))
-    other_indices = sorted((k for k in reached if not good[k]), key=lambda k: -score[k])
+    good_indices = sorted((k for k in reachable if is_good[k]), key=lambda k: (distance[k], -score[k]))
+    other_indices = sorted((k for k in reachable if not is_good[k]), key=lambda k: -score[k])
     ordered = [*good_indices, *other_indices]
     if grid.shape[1] == 1:
         return [int(k) for k in ordered]
@@ -612,6 +685,7 @@ def _trial_order(grid: FloatArray, score: FloatArray, previous: FloatArray, min_
 def _make_scene(
     problem: Problem, index: int, targets: Targets, model: plant.CellModel | None = None
 ) -> Scene:
+    """Create the scene of an operation, given by its index, with external axes as in the problem."""
     setup = problem.setup_of(index)
     return Scene.of(setup.cell, targets.arms, _stock_pose(setup), problem.settings, model)
 
@@ -635,7 +709,7 @@ def _describe_collision(travel: AxisMotionCheck) -> str:
 
 
 def _first_obstruction(scene: Scene, targets: Targets) -> str:
-    """Describe the first obstruction of a path."""
+    """Return the message of the first issue that explains why the targets have no path."""
     grid, result = find_path(scene, targets)
     issues = [] if isinstance(result, PathResult) else diagnosis.no_path_issues(scene, targets, grid, result)
     return issues[0].message if issues else NO_PATH_TEXT
@@ -647,25 +721,34 @@ def _no_station_issue(
     grid: FloatArray,
     score: FloatArray,
     tried: Sequence[FloatArray],
-    reasons: str,
+    reason: str,
 ) -> Issue:
+    """Return ``motion.station`` of an operation for which a unit has no feasible value.
+
+    Args:
+        search: The operation.
+        unit: The unit.
+        grid: (K, A) [m, rad] candidate values.
+        score: (K,) [rad] margins of the candidates.
+        tried: Values at which a path was searched, in order.
+        reason: Why the first of them failed.
+    """
     problem, index = search.problem, search.index
     name, is_table = problem.operations[index].name, unit.name == STOCK_AXIS
 
-    def format_values(row: FloatArray) -> str:
-        return " and ".join(f"{value / unit.scale:g}" for value in row)
+    def format_values(values: FloatArray) -> str:
+        return " and ".join(f"{value / unit.scale:g}" for value in values)
 
     reach_text = "the arms do not reach all of it" if is_table else f"{unit.subject} does not reach all of it"
     message = (
         f"operation {name}: {reach_text} from any value of {unit.unit}, {unit.range_text} {unit.unit_text}"
     )
     if tried:
-        which = f" ({unit.value_words})" if len(unit.names) > 1 else ""
-        all_of = ", ".join(format_values(row) for row in tried)
-        message = (
-            f"operation {name}: no value of {unit.unit} has a path; tried {all_of} {unit.unit_text}{which}; "
-        )
-        message += f"at {format_values(tried[0])} {unit.unit_text}: {reasons}"
+        axes_text = f" ({unit.value_words})" if len(unit.names) > 1 else ""
+        tried_text = ", ".join(format_values(values) for values in tried)
+        message = f"operation {name}: no value of {unit.unit} has a path; tried {tried_text} "
+        message += f"{unit.unit_text}{axes_text}; "
+        message += f"at {format_values(tried[0])} {unit.unit_text}: {reason}"
     best_text = f"{format_values(grid[int(np.argmax(score))])} {unit.unit_text} comes closest"
     if is_table:
         hint = f"split the operation, because the table stands during it ({best_text}), or move the table to "
@@ -740,9 +823,16 @@ def suggest_axis(problem: Problem, targets: Sequence[Targets]) -> str:
 def _nearest_stations(
     problem: Problem, targets: Sequence[Targets], grid: FloatArray, unit: _ExternalUnit
 ) -> FloatArray | None:
-    """For each operation the smallest values (N, A) from which all of it is reached.
+    """Return for each of N operations the station nearest to 0 from which all of it is reached.
 
-    They are rows of ``grid`` (K, A). None if there are none.
+    Args:
+        problem: Problem without external axes.
+        targets: Targets of each operation.
+        grid: (K, A) [m, rad] values of the unit to choose from.
+        unit: Suggested unit.
+
+    Returns:
+        Values (N, A) [m, rad]; None if an operation is not reached from any value.
     """
     out = []
     for index, operation_targets in enumerate(targets):
@@ -750,28 +840,31 @@ def _nearest_stations(
             problem.cell,
             with_aims(_make_scene(problem, index, operation_targets), operation_targets),
             SCORED_TARGETS,
-            False,
+            with_slides=False,
         )
         score = placement_margin(
             sampled, *unit.poses_at(problem, problem.setup_of(index), grid), problem.settings
         )
-        reached = grid[score > 0.0]
-        if not len(reached):
+        reachable = grid[score > 0.0]
+        if not len(reachable):
             return None
-        out.append(reached[np.argmin(np.abs(reached).sum(axis=1))])
+        out.append(reachable[np.argmin(np.abs(reachable).sum(axis=1))])
     return np.array(out)
 
 
 def _turntable_suggestion(problem: Problem, targets: Sequence[Targets]) -> str:
     """Suggest a turntable under the centre of the stock, with its home at the current stock pose.
 
-    If none helps, a positioner is tried, with its tilt axis across the plate.
+    If it does not help and the stock may have any attitude, a positioner is suggested. Returns an empty text
+    if the turntable would hit a base, or if neither helps.
     """
     setup = problem.setups[0]
-    bottom = [transform(_stock_pose(setup) @ s.pose, hull_points(s)) for s in setup.stock.support]
-    bottom = bottom or [transform(_stock_pose(setup), support.block_corners(setup.stock))]
-    middle = transform(_stock_pose(setup), support.block_corners(setup.stock)).mean(axis=0)
-    centre = np.array([middle[0], middle[1], min(float(points[:, 2].min()) for points in bottom)])
+    # The plate is centred under the stock, at the height of the lowest point of the support or the stock.
+    hulls = [transform(_stock_pose(setup) @ s.pose, hull_points(s)) for s in setup.stock.support]
+    hulls = hulls or [transform(_stock_pose(setup), support.block_corners(setup.stock))]
+    stock_centre = transform(_stock_pose(setup), support.block_corners(setup.stock)).mean(axis=0)
+    lowest = min(float(points[:, 2].min()) for points in hulls)
+    centre = np.array([stock_centre[0], stock_centre[1], lowest])
     table = Turntable("", "", 0, centre, np.array([0.0, 0.0, 1.0]), -np.pi, np.pi, 1.0, 0.0)
     base_distance = float(np.linalg.norm(centre[:2] - setup.cell.arms[0].base[:2, 3]))
     if (
@@ -787,9 +880,9 @@ def _turntable_suggestion(problem: Problem, targets: Sequence[Targets]) -> str:
         return _positioner_suggestion(problem, targets, table, centre_text)
     if nearest_stations is None or not np.abs(nearest_stations).max() > MIN_SUGGESTED_ROTATION_RAD:
         return ""
-    what = "put the stock on a turntable under its centre, with which each operation is reached from its own "
-    what += f"station (cell: turntable: {{centre_mm: [{centre_text}], range_deg: [-180, 180], unit: ..., "
-    return what + "speed_deg_s: ..., plate: {diameter_mm: ..., height_mm: ...}})"
+    text = "put the stock on a turntable under its centre, with which each operation is reached from its own "
+    text += f"station (cell: turntable: {{centre_mm: [{centre_text}], range_deg: [-180, 180], unit: ..., "
+    return text + "speed_deg_s: ..., plate: {diameter_mm: ..., height_mm: ...}})"
 
 
 def _positioner_suggestion(
@@ -803,14 +896,16 @@ def _positioner_suggestion(
         nearest_stations = _nearest_stations(problem, targets, positioner.candidates(), positioner)
         if nearest_stations is None:
             continue
-        listed = ", ".join(f"{v:g}" for v in axis)
+        axis_text = ", ".join(f"{v:g}" for v in axis)
         low, high = min(0.0, nearest_stations[:, 1].min()) / DEG, max(0.0, nearest_stations[:, 1].max()) / DEG
-        what = "put the stock on a positioner under its centre, with which each operation is reached from "
-        what += (
+        text = "put the stock on a positioner under its centre, with which each operation is reached from "
+        text += (
             f"its own station (cell: positioner: {{centre_mm: [{centre_text}], range_deg: [-180, 180], tilt: "
         )
-        what += f"{{centre_mm: [{centre_text}], axis: [{listed}], range_deg: [{low:.0f}, {high:.0f}], ...}}, "
-        suggestions.append((float(np.abs(nearest_stations[:, 1]).max()), what + "unit: ..., plate: ...})"))
+        text += (
+            f"{{centre_mm: [{centre_text}], axis: [{axis_text}], range_deg: [{low:.0f}, {high:.0f}], ...}}, "
+        )
+        suggestions.append((float(np.abs(nearest_stations[:, 1]).max()), text + "unit: ..., plate: ...})"))
     return min(suggestions)[1] if suggestions else ""
 
 
@@ -829,9 +924,9 @@ def _track_suggestion(problem: Problem, targets: Sequence[Targets]) -> str:
         if nearest_stations is None:
             continue
         low, high = min(0.0, nearest_stations.min()) / MM, max(0.0, nearest_stations.max()) / MM
-        axes = f"[{', '.join(f'{v:g}' for v in axis)}]"
-        what = f"put arm {arm.name} on a track along {name}, with which it reaches each operation from its "
-        what += f"own station (track: {{axis: {axes}, range_mm: [{low:.0f}, {high:.0f}], unit: ..., "
-        suggestions.append((high - low, what + "speed_mm_s: ..., acceleration_mm_s2: ...})"))
-    # without a minimum length the arm reaches everything from where it is
+        axis_text = f"[{', '.join(f'{v:g}' for v in axis)}]"
+        text = f"put arm {arm.name} on a track along {name}, with which it reaches each operation from its "
+        text += f"own station (track: {{axis: {axis_text}, range_mm: [{low:.0f}, {high:.0f}], unit: ..., "
+        suggestions.append((high - low, text + "speed_mm_s: ..., acceleration_mm_s2: ...})"))
+    # a track of no length means that the arm reaches everything from where it is
     return min(suggestions)[1] if suggestions and min(suggestions)[0] * MM > 0.5 * LINEAR_STEP_M else ""

@@ -51,9 +51,9 @@ def inverse_kinematics(form: ParallelParameters, flange: FloatArray, branches: S
         c, s = np.cos(theta1)[..., None], np.sin(theta1)[..., None]
         front, side = c * r[..., 0, :] + s * r[..., 1, :], c * r[..., 1, :] - s * r[..., 0, :]
         axes = _FlangeAxes(front, side, r[..., 2, :])
-        out = radial if shoulder == 0 else -radial
+        radius = radial if shoulder == 0 else -radial
         for wrist in {b // 4 for b in branches if (b % 4) // 2 == shoulder}:
-            wrist_solutions[shoulder, wrist] = theta1, *_wrist_solution(form, axes, out, up, wrist)
+            wrist_solutions[shoulder, wrist] = theta1, *_wrist_solution(form, axes, radius, up, wrist)
     result = np.empty((len(branches), 6, *flange.shape[:-2]))  # one block per joint
     for slot, branch in enumerate(branches):
         theta1, tilt, theta5, theta6, bend, lift = wrist_solutions[(branch % 4) // 2, branch // 4]
@@ -89,14 +89,14 @@ class _FlangeAxes:
 
 
 def _wrist_solution(
-    form: ParallelParameters, axes: _FlangeAxes, out: FloatArray, up: FloatArray, wrist: int
+    form: ParallelParameters, axes: _FlangeAxes, radius: FloatArray, up: FloatArray, wrist: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Compute the angles of the wrist and the elbow for one choice of shoulder and wrist.
 
     Args:
         form: Kinematic parameters.
         axes: Axes of the flange.
-        out: (...,) [m] horizontal position of the point where axes 5 and 6 meet, relative to axis 2.
+        radius: (...,) [m] horizontal position of the point where axes 5 and 6 meet, relative to axis 2.
         up: (...,) [m] height of that point, relative to axis 2.
         wrist: Choice of the wrist, 0 or 1.
 
@@ -113,7 +113,7 @@ def _wrist_solution(
     c6, s6 = np.cos(theta6), np.sin(theta6)
     # axis 5 in the flange's axes: exact near a singularity too, whatever value theta 6 has
     tilt = np.arctan2(-s6 * front[..., 0] - c6 * front[..., 1], -s6 * rise[..., 0] - c6 * rise[..., 1])
-    horizontal, vertical = out - form.c4 * np.sin(tilt), up - form.c4 * np.cos(tilt)
+    horizontal, vertical = radius - form.c4 * np.sin(tilt), up - form.c4 * np.cos(tilt)  # of axis 4
     # law of cosines: cos(theta 3) = (d^2 - c2^2 - c3^2) / (2 c2 c3)
     cosine = (horizontal * horizontal + vertical * vertical - form.c2**2 - form.c3**2) / (
         2.0 * form.c2 * form.c3
@@ -126,7 +126,7 @@ def _wrist_solution(
 def singularities(form: ParallelParameters, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Compute the angles from singularities of the wrist, the elbow and the shoulder.
 
-    - Wrist: angle from axes 4 and 6 being parallel.
+    - Wrist: angle between axes 4 and 6.
     - Elbow: angle from stretched or folded.
     - Shoulder: angle under which the stretched arm would see the distance of the point where axes 5 and 6
       meet from where the two shoulder branches coincide.
@@ -141,12 +141,14 @@ def singularities(form: ParallelParameters, q: FloatArray) -> tuple[FloatArray, 
     theta = form.signs * q - form.offsets
     wrist, elbow = (np.abs(np.arcsin(np.sin(theta[..., j]))) for j in (4, 2))
     sums = np.cumsum(theta[..., 1:4], axis=-1)
-    out = np.sin(sums) @ np.array([form.c2, form.c3, form.c4])
-    return wrist, elbow, np.arcsin(np.minimum(1.0, np.abs(out) / (form.c2 + form.c3 + abs(form.c4))))
+    radius = np.sin(sums) @ np.array([form.c2, form.c3, form.c4])  # horizontal position of the point
+    return wrist, elbow, np.arcsin(np.minimum(1.0, np.abs(radius) / (form.c2 + form.c3 + abs(form.c4))))
 
 
 def reach_gap(form: ParallelParameters, flange: FloatArray) -> FloatArray:
-    """Distance (...,) [m] of the point where axes 5 and 6 meet from the arm's reach, for any wrist tilt.
+    """Return a lower bound (...,) [m] of the distance from reach of the point where axes 5 and 6 meet.
+
+    The tilt of the wrist is free, so the link between axes 4 and 5 counts as additional reach.
 
     Args:
         form: Kinematic parameters.

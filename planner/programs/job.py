@@ -1,9 +1,9 @@
 """The job as its programs state it: the tasks of all arms and their stages.
 
-The programs of all tasks are read in parallel. A stage is what happens between two synchronisation points.
-In a synchronised stage the moves of all tasks run in pairs. In any other stage at most one task may move, so
-that no order of events depends on chance. Two controllers that meet by signals are treated in the same way:
-a stage is what happens between their meetings.
+A stage consists of the steps of all tasks between two synchronisation points. In a synchronised stage the
+moves of all tasks run in pairs. In any other stage at most one task may move, so that the order of events
+does not depend on chance. For two controllers that meet by signals the meetings are the synchronisation
+points.
 """
 
 import re
@@ -30,10 +30,10 @@ from planner.runtime import plugins
 
 
 def task_names(problem: Problem) -> tuple[str, ...]:
-    """Return the names of the tasks of the arms.
+    """Return the names of the tasks of the arms, in the order of the arms.
 
-    Tasks of two controllers may have the same name, and many languages have no task names. Such tasks have
-    the names of their arms.
+    Tasks of two controllers may have the same name, and many languages have no task names. Such tasks get the
+    names of their arms. Arms for which the cell states no task are left out.
     """
     stated = (*problem.cell.controller.tasks, *("" for _ in problem.cell.arms))
     names = (
@@ -49,6 +49,7 @@ def arms_by_task(problem: Problem) -> dict[str, Arm]:
 
 
 def _sharing(problem: Problem, arm: Arm) -> Sharing:
+    """Return what an arm shares with others of its language in this cell."""
     reader = reader_of(arm)
     sharing = Sharing.CONTROLLER if reader is None else reader.sharing
     uses_handshake = problem.cell.controller.sync == "handshake"
@@ -56,7 +57,7 @@ def _sharing(problem: Problem, arm: Arm) -> Sharing:
 
 
 def program_suffixes(arm: Arm) -> tuple[str, ...]:
-    """Return the file name suffixes of an arm's programs."""
+    """Return the file name suffixes of the programs in an arm's language, () if it has none."""
     language = plugins.language_of(arm.data.family)
     return () if language is None else language.endings
 
@@ -73,7 +74,9 @@ def is_program_list(problem: Problem, path: str) -> bool:
 
 
 def task_files(problem: Problem, programs: Mapping[str, str]) -> tuple[dict[str, dict[str, str]], list[str]]:
-    """Distribute files to tasks.
+    """Distribute program files to tasks, by their suffixes and by task or arm names in their paths.
+
+    Lists of files are left out.
 
     Args:
         problem: The problem.
@@ -84,23 +87,26 @@ def task_files(problem: Problem, programs: Mapping[str, str]) -> tuple[dict[str,
     """
     arms = arms_by_task(problem)
     files_by_task: dict[str, dict[str, str]] = {task: {} for task in arms}
-    strays: list[str] = []
+    unassigned: list[str] = []
     for path, text in sorted(programs.items()):
         if is_program_list(problem, path):
             continue
         suffix = PurePosixPath(path).suffix.lower()
-        able = {task: _sharing(problem, arm) for task, arm in arms.items() if suffix in program_suffixes(arm)}
-        shared = [task for task, sharing in able.items() if sharing is Sharing.FILE]
-        tasks = shared or [task for task, sharing in able.items() if _belongs(path, task, sharing)]
+        candidates = {
+            task: _sharing(problem, arm) for task, arm in arms.items() if suffix in program_suffixes(arm)
+        }
+        shared = [task for task, sharing in candidates.items() if sharing is Sharing.FILE]
+        tasks = shared or [task for task, sharing in candidates.items() if _belongs(path, task, sharing)]
         if not shared and len(tasks) != 1:
-            strays.append(path)
+            unassigned.append(path)
             continue
         for task in tasks:
             files_by_task[task][path] = text
-    return files_by_task, strays
+    return files_by_task, unassigned
 
 
 def _belongs(path: str, task: str, sharing: Sharing) -> bool:
+    """Return whether a path names a task: as a folder or, for a common controller, as a word anywhere."""
     if sharing is Sharing.NOTHING:
         return task.lower() in (part.lower() for part in PurePosixPath(path).parent.parts)
     return re.search(rf"(?i)(?<![a-z0-9]){re.escape(task)}(?![a-z0-9])", path) is not None
@@ -109,13 +115,16 @@ def _belongs(path: str, task: str, sharing: Sharing) -> bool:
 def reader_groups(
     problem: Problem, files: Mapping[str, Mapping[str, str]]
 ) -> Iterator[tuple[Reader, dict[str, Arm], Mapping[str, str]]]:
-    """Yield groups that are read together: a reader, the arms by their tasks, and their files.
+    """Yield the groups of arms whose programs are read together.
+
+    Each is a reader, the arms by the names of their tasks, and their files. Tasks without files are left out.
 
     Args:
         problem: The problem.
         files: The files of each task (:func:`task_files`).
     """
-    arms, done = arms_by_task(problem), set[str]()
+    arms = arms_by_task(problem)
+    done: set[str] = set()
     for task, arm in arms.items():
         reader = reader_of(arm)
         if reader is None or task in done or not files.get(task):
@@ -133,7 +142,7 @@ def reader_groups(
 
 
 def group_by_controller(problem: Problem, tasks: Sequence[TaskText]) -> tuple[tuple[TaskText, ...], ...]:
-    """Group tasks by the controllers that run them. A signal belongs to one controller.
+    """Group tasks by the controllers that run them, because each controller has separate signals.
 
     Args:
         problem: The problem.
@@ -147,34 +156,35 @@ def group_by_controller(problem: Problem, tasks: Sequence[TaskText]) -> tuple[tu
 
 
 def read_job(problem: Problem, programs: Mapping[str, str]) -> JobText:
-    """Read all programs.
+    """Read all programs: normalise the texts, read each task, and split the tasks into stages.
 
     Args:
         problem: The problem.
-        programs: Texts by path.
+        programs: Texts by path. Files for the configuration of controllers are ignored.
 
     Returns:
-        The tasks, and all faults. A task that cannot be read has no steps.
+        The tasks with their stages, and all faults. A task that cannot be read has no steps.
     """
     controller = problem.cell.controller
-    plain = {
+    normalised = {
         path: program_text.normalise_text(path, text)
         for path, text in programs.items()
         if not is_controller_file(path)
     }
-    programs = {path: text for path, (text, _) in plain.items()}
-    notes = tuple(note for _, automata_by_arm in plain.values() for note in automata_by_arm)
-    files, strays = task_files(problem, programs)
+    texts = {path: text for path, (text, _) in normalised.items()}
+    notes = tuple(note for _, file_notes in normalised.values() for note in file_notes)
+    files, unassigned = task_files(problem, texts)
     tasks: list[TaskText] = []
     faults: list[TextFault] = []
-    flow: list[TextFault] = []
+    flow_faults: list[TextFault] = []
     for reader, arms, group_files in reader_groups(problem, files):
         group_tasks = reader.read(problem, arms, group_files)
         tasks += group_tasks.tasks
         faults += group_tasks.faults
-        flow += group_tasks.flow_faults
-    lists = {path: text for path, text in programs.items() if is_program_list(problem, path)}
+        flow_faults += group_tasks.flow_faults
+    lists = {path: text for path, text in texts.items() if is_program_list(problem, path)}
     confirmations = {setup.confirmation for setup in all_setups(problem) if setup.steps}
+    # two controllers: the automata of their programs, and stages between their meetings instead
     automata_by_arm: Mapping[str, ProgramAutomaton] | None = None
     stages = split_into_stages(tasks, confirmations)
     if controller.sync == "handshake":
@@ -185,14 +195,23 @@ def read_job(problem: Problem, programs: Mapping[str, str]) -> JobText:
         if automata_by_arm is not None and len(tasks) > 1:
             stages = tuple(JobStage(*part) for part in handshake_stages(automata_by_arm, steps_by_task))
     return JobText(
-        tuple(tasks), stages, tuple(faults), tuple(flow), tuple(strays), lists, automata_by_arm, notes
+        tuple(tasks),
+        stages,
+        tuple(faults),
+        tuple(flow_faults),
+        tuple(unassigned),
+        lists,
+        automata_by_arm,
+        notes,
     )
 
 
 def _is_single_program(problem: Problem, task: TaskText) -> bool:
-    """Whether one arm of a cell of two controllers does the job without the wires to the other one."""
+    """Return whether one arm of a cell with two controllers does the job alone, without using their wires."""
     holders = (setup.stock.held_by for setup in problem.setups)
-    needed = {arm for operation in problem.operations for arm in operation.arms} | set(filter(None, holders))
+    required_arms = {arm for operation in problem.operations for arm in operation.arms} | set(
+        filter(None, holders)
+    )
     sections = task.handlers, task.undos
-    touches = automata.uses_wires(task.name, task.steps, sections, controller_wiring(problem))
-    return needed <= {task.arm.name} and not touches
+    uses_wires = automata.uses_wires(task.name, task.steps, sections, controller_wiring(problem))
+    return required_arms <= {task.arm.name} and not uses_wires

@@ -1,4 +1,4 @@
-"""What a language adds to the reading of programs.
+"""Interface between the planner and the reader of a robot language.
 
 The language of an arm is the one that lists the family of the arm's controller
 (:class:`planner.runtime.plugins.Language`). Readers are imported on first use.
@@ -36,12 +36,12 @@ class Sharing(enum.Enum):
 
 @dataclass(frozen=True)
 class ReadTasks:
-    """Tasks as read.
+    """Result of reading the files of one or several tasks.
 
     Attributes:
         tasks: The tasks. A task that cannot be read has no steps.
         faults: Faults of the texts.
-        flow_faults: Why tasks whose texts have no faults have no steps.
+        flow_faults: Reasons why tasks have no steps although their texts have no faults.
     """
 
     tasks: tuple[TaskText, ...]
@@ -51,16 +51,17 @@ class ReadTasks:
 
 @dataclass(frozen=True, eq=False)
 class Gap:
-    """Unread text between two moves.
+    """Part of a program between two moves that could not be read.
 
     Attributes:
-        shifts: Whether it may shift the targets of all later moves.
+        shifts: Whether this part may shift the targets of all later moves.
     """
 
     shifts: bool = False
 
 
 PartialPath = tuple[MoveStep | Gap, ...]
+"""Moves and gaps of a program in order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +71,7 @@ class PartlyRead:
     Attributes:
         text: Text of the program.
         path: Moves and gaps in order.
-        unread: Lines that could not be read.
+        unread: Faults of the lines that could not be read.
     """
 
     text: ProgramText
@@ -89,13 +90,14 @@ class Reader:
     """Reader of a language.
 
     Attributes:
-        read: Reads the files of one arm, or those of all arms that share a file. It raises nothing.
+        read: Reads the files of one arm, or those of all arms that share a file. It returns faults and raises
+            no exception.
         sharing: What several arms have in common.
         lists: Suffixes of files that list the files to load, in lower case, with the dot.
         read_partly: Reads the files of one arm as far as possible. Without it programs are read as a whole
             or not at all.
-        move_pattern: Regular expression with one group that finds all moves, known or not, in a line without
-            strings and comments. Without it only the moves that were read count.
+        move_pattern: Regular expression with one group that finds all moves, whether the reader knows them or
+            not, in a line without strings and comments. Without it only the moves that were read count.
         known_moves: Kinds of moves (:attr:`planner.programs.steps.MoveStep.kind`) whose path between their
             targets is known, None if all are.
     """
@@ -120,8 +122,9 @@ def reader_of(arm: Arm) -> Reader | None:
 
 @functools.cache
 def _load(language: Language) -> Reader:
+    """Import the reader of a language on first use."""
     try:
         return plugins.load(language.reader, Reader)
     except plugins.PluginError as error:
-        what = f"the reader of {language.title} {error}; fix or uninstall its package"
-        raise issue_error("post.language", what) from error
+        message = f"the reader of {language.title} {error}; fix or uninstall its package"
+        raise issue_error("post.language", message) from error

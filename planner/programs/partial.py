@@ -1,6 +1,7 @@
-"""Reads programs of other origin as far as possible: unread text is recorded, and reading continues.
+"""Reads programs that the planner did not write, as far as possible.
 
-Nothing is refused and nothing is proven here. :mod:`planner.proof.partial` says what is known of the moves.
+Text that cannot be read is recorded, and reading continues. Nothing is refused and nothing is proven here.
+:mod:`planner.proof.partial` states what is known about the moves.
 """
 
 import re
@@ -20,16 +21,16 @@ from planner.runtime.plugins import Language
 
 @dataclass(frozen=True, eq=False)
 class PartialPrograms:
-    """Programs of one arm.
+    """Programs of one arm, read as far as possible.
 
     Attributes:
-        reader: Reader of their language.
+        reader: Reader of the language.
         arm: The arm.
         name: Name of its task.
         files: Texts of the files by path.
         path: Moves and gaps in order.
-        paths: Paths of the files by the names that steps have for them.
-        unread: Lines that could not be read, one fault each.
+        paths: Paths of the files, by the module names in the steps.
+        unread: Faults of the lines that could not be read, one for each line.
         moves: File and line of each move in the texts, whether it was read or not.
     """
 
@@ -46,7 +47,7 @@ class PartialPrograms:
 def read_partial(
     problem: Problem, programs: Mapping[str, str]
 ) -> tuple[tuple[PartialPrograms, ...], tuple[str, ...]]:
-    """Read the programs of each arm.
+    """Read the programs of each arm as far as possible.
 
     Args:
         problem: The problem. If it uses one arm, all files of the arm's language belong to this arm.
@@ -60,24 +61,26 @@ def read_partial(
         for path, text in programs.items()
         if not stages.is_controller_file(path)
     }
-    files, strays = job.task_files(problem, texts)
+    files, unassigned = job.task_files(problem, texts)
     arms = job.arms_by_task(problem)
-    used = {arm for operation in problem.operations for arm in operation.arms}
-    if len(used_tasks := [name for name, arm in arms.items() if arm.name in used]) == 1:
+    used_arms = {arm for operation in problem.operations for arm in operation.arms}
+    if len(used_tasks := [name for name, arm in arms.items() if arm.name in used_arms]) == 1:
         suffixes = job.program_suffixes(arms[used_tasks[0]])
         group_files = {
             path: text for path, text in texts.items() if PurePosixPath(path).suffix.lower() in suffixes
         }
-        files, strays = {used_tasks[0]: group_files}, [path for path in texts if path not in group_files]
+        files = {used_tasks[0]: group_files}
+        unassigned = [path for path in texts if path not in group_files]
     groups = tuple(
-        _read(problem, reader, together, name, group_files)
-        for reader, together, group_files in job.reader_groups(problem, files)
-        for name in together
+        _read(problem, reader, group, name, group_files)
+        for reader, group, group_files in job.reader_groups(problem, files)
+        for name in group
     )
-    return groups, tuple(path for path in strays if not job.is_program_list(problem, path))
+    return groups, tuple(path for path in unassigned if not job.is_program_list(problem, path))
 
 
 def _read(problem: Problem, reader: Reader, group: Arms, name: str, files: Files) -> PartialPrograms:
+    """Read the programs of one task of a group that is read together, and find all moves in the texts."""
     arm = group[name]
     if reader.read_partly is not None:
         result = reader.read_partly(problem, arm, files)
@@ -96,19 +99,20 @@ def _read(problem: Problem, reader: Reader, group: Arms, name: str, files: Files
 
 
 def _read_whole(problem: Problem, reader: Reader, group: Arms, name: str, files: Files) -> PartlyRead:
-    """Read programs as a whole or not at all: any unknown statement may change the path."""
-    whole = reader.read(problem, group, files)
+    """Read programs completely or, if there is any fault, not at all: it may change the path."""
+    result = reader.read(problem, group, files)
     character_faults = (
         fault for file, content in files.items() for fault in unexpected_characters(file, content)
     )
-    unread = (*whole.faults, *whole.flow_faults, *character_faults)
-    task = next((task for task in whole.tasks if task.name == name), None)
+    unread = (*result.faults, *result.flow_faults, *character_faults)
+    task = next((task for task in result.tasks if task.name == name), None)
     steps = () if unread or task is None else task.steps
     path = tuple(step for step in steps if isinstance(step, MoveStep))
     return PartlyRead(NO_TEXT if task is None else task.text, path, unread)
 
 
 def _one_fault_per_line(faults: Iterable[TextFault]) -> tuple[TextFault, ...]:
+    """Return the first fault of each line, sorted by file and line."""
     first: dict[tuple[str, int], TextFault] = {}
     for fault in faults:
         first.setdefault((fault.file, fault.line), fault)
@@ -116,6 +120,7 @@ def _one_fault_per_line(faults: Iterable[TextFault]) -> tuple[TextFault, ...]:
 
 
 def _move_locations(files: Files, pattern: re.Pattern[str], comment: str) -> tuple[tuple[str, int], ...]:
+    """Return file and line of each match of a pattern outside strings and comments."""
     locations = []
     for file, text in files.items():
         for number, row in enumerate(text.split("\n"), 1):

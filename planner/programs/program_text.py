@@ -1,4 +1,4 @@
-"""Interface of the text of a task in any language."""
+"""Common interface of program texts as read, in any language."""
 
 import abc
 from collections.abc import Mapping
@@ -9,13 +9,13 @@ from planner.problem import Arm
 
 
 class PartSize(NamedTuple):
-    """Number of moves of a part of a program.
+    """Size of a part of a program that a controller loads separately.
 
     Attributes:
         part: Name of the part in messages.
-        file: File of the part.
-        moves: Number of moves.
-        unit: What is counted, in the plural.
+        file: Path of its file.
+        moves: Number of moves in it.
+        unit: Word for what is counted, in the plural.
     """
 
     part: str
@@ -25,12 +25,12 @@ class PartSize(NamedTuple):
 
 
 class ProgramText(abc.ABC):
-    """Text of a task. Each language has a subclass.
+    """Text of a task as read. Each language has a subclass.
 
     Attributes:
         language: Name of the language, as in :mod:`planner.runtime.plugins`.
-        is_trajectory: Whether moves are cubics of the joints between points with velocities. Such programs
-            check the joints against the start of each move before it begins.
+        is_trajectory: Whether moves are cubics in joint space between points with velocities. Before each
+            move such programs check that the joints are at its start.
     """
 
     __slots__ = ()
@@ -45,7 +45,7 @@ class ProgramText(abc.ABC):
 
     @abc.abstractmethod
     def base_of(self, arm: Arm) -> FloatArray | None:
-        """Return the base of the arm in the world that the program declares, (4, 4) [m], or None.
+        """Return the base of the arm in the world as the program declares it, (4, 4) [m], or None.
 
         Args:
             arm: The arm of the task.
@@ -53,16 +53,16 @@ class ProgramText(abc.ABC):
 
     @property
     def sizes(self) -> tuple[PartSize, ...]:
-        """Numbers of moves, for each part that a controller loads separately."""
+        """Sizes of the parts that a controller loads separately."""
         return ()
 
     @property
     def targets(self) -> Mapping[str, str]:
-        """Locations of named targets: "file:line" by a colon and the lower-case name."""
+        """Locations of named targets, as "file:line", by name in lower case with a leading colon."""
         return {}
 
     def module_of(self, file: str) -> str:
-        """Return the name that steps have for a file (:attr:`planner.programs.steps.ProgramStep.module`)."""
+        """Return the name of a file in its steps (:attr:`planner.programs.steps.ProgramStep.module`)."""
         return file.rpartition("/")[2]
 
 
@@ -75,7 +75,8 @@ class NoText(ProgramText):
     digest = ""
 
     def base_of(self, arm: Arm) -> None:
-        """Return None."""
+        """Return None: there is no program that could declare a base."""
 
 
 NO_TEXT: Final = NoText()
+"""The only instance of `NoText` that is needed."""

@@ -9,8 +9,8 @@ from planner.problem import Arm, Problem
 def controller_signals(problem: Problem, arm: Arm) -> "NumberedSignals":
     """Return the names of inputs and outputs of a KUKA or UR controller by number, as the cell states them.
 
-    Inputs are those of a handshake and those that operations wait for. A number that two names of one kind
-    share has both names, because it is not known which one is meant.
+    A name is an input if a handshake or an operation reads it, else an output. If two outputs or two inputs
+    share a number, its name consists of both names, because it is not known which one is meant.
 
     Args:
         problem: The problem.
@@ -25,11 +25,11 @@ def controller_signals(problem: Problem, arm: Arm) -> "NumberedSignals":
     )
     process_inputs = (getattr(operation, "ok_signal", None) for operation in problem.operations)
     input_names |= {name.lower() for name in process_inputs if isinstance(name, str)}
-    tables: tuple[dict[int, str], dict[int, str]] = ({}, {})
-    for name, value in controller.io.get(arm.name, {}).items():
-        table = tables[name.lower() in input_names]
-        table[value] = f"{table[value]} and {name}" if value in table else name
-    return NumberedSignals(*tables)
+    names_by_number: tuple[dict[int, str], dict[int, str]] = ({}, {})
+    for name, number in controller.io.get(arm.name, {}).items():
+        table = names_by_number[name.lower() in input_names]
+        table[number] = f"{table[number]} and {name}" if number in table else name
+    return NumberedSignals(*names_by_number)
 
 
 class NumberedSignals(NamedTuple):

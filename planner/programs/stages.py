@@ -1,4 +1,4 @@
-"""Stages of a job: what happens between two synchronisation points."""
+"""Stages of a job: the steps of all tasks between two synchronisation points."""
 
 import dataclasses
 import functools
@@ -25,10 +25,10 @@ class HandshakeStage(NamedTuple):
     """One stage of two controllers that meet by handshake.
 
     Attributes:
-        synchronised: Whether both arms move in it.
-        ident: The meeting at which it starts.
+        synchronised: Whether both arms move in this stage.
+        ident: Name of the meeting at which it starts.
         steps: Steps by arm.
-        ends: Indices of the moves after which the arms meet in it.
+        ends: Indices of the moves of the stage after which the arms meet.
     """
 
     synchronised: bool
@@ -40,7 +40,7 @@ class HandshakeStage(NamedTuple):
 def program_automata(
     problem: Problem, steps: Mapping[str, Sequence[ProgramStep]], sections: Mapping[str, Sequence[Sections]]
 ) -> dict[str, ProgramAutomaton]:
-    """Return what the programs do with the wires between their controllers, by arm.
+    """Return the automata of the programs, which state what each does with the wires, by arm.
 
     Args:
         problem: The problem.
@@ -63,12 +63,13 @@ def controller_wiring(problem: Problem) -> automata.Wiring:
 def handshake_stages(
     automata_by_arm: Mapping[str, ProgramAutomaton], steps: Mapping[str, Sequence[ProgramStep]]
 ) -> tuple[HandshakeStage, ...]:
-    """Return the stages between meetings, empty if the programs have different numbers of meetings.
+    """Return the stages between meetings; none if the programs have different numbers of meetings.
 
-    Consecutive intervals in which both arms only move, equally often, are one stage.
+    Consecutive intervals in which both arms have the same number of moves, and no step that requires rest,
+    are one stage.
 
     Args:
-        automata_by_arm: What each program does with the wires.
+        automata_by_arm: Automata of the programs.
         steps: Steps of the programs by arm.
     """
     out: list[HandshakeStage] = []
@@ -78,18 +79,18 @@ def handshake_stages(
     for number, interval in enumerate(intervals):
         counts = [sum(isinstance(step, MoveStep) for step in part) for part in interval.values()]
         together = len(counts) > 1 and all(counts)
-        plain = len(set(counts)) == 1 and all(
+        needs_no_rest = len(set(counts)) == 1 and all(
             _needs_no_rest(step) for part in interval.values() for step in part
         )
-        if together and plain:
+        if together and needs_no_rest:
             consecutive.append(interval)
             ends.append((ends[-1] if ends else -1) + counts[0])
             continue
         out += _merge_intervals(consecutive, ends, number)
         consecutive, ends = [], []
-        whole = {arm: tuple(part) for arm, part in interval.items()}
+        stage_steps = {arm: tuple(part) for arm, part in interval.items()}
         out.append(
-            HandshakeStage(together, f"meeting_{number}", whole, (min(counts) - 1,) if together else ())
+            HandshakeStage(together, f"meeting_{number}", stage_steps, (min(counts) - 1,) if together else ())
         )
     return (*out, *_merge_intervals(consecutive, ends, len(intervals)))
 
@@ -97,6 +98,7 @@ def handshake_stages(
 def _merge_intervals(
     intervals: Sequence[Mapping[str, Sequence[ProgramStep]]], ends: Sequence[int], next_number: int
 ) -> list[HandshakeStage]:
+    """Return consecutive intervals as one synchronised stage; ``ends`` has the last move of each."""
     if not intervals:
         return []
     steps = {arm: tuple(step for interval in intervals for step in interval[arm]) for arm in intervals[0]}
@@ -104,30 +106,31 @@ def _merge_intervals(
 
 
 def _needs_no_rest(step: ProgramStep) -> bool:
-    """Whether a step is a move, or does not require the other arm to be at rest."""
+    """Return whether the other arm may move during a step: a move, a message, a call or a setting."""
     is_plain_message = isinstance(step, MessageStep) and not step.confirm
     return is_plain_message or isinstance(step, MoveStep | CallStep | SettingStep)
 
 
 CONTROLLER_FOLDER = "controller"
-"""Folder of the files for controllers, which are no programs."""
+"""Folder of the files for the configuration of controllers, which are not programs."""
 Handlers = Mapping[tuple[str, str], tuple[ProgramStep, ...]]
+"""Steps of error handlers or UNDO sections by (module, procedure)."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class TaskText:
-    """A task.
+    """Program of one arm as read.
 
     Attributes:
         name: Name of the task.
         arm: The arm that the task moves.
         text: Text of the program.
-        steps: What the program does without errors, in order.
+        steps: Steps that the program executes if no error occurs, in order.
         files: Texts of the files by path.
-        unit: Name of the arm in work objects of other arms that it carries.
+        unit: Mechanical unit of the arm, by which work objects of another arm refer to it if it carries them.
         handlers: Error handlers by module and procedure (RAPID only).
         undos: UNDO sections by module and procedure (RAPID only).
-        called: Procedures, as (module, name), that ever run.
+        called: Procedures, as (module, name), that the program ever calls.
     """
 
     name: str
@@ -147,9 +150,9 @@ class JobStage:
 
     Attributes:
         synchronised: Whether the moves of all tasks run in pairs.
-        ident: Synchronisation point at which it starts, None for the first stage.
+        ident: Name of the synchronisation point at which the stage starts, None for the first stage.
         steps: Steps by task.
-        ends: For two controllers that meet by handshake the indices of the moves after which they do, else
+        ends: For two controllers that meet by handshake the indices of the moves after which they meet, else
             empty.
     """
 
@@ -164,9 +167,9 @@ class JobStage:
 
     @functools.cached_property
     def is_synchronised_approach(self) -> bool:
-        """Whether all arms make joint moves at once in it, as in an approach or retreat.
+        """Whether all arms make joint moves at once in this stage, as in an approach or retreat.
 
-        Nothing may join the arms then, and no work is done.
+        No wire or block may join the arms then, and they do no work.
         """
         moves = [move for task in self.steps for move in self._moves[task]]
         return self.synchronised and not self.ends and bool(moves) and all(move.by_joints for move in moves)
@@ -181,18 +184,18 @@ class JobStage:
 
 @dataclasses.dataclass(frozen=True)
 class JobText:
-    """All tasks and their stages.
+    """All tasks of a job as read, and their stages.
 
     Attributes:
         tasks: The tasks.
-        stages: The stages that they share, empty if the synchronisation points do not match.
+        stages: Stages of all tasks, empty if the synchronisation points of the tasks do not match.
         faults: Faults of the texts.
-        flow_faults: Why tasks whose texts have no faults have no steps.
+        flow_faults: Reasons why tasks have no steps although their texts have no faults.
         strays: Paths of files that belong to no task.
         lists: Texts of program lists by path.
-        automata_by_arm: What each program does with the wires between two controllers. None for one
-            controller, and for a single program that does not use them.
-        notes: Corrections of files before they were read.
+        automata_by_arm: Automata of the programs, which state what each does with the wires between two
+            controllers. None for one controller, and for a single program that does not use the wires.
+        notes: Corrections that were made to files before they were read.
     """
 
     tasks: tuple[TaskText, ...]
@@ -206,7 +209,7 @@ class JobText:
 
 
 def is_controller_file(path: str) -> bool:
-    """Return whether a file is for a controller and no program."""
+    """Return whether a file is for the configuration of a controller, and not a program."""
     return PurePosixPath(path).parts[0].lower() == CONTROLLER_FOLDER
 
 
@@ -218,37 +221,40 @@ def sync_points(task: TaskText) -> tuple[SyncStep, ...]:
 def split_into_stages(tasks: list[TaskText], confirmations: set[str]) -> tuple[JobStage, ...]:
     """Return the stages if all tasks pass the same synchronisation points, else none.
 
-    A single task meets no other. There the confirmations of setups also separate stages.
+    A single task has no synchronisation points. There the confirmations of setups separate stages.
 
     Args:
         tasks: The tasks.
-        confirmations: Confirmations of setups.
+        confirmations: Texts of the questions with which operators confirm setups.
     """
-    rows = [[(step.kind, step.ident) for step in sync_points(task)] for task in tasks]
-    if any(row != rows[0] for row in rows):
+    points_by_task = [[(step.kind, step.ident) for step in sync_points(task)] for task in tasks]
+    if any(points != points_by_task[0] for points in points_by_task):
         return ()
-    cuts = [_split_steps(task, confirmations if len(tasks) == 1 else set()) for task in tasks]
+    parts_by_task = [_split_steps(task, confirmations if len(tasks) == 1 else set()) for task in tasks]
     return tuple(
         JobStage(
-            inside, ident, {task.name: tuple(cut[number][2]) for task, cut in zip(tasks, cuts, strict=True)}
+            synchronised,
+            ident,
+            {task.name: tuple(parts[number][2]) for task, parts in zip(tasks, parts_by_task, strict=True)},
         )
-        for number, (inside, ident, _) in enumerate(cuts[0] if cuts else ())
+        for number, (synchronised, ident, _) in enumerate(parts_by_task[0] if parts_by_task else ())
     )
 
 
 def _split_steps(task: TaskText, confirmations: set[str]) -> list[tuple[bool, str | None, list[ProgramStep]]]:
-    """Steps of a task between synchronisation points, or confirmations that are ``confirmations``.
+    """Split the steps of a task at synchronisation points and at questions whose text is a confirmation.
 
-    Each part states whether all tasks move together in it, and at which point it starts.
+    Returns for each part whether all tasks move together in it, the name of the point at which it starts, and
+    its steps.
     """
-    stages: list[tuple[bool, str | None, list[ProgramStep]]] = [(False, None, [])]
+    parts: list[tuple[bool, str | None, list[ProgramStep]]] = [(False, None, [])]
     for step in task.steps:
-        inside, ident, last = stages[-1]
+        synchronised, ident, current_steps = parts[-1]
         if isinstance(step, SyncStep):
             opens, closes = step.kind == "SyncMoveOn", step.kind in ("SyncMoveOff", "SyncMoveUndo")
-            stages.append((opens or (inside and not closes), step.ident, []))
+            parts.append((opens or (synchronised and not closes), step.ident, []))
         elif isinstance(step, MessageStep) and step.confirm and step.text in confirmations:
-            stages += [(inside, ident, [step]), (inside, ident, [])]
+            parts += [(synchronised, ident, [step]), (synchronised, ident, [])]
         else:
-            last.append(step)
-    return stages
+            current_steps.append(step)
+    return parts

@@ -1,9 +1,8 @@
-"""Steps of a task in any robot language, as values in SI units.
+"""Steps of a task in a form that all robot languages share, with values in SI units.
 
-`line` counts from 1 in the file of `module`; `kind` is always the language's own word. The reader of a
-language converts its numbers to these targets, speeds, zones, tools and frames. The replay and the rules see
-nothing else. `TextFault` is a fault of a program text in any language. `normalised_text` makes texts
-comparable as operators read them.
+The reader of a language converts its statements to these steps, with their targets, speeds, zones, tools and
+frames. The replay and the rules use nothing else. In all steps `kind` is the language's own word for the
+statement. `TextFault` is a fault of a program text in any language.
 """
 
 import re
@@ -19,7 +18,7 @@ from planner.geometry.arrays import FloatArray
 BASE_FRAME = "base_frame"
 """Name of the data in a program, in any language, that states the base of its arm."""
 DIGEST = "problem_digest"
-"""Name of the data in a program, in any language, that states the problem from which it was made."""
+"""Name of the data in a program, in any language, that states the digest of its problem."""
 UNUSED_AXIS = 9e9
 """Value of an external axis that does not exist or that a target does not state."""
 MAX_EXTERNAL_VALUE = 1e6
@@ -33,8 +32,8 @@ class RobTarget:
     Attributes:
         position: Position, (3,) [m].
         quaternion: Orientation, (4,) wxyz as written.
-        conf: cf1, cf4, cf6, cfx, None if the arm keeps its posture.
-        external: External axes, (6,) as written.
+        conf: Configuration cf1, cf4, cf6, cfx (RAPID); None if the arm keeps its posture.
+        external: Values of the external axes as written, (6,) [mm or deg].
     """
 
     position: FloatArray
@@ -52,7 +51,7 @@ class StatusTarget:
         quaternion: Orientation, (4,) wxyz.
         status: Status bits, which select the joint solution together with ``turn``.
         turn: Turn bits.
-        external: External axes, (6,) as written.
+        external: Values of the external axes as written, (6,) [mm or deg].
     """
 
     position: FloatArray
@@ -68,7 +67,7 @@ class JointTarget:
 
     Attributes:
         joints: Joints as the controller counts them, (6,) [rad]; a coupled axis 3 is as written.
-        external: External axes, (6,) as written.
+        external: Values of the external axes as written, (6,) [mm or deg].
     """
 
     joints: FloatArray
@@ -77,12 +76,12 @@ class JointTarget:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PassedTarget:
-    """Joints that are passed with a velocity, on a cubic in joint space from the previous target.
+    """Joints that the arm passes with a velocity, on a cubic in joint space from the previous target.
 
     Attributes:
-        joints: Joints, (J,) [rad, serial].
+        joints: Joints of the serial chain, (J,) [rad].
         rates: Joint velocities, (J,) [rad/s].
-        external: External axes, (6,) as written.
+        external: Values of the external axes as written, (6,) [mm or deg].
     """
 
     joints: FloatArray
@@ -99,8 +98,9 @@ class MoveSpeed:
         turn: Rotation speed [rad/s].
         linear: Speed of linear external axes [m/s].
         rotary: Speed of rotary external axes [rad/s].
-        axes: For a joint move, fractions of the axes' own speeds, if it states them.
-        external: Fractions of the external axes' own speeds, (6,), 0 where none is stated.
+        axes: Fractions of the axes' maximum speeds, if a joint move states them, else None.
+        external: Fractions of the external axes' maximum speeds, (6,), 0 for axes without one; None if the
+            language does not state them.
     """
 
     tcp: float
@@ -113,10 +113,10 @@ class MoveSpeed:
 
 @dataclass(frozen=True, slots=True)
 class Zone:
-    """Corner of a move.
+    """How the controller rounds the corner at the end of a move.
 
     Attributes:
-        fine: Whether the arm stops.
+        fine: Whether the arm stops there.
         tcp: Radius on the path [m].
         turn: Radius of the rotation [m].
         external: Radius of the external axes [m].
@@ -136,12 +136,12 @@ class Zone:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadData:
-    """A load.
+    """A load that a flange carries.
 
     Attributes:
         mass: Mass [kg].
         centre: Centre of mass, (3,) [m].
-        axes: Quaternion of the principal axes, (4,).
+        axes: Quaternion of the principal axes of inertia, (4,) wxyz.
         inertia: Principal moments of inertia, (3,) [kg m^2].
     """
 
@@ -156,9 +156,9 @@ class Tool:
     """A tool.
 
     Attributes:
-        held: Whether the robot holds it.
+        held: Whether the robot holds the tool.
         pose: TCP in the flange frame, (4, 4) [m].
-        load: Its load.
+        load: Load of the tool, in the flange frame.
     """
 
     held: bool
@@ -171,11 +171,11 @@ class WorkObject:
     """A work object.
 
     Attributes:
-        held: Whether the robot holds it.
+        held: Whether the robot holds the work object.
         fixed: Whether the user frame is fixed; otherwise ``unit`` moves it.
-        unit: Mechanical unit that moves it.
-        user: User frame, (4, 4) [m].
-        object: Object frame, (4, 4) [m].
+        unit: Mechanical unit that moves the user frame, "" for none.
+        user: User frame in the world or, if a unit moves it, in the frame of the unit, (4, 4) [m].
+        object: Object frame in the user frame, (4, 4) [m].
     """
 
     held: bool
@@ -203,16 +203,16 @@ def rotation(quaternion: FloatArray) -> FloatArray:
     """Return the rotation matrices (..., 3, 3) of quaternions (..., 4) wxyz of any nonzero length."""
     q = np.asarray(quaternion, dtype=float)
     w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
-    rows = [
+    matrix = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    return np.moveaxis(np.array(matrix), (0, 1), (-2, -1))
 
 
 def poses(position: FloatArray, quaternion: FloatArray) -> FloatArray:
-    """Return the poses (..., 4, 4) of positions (..., 3) and quaternions (..., 4)."""
+    """Return the poses (..., 4, 4) [m] of positions (..., 3) [m] and quaternions (..., 4) wxyz."""
     pose = np.zeros((*np.shape(position)[:-1], 4, 4))
     pose[..., :3, :3] = rotation(quaternion)
     pose[..., :3, 3] = position
@@ -225,8 +225,8 @@ class ProgramStep:
     """A step of a program: a statement (instruction) in a form that all robot languages share.
 
     Attributes:
-        module: Module or file.
-        procedure: Procedure or segment.
+        module: Name of the module or file.
+        procedure: Name of the procedure or segment.
         line: Line in the file of ``module``, from 1.
         condition: Run-time condition on which the step depends, "" for none. It is set in handlers only.
     """
@@ -239,14 +239,22 @@ class ProgramStep:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MoveStep(ProgramStep):
-    """A move. Names are "" for values in place.
+    """A move. Names are "" for values that the statement itself contains.
 
     Attributes:
         kind: Word of the language.
         target: The target.
-        id: Number in a synchronised block, or None.
+        target_name: Name of the target.
+        id: Number of the move in a synchronised block, or None.
         time: Stated time [s], or None.
         velocity: Stated speed of the TCP [m/s], or None.
+        speed: Speeds in force.
+        zone: Zone at the target.
+        zone_name: Name of the zone.
+        tool: Tool in force.
+        tool_name: Name of the tool.
+        wobj: Work object in force.
+        wobj_name: Name of the work object.
         switches: Options without value, in lower case.
         acceleration: Stated acceleration of the leading axis [rad/s^2], or None.
     """
@@ -269,22 +277,25 @@ class MoveStep(ProgramStep):
 
     @property
     def in_world(self) -> bool:
-        """Whether the frame is the world by its name, wobj0 or that of KRL and URScript programs."""
+        """Whether the work object is the world by its name: wobj0, or `WORLD_FRAME` (KRL, URScript)."""
         return self.wobj_name.lower() in ("wobj0", WORLD_FRAME)
 
     @property
     def by_joints(self) -> bool:
-        """Whether the move is straight in joint space."""
+        """Whether the move is a joint move: straight in joint space."""
         return isinstance(self.target, JointTarget | StatusTarget)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SignalStep(ProgramStep):
-    """An output is switched.
+    """Switches an output.
 
     Attributes:
+        kind: Word of the language.
+        signal: Name of the output.
+        value: Its new value, 0 or 1 for a digital output.
         delay: Delay [s].
-        synchronous: Whether the program waits for the signal.
+        synchronous: Whether the program waits until the output has its new value.
     """
 
     kind: str
@@ -299,10 +310,12 @@ class WaitStep(ProgramStep):
     """A wait: for ``seconds``, for an input within ``seconds``, or, with neither, for the arm to stop.
 
     Attributes:
-        signal: The input, or "".
-        value: Expected value of the input.
+        kind: Word of the language.
+        seconds: Waiting time or, for an input, timeout [s]; None for none.
+        signal: Name of the input, or "".
+        value: Expected value of the input, or None.
         after_stop: Whether the arm stops before the time counts.
-        flag: Variable that tells whether the wait timed out, "" if a timeout is an error.
+        flag: Name of the variable that states whether the wait timed out, "" if a timeout is an error.
         repeats: Whether the program asks and repeats the wait on a timeout.
     """
 
@@ -316,23 +329,24 @@ class WaitStep(ProgramStep):
 
     @property
     def pause(self) -> float:
-        """Guaranteed waiting time [s]."""
+        """Minimum waiting time [s]: a wait for an input may end at once."""
         return 0.0 if self.signal else self.seconds or 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MessageStep(ProgramStep):
-    """A text is shown.
+    """Shows a text to the operator.
 
     Attributes:
+        kind: Word of the language.
         lines: The lines as written.
-        confirm: Whether it waits for the operator.
-        text: What is shown, without the header of a box.
-        certain: Whether it continues only when the operator has pressed OK, the only button, and not by a
-            timeout.
+        confirm: Whether the program waits for an answer of the operator.
+        text: The text that is shown, without the header of a box.
+        certain: Whether the program continues only after the operator has pressed the one button that
+            confirms the text, and not after a timeout.
         panel: "line" for a line on the operator's panel, "clear" to clear it, "" for anything else.
         header: Header of a box.
-        options: Other options by name, with the name that follows, if any.
+        options: Other options of the statement, as pairs (option, name that follows it or "").
         counts_as_stopped: Whether the program counts as stopped meanwhile: its running wire is low.
     """
 
@@ -349,7 +363,7 @@ class MessageStep(ProgramStep):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WatchStep(ProgramStep):
-    """Starts (`on`) or ends the monitoring of the input `signal`; the program ends when it falls."""
+    """Starts (`on`) or ends the monitoring of the input `signal`; the program ends when this input falls."""
 
     signal: str
     on: bool
@@ -382,8 +396,8 @@ class RunningStep(ProgramStep):
     """The program switches its own running wire.
 
     Attributes:
-        on: The level.
-        waited: How long the program stood right before the rise [s].
+        on: New level of the wire.
+        waited: Time for which the program has waited directly before the rise [s].
     """
 
     on: bool
@@ -392,7 +406,7 @@ class RunningStep(ProgramStep):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CheckStep(ProgramStep):
-    """Ends the program unless both programs' wires have given levels at this instant.
+    """Ends the program unless the wires of both programs have the required levels at this instant.
 
     Attributes:
         signal: Input with the other program's line.
@@ -409,13 +423,13 @@ class CheckStep(ProgramStep):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SyncStep(ProgramStep):
-    """Tasks of one controller meet.
+    """Meeting of the tasks of one controller.
 
     Attributes:
         kind: WaitSyncTask, SyncMoveOn, SyncMoveOff or SyncMoveUndo.
         ident: Name of the meeting.
-        tasks: Named tasks, empty for none.
-        limited: Whether it waits for a stated time only, and then raises an error.
+        tasks: Names of the tasks that meet, empty if the statement names none.
+        limited: Whether the task waits only for a stated time, and then raises an error.
     """
 
     kind: str
@@ -434,7 +448,7 @@ class LoadStep(ProgramStep):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CarryStep(ProgramStep):
-    """Load of the tool from here on; `name` is "" for a value in place."""
+    """Sets what the tool carries from here on; `name` is "" for a value in the statement itself."""
 
     load: LoadData
     name: str
@@ -442,7 +456,7 @@ class CarryStep(ProgramStep):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CallStep(ProgramStep):
-    """A call of `name` that is bound at run time; its steps follow."""
+    """Calls the procedure `name`, which is bound at run time; the steps of the procedure follow this step."""
 
     name: str
 
@@ -452,8 +466,11 @@ class SettingStep(ProgramStep):
     """A motion setting or a stop.
 
     Attributes:
+        kind: Word of the language.
+        switches: Options and texts of the statement.
+        values: Numbers of the statement.
         stops: Whether the program stops here until it is started again.
-        unit: Mechanical unit that it concerns, in lower case.
+        unit: Mechanical unit that the statement concerns, in lower case.
     """
 
     kind: str
@@ -468,8 +485,8 @@ class ChoiceStep(ProgramStep):
     """A branch or loop on a run-time condition, which only shows texts, waits or stops.
 
     Attributes:
-        steps: Its steps, which are not part of the main flow.
-        repeats: Whether it is a loop with an unknown number of iterations.
+        steps: Steps of the branch or loop, which are not part of the main flow.
+        repeats: Whether it is a loop, with an unknown number of iterations.
     """
 
     steps: tuple[ProgramStep, ...]
@@ -478,7 +495,7 @@ class ChoiceStep(ProgramStep):
 
 @dataclass(frozen=True, slots=True)
 class TextFault:
-    """A fault of a text.
+    """A fault of a program text.
 
     Attributes:
         line: Line, from 1.
@@ -501,7 +518,7 @@ class TextFault:
 
 
 class FlowError(ValueError):
-    """The programs have no unique main flow; `faults` says where and why."""
+    """The order in which statements are executed is not unique; `faults` states where and why."""
 
     def __init__(self, faults: Sequence[TextFault]) -> None:
         super().__init__("; ".join(f"{fault.file}:{fault.line}: {fault.message}" for fault in faults))
@@ -511,10 +528,11 @@ class FlowError(ValueError):
 def normalised_text(text: str) -> str:
     """Return the letters and digits of a text in lower case, without accents.
 
-    Wrapping and the character set of a panel do not change them.
+    Line breaks and the character set of a panel do not change them, so that texts can be compared as
+    operators read them.
     """
     return re.sub(r"[^a-z0-9]", "", unicodedata.normalize("NFKD", text).lower())
 
 
 WORLD_FRAME: Final = "b_world"
-"""Name of the frame that is the cell's world, relative to the robot's foot."""
+"""Name of the frame in KRL and URScript programs that is the cell's world, relative to the robot's foot."""

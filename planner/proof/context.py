@@ -73,9 +73,10 @@ class Context:
         self._facts: Facts[Context] = Facts()
 
     def __getstate__(self) -> dict[str, object]:
-        """Prepare for another process.
+        """Return the state that is sent to another process.
 
-        That process starts no process itself, and claims have other identities in it.
+        That process starts no further processes, so the executor is replaced. The setups by identity of a
+        claim are left out, because claims have other identities there.
         """
         return {name: value for name, value in vars(self).items() if name != "_setup_of"} | {
             "executor": SERIAL,
@@ -85,7 +86,7 @@ class Context:
     def with_changes(self, problem: Problem | None = None, claims: Claims | None = None) -> "Context":
         """Return the context of the same programs for another problem or other claims.
 
-        The text is not read again. Persistent facts are kept.
+        The text is not read again, and persistent facts are kept. Whatever is None stays as it is.
         """
         out = Context(
             problem or self.problem,
@@ -136,7 +137,7 @@ class Context:
 
     @property
     def contacts(self) -> tuple[ContactOnlyIn, ...]:
-        """Claims on where the edge may touch the stock."""
+        """Claims on where the working end of a tool may touch the stock."""
         return self.claims_of(ContactOnlyIn)
 
     @property
@@ -152,10 +153,10 @@ class Context:
         return job_text.read_job(self.problem, self.programs)
 
     def controller_task_names(self, arms: Collection[str]) -> frozenset[str]:
-        """Return the tasks whose programs switch what ``arms`` work with.
+        """Return the names of the tasks whose programs switch the signals that ``arms`` work with.
 
-        They are the tasks of the controller of the first of these arms. Another controller may have a
-        signal of the same name.
+        They are the tasks on the controller of the first task of these arms. Another controller may have a
+        signal of the same name, which is not meant.
         """
         lead = next((task for task in self.job.tasks if task.arm.name in arms), None)
         for tasks in job_text.group_by_controller(self.problem, self.job.tasks):
@@ -218,6 +219,7 @@ class Context:
 
     @cached_property
     def _setup_of(self) -> dict[int, int]:
+        """Index of the setup of each claim, by the identity of the claim."""
         return {
             id(claim): index
             for index, setup in enumerate(self.setup_claims)
@@ -228,7 +230,7 @@ class Context:
     def setup_of(self, claim: Claim) -> int:
         """Return the index of the setup whose operation has a claim.
 
-        Two setups may work on one segment.
+        The segment of the claim does not tell it, because two setups may work on one segment.
         """
         return self._setup_of[id(claim)]
 
@@ -242,9 +244,9 @@ class Context:
         return dataclasses.replace(self.problem.stock, oversize=np.zeros((2, 3)))
 
     def stock_holder(self, index: int) -> HoldsStock | None:
-        """Return who holds the block in setup ``index``, or None.
+        """Return the claim on the arm that holds the block in setup ``index``, None if no arm holds it.
 
-        The holder is that of its claims, else that of the problem.
+        It is the claim of an operation of the setup, else one that follows from the problem.
         """
         stock, claims = self.stock_at(index), self.setup_claims[index].stock_holders
         if stock.held_by is None:
@@ -265,9 +267,10 @@ class Context:
     def stations(self) -> dict[int, dict[str, float]]:
         """Axis values [m, rad] of the text's targets: {index of an operation: {name of the axis: value}}.
 
-        They are those of the last move of each setup; :mod:`planner.proof.rules.external_axes` compares the
-        other moves. Those of a coordinated track are from the last move before the first straight one, and
-        with :data:`planner.problem.END_SUFFIX` from the last move.
+        The value is that of the last move of each setup; :mod:`planner.proof.rules.external_axes` compares
+        the other moves with it. A coordinated track has two values: under its name that of the last move
+        before the first straight move, and under its name with :data:`planner.problem.END_SUFFIX` that of the
+        last move.
         """
         out: dict[int, dict[str, float]] = {}
         if not self.problem.axis_homes:
@@ -317,9 +320,11 @@ class Context:
         return tuple(out)
 
     def track_base_poses(self, index: int, rows: IntArray) -> dict[str, FloatArray]:
-        """Return base poses {arm: (K, 4, 4)} of arms on coordinated tracks.
+        """Return the base poses {arm: (K, 4, 4)} of arms on coordinated tracks.
 
-        They are those at samples ``rows`` (K,) of setup ``index``.
+        Args:
+            index: Index of the setup.
+            rows: Indices (K,) of samples of this setup.
         """
         out = {}
         for arm, track in self.coordinated_tracks[index].items():
@@ -359,7 +364,7 @@ class Context:
 
     @cached_property
     def bases(self) -> dict[str, FloatArray]:
-        """Base poses (4, 4) of all arms, on axes with value 0: from the text, else from the problem."""
+        """Base poses (4, 4) of all arms with external axes at 0: from the text, else from the problem."""
         declared = self.declared_bases
         out = {}
         for arm in self.problem.cell.arms:
@@ -371,8 +376,8 @@ class Context:
     def work_objects(self) -> list[tuple[int, TaskText, MoveStep, WorkObject]]:
         """Work objects of straight moves, each once per setup and task.
 
-        Each row has the index of the setup, the task, the first move and the work object. Work objects of one
-        name may differ by module.
+        Each entry has the index of the setup, the task, the first move with the work object, and the work
+        object. Work objects of one name may differ between modules.
         """
         seen: dict[tuple[int, str, int], tuple[int, TaskText, MoveStep, WorkObject]] = {}
         for number, _, task, moves in self.moves():
@@ -387,15 +392,15 @@ class Context:
     def stock_frames(self) -> tuple[FloatArray | None, ...]:
         """Frame (4, 4) of the block in each setup, None if nothing states it.
 
-        It is the work object that the text names for it, else the problem's place, else the frame in the
-        setup before.
+        It is the first fixed work object of the text's straight moves, else the place that the problem
+        states, else the frame of the previous setup if the block has not been moved.
         """
         out: list[FloatArray | None] = []
         for index, setup in enumerate(self.setups):
             named = (
                 np.asarray(wobj.user @ wobj.object)
-                for where, _, move, wobj in self.work_objects
-                if where == index and wobj.fixed and not move.in_world
+                for setup_index, _, move, wobj in self.work_objects
+                if setup_index == index and wobj.fixed and not move.in_world
             )
             previous = out[-1] if out and setups.stock_unmoved(self.problem, setup) else None
             named_frame = next(named, None)
@@ -408,10 +413,12 @@ class Context:
         return np.eye(4) if self.stock_frames[0] is None else self.stock_frames[0]
 
     def stock_poses(self, index: int, rows: IntArray) -> FloatArray:
-        """Return the block's frame in the world (S, 4, 4) at rows of setup ``index``. A holder moves it.
+        """Return the frames (S, 4, 4) of the block in the world, which an arm that holds it moves.
 
-        Rows are samples, or instants between samples as in
-        :class:`planner.proof.replay.motion.MergedSamples`.
+        Args:
+            index: Index of the setup.
+            rows: Indices (S,) of samples of this setup, or of instants between samples as in
+                :class:`planner.proof.replay.motion.MergedSamples`.
         """
         held = self.stock_holder(index)
         if held is not None and held.arm in self.motion.tcp:
@@ -420,7 +427,7 @@ class Context:
         return np.tile(np.eye(4) if frame is None else frame, (len(rows), 1, 1))
 
     def to_stock_frame(self, index: int, rows: IntArray, points: FloatArray) -> FloatArray:
-        """Return points (S, P, 3) of the world at samples of setup ``index`` in the block's frame."""
+        """Return points (S, P, 3) of the world, at samples ``rows`` (S,) of a setup, in the block's frame."""
         back = inverse(self.stock_poses(index, rows))
         return np.asarray(np.einsum("sij,spj->spi", back[:, :3, :3], points) + back[:, None, :3, 3])
 
@@ -428,47 +435,55 @@ class Context:
 
     @cached_property
     def motion(self) -> Motion:
-        """The replayed motion, of deflecting arms with their deflection.
+        """The replayed motion. That of arms that deflect under load contains their deflection.
 
         It requires :attr:`is_replayable`.
         """
         tools = [{arm.name: arm.tool.tcp for arm in setup.cell.arms} for setup in self.setups]
-        based = self.base_poses_by_setup
+        bases = self.base_poses_by_setup
         of_stage = self.spans.of_stage
-        rows = ([based[i] for i in of_stage], [tools[i] for i in of_stage])
-        replayed = replay(self.job, *rows, self.travel_times, [self.coordinated_tracks[i] for i in of_stage])
+        bases_and_tools = ([bases[i] for i in of_stage], [tools[i] for i in of_stage])  # by stage
+        replayed = replay(
+            self.job, *bases_and_tools, self.travel_times, [self.coordinated_tracks[i] for i in of_stage]
+        )
         arms = [self._sagging_arms(index) for index in range(len(self.setups))]
         if not any(arms):
             return replayed
-        of_node = self.spans.of_stage[replayed.node_stage]
-        return arm_deflection.with_sag(replayed, arms, np.asarray(of_node[replayed.node]), of_node)
+        setup_of_node = self.spans.of_stage[replayed.node_stage]
+        return arm_deflection.with_sag(
+            replayed, arms, np.asarray(setup_of_node[replayed.node]), setup_of_node
+        )
 
     @cached_property
     def travel_times(self) -> dict[int, float]:
-        """{identity of a move: time [s]} of moves that move an external axis.
+        """Times {identity of a move: time [s]} of the moves that move an external axis.
 
-        The time follows from the speed that the text states. From rest to rest with the axis' acceleration a
-        over the distance s, the speed v = min(stated, sqrt(s a)) gives t = s / v + v / a.
+        The time follows from the speed that the text states. The axis moves from rest to rest over the
+        distance s with its acceleration a. Its peak speed v = min(stated, sqrt(s a)) gives t = s / v + v / a.
         """
         out: dict[int, float] = {}
         for task in self.job.tasks:
             for axis in task_axes(task.arm, self.problem.cell.turntable):
                 position = axis.home
                 for move in (step for step in task.steps if isinstance(step, MoveStep)):
-                    along = axis.follow_fraction is not None and not move.by_joints  # in the time of the move
+                    follows_move = (
+                        axis.follow_fraction is not None and not move.by_joints
+                    )  # in the time of the move
                     value = axis.scale * float(move.target.external[axis.column])
-                    if abs(value) >= axis.scale * MAX_EXTERNAL_VALUE:
+                    if abs(value) >= axis.scale * MAX_EXTERNAL_VALUE:  # the move does not name the axis
                         continue
                     distance, speed = abs(value - position), axis.speed_in(move)
                     position = value
-                    if distance > 0.0 and speed > 0.0 and not along:  # verify.external_axes reports others
-                        reached = min(speed, float(np.sqrt(distance * axis.acceleration)))
-                        seconds = distance / reached + reached / axis.acceleration
+                    if (
+                        distance > 0.0 and speed > 0.0 and not follows_move
+                    ):  # verify.external_axes reports others
+                        peak_speed = min(speed, float(np.sqrt(distance * axis.acceleration)))
+                        seconds = distance / peak_speed + peak_speed / axis.acceleration
                         out[id(move)] = max(out.get(id(move), 0.0), seconds)
         return out
 
     def _sagging_arms(self, index: int) -> dict[str, SaggingArm]:
-        """Return the arms of a setup that deflect under their claimed loads."""
+        """Return the arms of setup ``index`` that deflect under their claimed loads, by name."""
         frame = self.stock_frames[index]
         block = np.eye(4) if frame is None else frame
         out = {}
@@ -482,24 +497,24 @@ class Context:
         return out
 
     def synchronised_runs(self, index: int) -> tuple[tuple[int, ...], ...]:
-        """Return the synchronised stages with moves of setup ``index``, in runs.
+        """Return the runs of synchronised stages with moves in setup ``index``.
 
-        There are no lone moves between the stages of a run.
+        A run lists the numbers of its stages. No arm moves alone between the stages of a run.
         """
         runs: list[list[int]] = []
-        fresh = True
+        starts_run = True
         for number, stage in enumerate(self.job.stages):
             if self.spans.of_stage[number] != index:
                 continue
             if not any(stage.moves(task.name) for task in self.job.tasks):
                 continue
             if not stage.synchronised or stage.is_synchronised_approach:
-                fresh = True
+                starts_run = True
                 continue
-            if fresh:
+            if starts_run:
                 runs.append([])
             runs[-1].append(number)
-            fresh = False
+            starts_run = False
         return tuple(tuple(run) for run in runs)
 
     @cached_property
@@ -515,23 +530,26 @@ class Context:
         )
 
     def _phase_end(self, stage: int, direction: int) -> int:
-        """Return the farthest stage of its setup before (-1) or after (1) a stage.
+        """Return the last stage that a phase contains, from a stage on before (-1) or after (1) it.
 
-        There is no lone move between the two stages.
+        It is the nearest stage of the same setup that has moves, else the first or last stage of the setup.
         """
         stages = self.job.stages
         index = self.spans.of_stage[stage]
         while 0 <= stage + direction < len(stages) and self.spans.of_stage[stage + direction] == index:
-            following = stages[stage + direction]
-            if any(following.moves(task.name) for task in self.job.tasks):
-                return stage + direction  # steps after (before) its lone moves belong to the wire
+            adjacent = stages[stage + direction]
+            if any(adjacent.moves(task.name) for task in self.job.tasks):
+                return (
+                    stage + direction
+                )  # its steps after the last, or before the first, lone move belong here
             stage += direction
         return stage
 
     def steps_while_mounted(self, phase: JoinedPhase) -> list[tuple[int, str, ProgramStep]]:
-        """Return the steps (stage, task, step) of a phase between lone moves, in order.
+        """Return the steps of a phase, in order, each with the number of its stage and the name of its task.
 
-        These are the steps while the operator is at the wire.
+        Steps before the last lone move of the first stage, and after the first lone move of the last stage,
+        are left out. The others are executed while the operator may be at the wire.
         """
         out: list[tuple[int, str, ProgramStep]] = []
         for number in range(phase.first, phase.last + 1):
@@ -539,11 +557,11 @@ class Context:
             for task in self.job.tasks:
                 steps = list(stage.steps[task.name])
                 if not stage.synchronised or stage.is_synchronised_approach:
-                    alone = [i for i, step in enumerate(steps) if isinstance(step, MoveStep)]
-                    if alone and number == phase.first:
-                        steps = steps[alone[-1] + 1 :]
-                    elif alone and number == phase.last:
-                        steps = steps[: alone[0]]
+                    move_positions = [i for i, step in enumerate(steps) if isinstance(step, MoveStep)]
+                    if move_positions and number == phase.first:
+                        steps = steps[move_positions[-1] + 1 :]
+                    elif move_positions and number == phase.last:
+                        steps = steps[: move_positions[0]]
                 out += [(number, task.name, step) for step in steps]
         return out
 

@@ -50,8 +50,8 @@ class ProofOfProcess:
 
     Attributes:
         rules: The rules. Their order is in :mod:`planner.proof.rule_order`.
-        complete: Reads the files that claims name. It takes all claims, and returns them with what the files
-            state, and the issues of reading them.
+        complete: Reads the files that claims name. It takes all claims, and returns the claims with the
+            content of the files, and the issues of reading them.
         edges: Where the working end of an arm's tool may touch the stock, according to the claims of one
             operation. None if the claims give the arm no tool of this process.
         facts_at_start: Facts to build at the start of a stage, because another process can work on them
@@ -60,7 +60,7 @@ class ProofOfProcess:
         parallel_groups: Groups of rules that may be examined in another process.
         surface_producer: Surfaces that the process makes of blocks.
         produced_sheet: What the process makes of the sheet of a part file; None if nothing.
-        series: Curves for the report, by name, as far as the facts they need have been built.
+        series: Curves for the report, by name. Curves that need a fact that has not been built are left out.
     """
 
     rules: tuple[Rule, ...]
@@ -100,5 +100,5 @@ def find_edges(context: Context, index: int, arm: str) -> tuple[WorkingEdges, ..
 
 
 def segments_of(all_edges: Iterable[WorkingEdges], meet: bool) -> frozenset[str]:
-    """Return the keys of all segments of edges that may, or may not, meet one another."""
+    """Return the keys of the segments of those working edges whose ``meet`` has a given value."""
     return frozenset[str]().union(*(edge.segments for edge in all_edges if edge.meet is meet))

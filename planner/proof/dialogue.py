@@ -2,7 +2,7 @@
 
 The expected dialogue follows from the problem for starts and setups, from the claims for operations, and
 from possible interruptions for error handlers. A shown text is compared with the expected sentence and its
-figures. If the problem leaves open what is mounted, the programs choose: the operator must be shown one of
+values. If the problem leaves open what is mounted, the programs choose: the operator must be shown one of
 the allowed items, and everything else is proven for that item.
 """
 
@@ -44,14 +44,15 @@ their forms.
 
 @dataclasses.dataclass(frozen=True)
 class OperatorStep:
-    """One step of a task's dialogue.
+    """One step of a task's dialogue with the operator, with the moves around it.
 
     Attributes:
         task: The task.
         step: The step.
-        previous_move: Move of any task before it, None for none.
-        next_move: Move of any task after it, None for none.
-        group: Number of times that straight moves have started after joint moves before the step.
+        previous_move: Last move of any task before the step, None if there is none.
+        next_move: First move of any task after the step, None if there is none.
+        group: Number of times before the step that a straight move follows a joint move. Each operation
+            starts this way.
         meanwhile: A move of another task, or of several at once, that may go on at the same time.
     """
 
@@ -64,9 +65,11 @@ class OperatorStep:
 
     @property
     def kind(self) -> str:
-        """``told``, ``asked``, ``on``, ``off``, ``wait`` or ``input``.
+        """Kind of the step, as :class:`planner.claims.dialogue.DialogueStep` names it.
 
-        "" for what no program should have.
+        ``told`` is a message, ``asked`` a question that the operator must confirm, ``on`` and ``off`` switch
+        an output, ``wait`` is a pause and ``input`` a wait for an input. "" is a step that no program should
+        have.
         """
         step = self.step
         if isinstance(step, MessageStep):
@@ -91,43 +94,45 @@ class OperatorStep:
 
     @functools.cached_property
     def previous_segment(self) -> str:
-        """Key of the segment of the previous move."""
+        """Key of the segment of the previous move, "" if there is none."""
         return "" if self.previous_move is None else segment_of_name(self.previous_move.procedure).key
 
     @functools.cached_property
     def next_segment(self) -> str:
-        """Key of the segment of the next move."""
+        """Key of the segment of the next move, "" if there is none."""
         return "" if self.next_move is None else segment_of_name(self.next_move.procedure).key
 
 
 def operator_steps(job: JobText) -> dict[str, list[OperatorStep]]:
-    """Return the dialogue steps of each task by name.
+    """Return the dialogue steps of each task by its name.
 
-    Steps of the handshake of two controllers are left out, except for their questions.
+    Steps of the handshake of two controllers are left out, except for messages and questions.
     """
-    rows = _all_steps(job)
-    moves = [(position, row.step) for position, row in enumerate(rows) if isinstance(row.step, MoveStep)]
+    steps = _all_steps(job)
+    moves = [
+        (position, entry.step) for position, entry in enumerate(steps) if isinstance(entry.step, MoveStep)
+    ]
     move_positions = [position for position, _ in moves]
-    group, groups, joints = 0, [0], True
+    group, groups, previous_by_joints = 0, [0], True
     for _, move in moves:
-        group += joints and not move.by_joints
-        joints = move.by_joints
+        group += previous_by_joints and not move.by_joints
+        previous_by_joints = move.by_joints
         groups.append(group)
     out: dict[str, list[OperatorStep]] = {task.name: [] for task in job.tasks}
-    for position, row in enumerate(rows):
-        if isinstance(row.step, MoveStep) or not _is_dialogue_step(row):
+    for position, entry in enumerate(steps):
+        if isinstance(entry.step, MoveStep) or not _is_dialogue_step(entry):
             continue
         k = bisect.bisect_left(move_positions, position)
         previous_move = moves[k - 1][1] if k else None
         next_move = moves[k][1] if k < len(moves) else None
-        out[row.task.name].append(
+        out[entry.task.name].append(
             OperatorStep(
-                row.task,
-                row.step,
+                entry.task,
+                entry.step,
                 previous_move,
                 next_move,
                 groups[k],
-                _simultaneous_move(job, row.task, row.stage),
+                _simultaneous_move(job, entry.task, entry.stage),
             )
         )
     return out
@@ -135,6 +140,8 @@ def operator_steps(job: JobText) -> dict[str, list[OperatorStep]]:
 
 @dataclasses.dataclass(frozen=True)
 class _StageStep:
+    """A step with the number of its stage. ``protocol``: whether it belongs to the handshake."""
+
     stage: int
     task: TaskText
     step: ProgramStep
@@ -142,7 +149,10 @@ class _StageStep:
 
 
 def _all_steps(job: JobText) -> list[_StageStep]:
-    """Return all steps of all tasks, stage by stage."""
+    """Return all steps of all tasks: stage by stage, in each stage task by task.
+
+    A step that is in no stage counts to the stage of the step before it.
+    """
     stage_of = {
         id(step): number
         for number, stage in enumerate(job.stages)
@@ -151,17 +161,17 @@ def _all_steps(job: JobText) -> list[_StageStep]:
     }
     rows: list[tuple[int, int, int, _StageStep]] = []
     for n, task in enumerate(job.tasks):
-        reading = None if job.automata_by_arm is None else job.automata_by_arm.get(task.name)
+        automaton = None if job.automata_by_arm is None else job.automata_by_arm.get(task.name)
         stage = 0
         for k, step in enumerate(task.steps):
             stage = stage_of.get(id(step), stage)
-            protocol = reading is not None and reading.protocol[k]
+            protocol = automaton is not None and automaton.protocol[k]
             rows.append((stage, n, k, _StageStep(stage, task, step, protocol)))
     return [row for *_, row in sorted(rows, key=lambda item: item[:3])]
 
 
 def _is_dialogue_step(row: _StageStep) -> bool:
-    """Return whether a step belongs to the dialogue. Waits of no time and arrivals at meetings do not."""
+    """Return whether a step belongs to the dialogue. Moves, zero waits and handshake signals do not."""
     step = row.step
     if isinstance(step, MessageStep):
         return step.kind != PANEL_STATE
@@ -173,7 +183,11 @@ def _is_dialogue_step(row: _StageStep) -> bool:
 
 
 def _simultaneous_move(job: JobText, task: TaskText, number: int) -> MoveStep | None:
-    """Return a move that may run while a task shows something in a stage."""
+    """Return a move that may run while a task shows something in stage ``number``, None if none may.
+
+    In a synchronised stage of several tasks, the task's own moves count, too: another task may execute its
+    part of them already.
+    """
     stage = job.stages[number]
     for other in job.tasks:
         if stage.moves(other.name) and (other is not task or (stage.synchronised and len(job.tasks) > 1)):
@@ -184,19 +198,20 @@ def _simultaneous_move(job: JobText, task: TaskText, number: int) -> MoveStep | 
 TARGET_TOLERANCE_M: Final = 1e-4
 """Tolerance [m] between a written target and its position."""
 ShownText = tuple[Sentence, dict[str, Figure]]
+"""A sentence that a program shows, and the values of its placeholders by name."""
 
 
 @dataclasses.dataclass(frozen=True)
 class DialoguePosition:
-    """Where steps belong.
+    """Position in the programs at which steps of the dialogue belong.
 
     Attributes:
         kind: ``start``: before anything moves; ``setup``: at home before an operation; ``first`` and
-            ``last``: at its first and last targets; else as in `DialogueStop`.
+            ``last``: at the first and last targets of an operation; else as in `DialogueStop`.
         operation: Index of the operation.
         key: Key of the segment.
         approach_key: Key of the segment's lead-in.
-        at: Position (3,) [m], None for any.
+        at: Position (3,) [m] of the target before the steps, None for any.
         tolerance: Tolerance [m] of the position.
     """
 
@@ -208,7 +223,7 @@ class DialoguePosition:
     tolerance: float = 0.0
 
     def contains(self, entry: OperatorStep) -> bool:
-        """Return whether a dialogue step is there."""
+        """Return whether a dialogue step is at this position."""
         match self.kind:
             case "start":
                 return entry.previous_move is None
@@ -243,6 +258,7 @@ class DialoguePosition:
         return matches and entry.group == self.operation + 1
 
     def _is_near(self, move: MoveStep | None) -> bool:
+        """Return whether the target of a move is at ``at``, within the tolerance."""
         if self.at is None:
             return True
         target = None if move is None else move.target
@@ -286,7 +302,7 @@ class DialoguePart:
 
 
 def expected_dialogue(context: Context) -> dict[str, list[DialoguePart]]:
-    """Return the expected dialogue of each task by name, in order."""
+    """Return the expected parts of the dialogue of each task by its name, in order."""
     tasks = context.job.tasks
     out: dict[str, list[DialoguePart]] = {
         task.name: [DialoguePart(DialoguePosition("start"), _start_steps(context, task))] for task in tasks
@@ -326,18 +342,22 @@ def handler_texts(context: Context, task: TaskText, procedure: str) -> tuple[Sho
 
 
 def branch_texts(context: Context, task: TaskText) -> tuple[ShownText, ...]:
-    """Return the texts that a branch may show that is decided at run time and ends the program."""
+    """Return the texts that a task may show in a branch that is taken at run time and ends the program."""
     partner = _partner_arm(context, task)
     return ((sentences.UNANSWERED, {"other": partner}),) if partner else ()
 
 
 def _partner_arm(context: Context, task: TaskText) -> str:
-    """Return the arm of the other of two controllers, empty for one controller."""
+    """Return the name of the arm on the other of two controllers, "" if there is one controller."""
     others = [other.arm.name for other in context.job.tasks if other is not task]
     return others[0] if context.job.automata_by_arm is not None and others else ""
 
 
 def _start_steps(context: Context, task: TaskText) -> tuple[DialogueStep, ...]:
+    """Return the messages and questions of a task before anything moves.
+
+    The first task asks. With two controllers, the other program asks about an earlier run, too.
+    """
     start, is_lead = language_of_task(task).start, task is context.job.tasks[0]
     question = start.clear if context.setups[0].steps else start.ready
     partner = _partner_arm(context, task)
@@ -413,13 +433,17 @@ def _choose_group(
     steps_by_task: dict[str, list[OperatorStep]],
     issues: list[Issue],
 ) -> tuple[Claim, ...]:
-    fitting = [group for group in claim.either if _is_shown(context, group, number, steps_by_task)]
-    if len(fitting) == 1:
-        return fitting[0]
-    names = "; ".join(dict.fromkeys(_describe_group(group) for group in claim.either))
-    what = "none" if not fitting else "more than one"
-    message = f"{name}: the texts at the first targets name {what} of the items to mount; available: "
-    issues.append(Issue(DIALOGUE, message + names, field=name, hint="plan again"))
+    """Return the one group of a `OneOf` that the programs show, else its first group.
+
+    In the latter case an issue is appended to ``issues``. ``name`` and ``number`` are those of the operation.
+    """
+    shown_groups = [group for group in claim.either if _is_shown(context, group, number, steps_by_task)]
+    if len(shown_groups) == 1:
+        return shown_groups[0]
+    descriptions = "; ".join(dict.fromkeys(_describe_group(group) for group in claim.either))
+    shown = "none" if not shown_groups else "more than one"
+    message = f"{name}: the texts at the first targets name {shown} of the items to mount; available: "
+    issues.append(Issue(DIALOGUE, message + descriptions, field=name, hint="plan again"))
     return claim.either[0]
 
 
@@ -428,7 +452,7 @@ def _dialogue(group: tuple[Claim, ...]) -> OperatorDialogue | None:
 
 
 def _identifying_steps(group: tuple[Claim, ...]) -> list[DialogueStep]:
-    """Return the first texts of a group with figures that follow from the problem.
+    """Return the texts at the start of a group's dialogue whose values all follow from the problem.
 
     They identify the group.
     """
@@ -446,9 +470,9 @@ def _describe_group(group: tuple[Claim, ...]) -> str:
 def _is_shown(
     context: Context, group: tuple[Claim, ...], number: int, steps_by_task: dict[str, list[OperatorStep]]
 ) -> bool:
-    """Return whether the speaking task shows all of these texts before anything else there.
+    """Return whether a task shows the texts that identify a group, before all other texts at its position.
 
-    Each text may be in one or more lines.
+    The position is at the first targets of operation ``number``. Each text may have one or more lines.
     """
     dialogue = _dialogue(group)
     if dialogue is None:
@@ -466,11 +490,11 @@ def _is_shown(
         if entry.kind == "told" and isinstance(entry.step, MessageStep)
     ]
     for step in _identifying_steps(group):
-        fits = (
+        matches = (
             step.sentence is not None and match_sentence(step.sentence, step.figures, lines[:k]).matches
             for k in range(1, len(lines) + 1)
-        )
-        count = next((k for k, whole in enumerate(fits, 1) if whole), 0)
+        )  # of the first k lines
+        count = next((k for k, is_match in enumerate(matches, 1) if is_match), 0)
         if not count:
             return False
         lines = lines[count:]

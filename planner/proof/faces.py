@@ -18,7 +18,7 @@ def triangle_areas(corners: FloatArray) -> FloatArray:
 
 
 def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Return unit normals (V, 3) at the vertices of a mesh, weighted by area."""
+    """Return unit normals (V, 3) at a mesh's vertices: means of its triangles' normals, weighted by area."""
     corners = vertices[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(vertices)
@@ -28,7 +28,11 @@ def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
 
 
 def quarter_triangles(corners: FloatArray) -> FloatArray:
-    """Divide each triangle into four by the middles of its edges."""
+    """Divide triangles (T, 3, 3) into four each, at the middles of the edges.
+
+    Returns:
+        Triangles (4 T, 3, 3): the three at the corners in turn, then those in the middle.
+    """
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
     parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
@@ -39,18 +43,18 @@ def subdivide(corners: FloatArray, size: float) -> tuple[FloatArray, IntArray]:
     """Divide triangles (T, 3, 3) into pieces without an edge longer than ``size`` [m].
 
     Returns:
-        Pieces (P, 3, 3), and the triangle (P,) of each.
+        Pieces (P, 3, 3), and the index (P,) of the triangle of each piece.
 
     Raises:
         TandemError: There are too many pieces (``verify.duration``). A face that is examined only in parts
             proves nothing.
     """
     parts, owner = bisect_triangles(corners, size, MAX_PIECES)
-    # Edge by edge, because the pieces of a face take a lot of memory.
+    # One edge of all pieces at a time, because the pieces of a face take a lot of memory.
     edges = (parts[:, k] - parts[:, k - 1] for k in range(3))
     longest = max(float(np.linalg.norm(edge, axis=1).max(initial=0.0)) for edge in edges)
     if longest > size * (1.0 + 1e-9):
-        what = f"a face has too many long, thin facets (over {MAX_PIECES} pieces of {size / MM:.2f} mm); "
-        what += "export it with facets of even shape"
-        raise issue_error("verify.duration", what, value=float(len(parts)), limit=float(MAX_PIECES))
+        message = f"a face has too many long, thin facets (over {MAX_PIECES} pieces of {size / MM:.2f} mm); "
+        message += "export it with facets of even shape"
+        raise issue_error("verify.duration", message, value=float(len(parts)), limit=float(MAX_PIECES))
     return parts, owner

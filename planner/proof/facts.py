@@ -22,7 +22,7 @@ class Fact(Generic[Subject, T_co]):
         build: Builds the fact from the context.
         sent: Whether the fact is included when the context is sent to another process. If not, it is built
             again there if a rule needs it.
-        persistent: Whether the fact stays the same when the context is replaced by one with less margin.
+        persistent: Whether the fact stays valid when the context is replaced by one with smaller margins.
     """
 
     name: str
@@ -66,5 +66,5 @@ class Facts(Generic[Subject]):
 
     def __getstate__(self) -> dict[str, Any]:
         """Keep only facts that are marked as ``sent``. Functions that build facts are not included."""
-        sent = (name for name, fact in self._facts.items() if fact.sent and name in self._values)
-        return {"_values": {name: self._values[name] for name in sent}, "_facts": {}}
+        sent_names = (name for name, fact in self._facts.items() if fact.sent and name in self._values)
+        return {"_values": {name: self._values[name] for name in sent_names}, "_facts": {}}

@@ -42,7 +42,7 @@ class Findings:
     # ---- issues ----
 
     def add(self, message: str, measure: Measure | None = None, **fields: Any) -> None:
-        """Add an issue. ``fields`` are others of its fields."""
+        """Add an issue. ``fields`` are further fields of :class:`planner.issues.Issue`."""
         self.issues.append(rule.measured_issue(self.code, message, measure, **fields))
 
     def add_at_step(
@@ -160,6 +160,6 @@ def format_point_mm(point: FloatArray) -> str:
 
 
 def evenly_spaced_rows(flags: BoolArray, count: int) -> IntArray:
-    """Return about ``count`` of the rows at which flags are set, evenly spaced."""
+    """Return about ``count`` indices at which flags are set, evenly spaced among all such indices."""
     rows = np.flatnonzero(flags)
     return rows[:: max(1, len(rows) // count)]

@@ -37,9 +37,9 @@ class StartSentences:
     """What programs show and ask before anything moves.
 
     Attributes:
-        ready: Question whether all is ready, if no setup is confirmed after it.
-        clear: Question whether all is clear, if a setup is.
-        joined: Question that replaces these if the arms are joined.
+        ready: Question whether all is ready, if no question about the first setup follows.
+        clear: Question whether all is clear, if a question about the first setup follows.
+        joined: Question that replaces these two if the arms are joined, None if none does.
         leader_earlier: Question of the first program of two controllers about an earlier run.
         follower_earlier: Question of the second program about an earlier run.
         start_partner: What the first program shows about the start of the second one.
@@ -58,9 +58,9 @@ class AxisFormat:
     """How programs state and check tracks, gantries, turntables and positioners.
 
     Attributes:
-        names: Names of the values of targets, in messages.
+        names: Names of the external axes of targets, in messages.
         zero_is_unused: Whether a value of 0 may stand for an axis that does not exist.
-        checks_home: Whether a step compares an axis with its home as it should.
+        checks_home: Function that tells whether a step compares an axis with its home as it should.
     """
 
     names: tuple[str, ...] = ("E1", "E2", "E3", "E4", "E5", "E6")
@@ -70,7 +70,7 @@ class AxisFormat:
 
 @dataclasses.dataclass(frozen=True)
 class ControllerPower:
-    """Power at one controller, and what its files have to do about it.
+    """Outputs of one controller that a stop must switch off, and the files that must do so.
 
     Attributes:
         context: The proof.
@@ -89,7 +89,7 @@ class ControllerPower:
     files: Mapping[str, str]
 
     def file_name_faults(self, names: Sequence[str]) -> list[str]:
-        """Return files that are missing, and files that do not belong to the programs."""
+        """Return messages about files of ``names`` that are missing, and about files that are not in it."""
         missing = [f"{name} is missing" for name in names if name not in self.files]
         return missing + [
             f"{name} does not belong to the programs"
@@ -100,30 +100,31 @@ class ControllerPower:
 
 @dataclasses.dataclass(frozen=True)
 class ProofOfLanguage:
-    """What a language contributes.
+    """What a language contributes to the proof.
 
     Attributes:
-        rules: Rules about programs of this language alone.
+        rules: Rules about programs of this language only.
         checks: Parts of rules about one task, by the codes of the rules.
         job_checks: Parts of rules about all tasks, by the codes of the rules.
-        same_text: Whether two texts of a file differ at most in comments and white space.
-        targets_in: Positions of targets in the text of a file, and whether each one has digits that a person
-            or a controller wrote.
-        likely_cause: Likely cause of a fault of the text by its message, "" if nothing is known.
+        same_text: Function that tells whether two texts of a file differ at most in comments and white space.
+        targets_in: Function for the positions of targets in the text of a file, each with whether its digits
+            were written by a person or a controller.
+        likely_cause: Function for the likely cause of a fault of the text by its message, "" if unknown.
         start: What programs show and ask before anything moves.
-        missing_file: Message about an arm without program; it may name {arm} and {task}.
+        missing_file: Message about an arm without a program; it may name {arm} and {task}.
         external_axes: How programs state and check external axes.
         controller_files: Faults of the files of a controller, None if it takes no files.
-        corners: Corners of consecutive moves of a task that are too large, and the largest excess [mm], None
-            for those of the common zones.
-        slowest: Whether a move is as slow as the language can state, None if moves state times.
+        corners: Function for the issues of zones of consecutive moves of a task that are too large, and the
+            largest excess [mm]; None if the common rule on zones applies.
+        slowest: Function that tells whether a move is as slow as the language can state, None if moves state
+            times.
         starting_kinds: Kinds of moves of zero length that are allowed because something starts there.
         zero_length_fault: What is wrong with a move of zero length while another arm moves, "" if nothing
             is.
         watches_torch: Whether programs continue in a slot after a pause, so that they have to monitor their
             torch.
-        restarts: Faults of two programs that start anew after each stop, and the number of states, None if
-            programs continue where they were stopped.
+        restarts: Function for the issues of two programs that start anew after each stop, and the number of
+            states that were examined; None if programs continue where they were stopped.
     """
 
     rules: tuple[Rule, ...] = ()
@@ -145,7 +146,7 @@ class ProofOfLanguage:
 
 
 _EMPTY: Final = ProofOfLanguage()
-"""Contribution of a language without one."""
+"""Contribution of a language that contributes nothing."""
 
 
 @functools.cache
@@ -163,7 +164,7 @@ def language_of_task(task: TaskText) -> ProofOfLanguage:
 
 
 def language_of_file(path: str) -> ProofOfLanguage:
-    """Return the contribution of the language of a file, by the ending of its name."""
+    """Return the contribution of the language of a file, by the suffix of its name."""
     ending = PurePosixPath(path).suffix.lower()
     return _of(
         next((language for language in plugins.usable(Language).values() if ending in language.endings), None)
@@ -176,7 +177,7 @@ def language_of_arm(arm: Arm) -> ProofOfLanguage:
 
 
 def check_task(code: str, context: Context, task: TaskText) -> RuleOutcome:
-    """Apply the part of a rule that the language of a task has.
+    """Check a task by the part of a rule that its language contributes.
 
     Args:
         code: Code of the rule.
@@ -184,14 +185,14 @@ def check_task(code: str, context: Context, task: TaskText) -> RuleOutcome:
         task: The task.
 
     Returns:
-        What was found, nothing if the language has no such part.
+        The outcome, which is empty if the language has no such part.
     """
     check = language_of_task(task).checks.get(code)
     return RuleOutcome() if check is None else check(context, task)
 
 
 def job_issues(code: str, context: Context) -> list[Issue]:
-    """Return the issues of the parts of a rule that languages have about all tasks."""
+    """Return the issues that the languages' parts of a rule find in all tasks together."""
     contributions = dict.fromkeys(language.proof for language in plugins.usable(Language).values())
     checks = (_load(reference).job_checks.get(code) for reference in contributions)
     return [issue for check in checks if check is not None for issue in check(context)]

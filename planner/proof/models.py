@@ -20,13 +20,13 @@ Models = Callable[[int], CellModel]
 
 @dataclasses.dataclass(frozen=True)
 class StationaryPoses:
-    """Poses of stationary things according to the programs, one value for each setup.
+    """Poses of stationary bodies according to the programs, one value for each setup.
 
     Attributes:
         stock_frames: Frames (4, 4) of the stock, or None if nothing states one.
         bases: Base poses (4, 4) by arm.
         tilts: Values [rad] of the tilt axis of a positioner.
-        axes: Values [m] of the axes under arms, by the name of the axis.
+        axes: Values [m] of the axes that carry arms, by the name of the axis.
     """
 
     stock_frames: tuple[FloatArray | None, ...]
@@ -45,21 +45,19 @@ class StationaryPoses:
 def cell_models(problem: Problem, stationary: StationaryPoses, cache: dict[str, Any] | None = None) -> Models:
     """Return a function for the cell model of a setup.
 
-    The model has stock, bases and axes where the programs have them.
+    In the model, stock, bases and axes have the poses that the programs state.
 
     Args:
-        problem: Problem as it was given, from whose stations the axes are moved.
-        stationary: Poses of stationary things according to the programs.
-        cache: Models that were built before. It is filled.
+        problem: Problem as it was given. Bodies on axes are moved from its stations to those of the programs.
+        stationary: Poses of stationary bodies according to the programs.
+        cache: Dictionary that keeps the models between proofs. Models that are built are added.
     """
     built: dict[int, CellModel] = {} if cache is None else cache.setdefault("models", {})
 
     def model(index: int) -> CellModel:
-        setup, frame, bases = (
-            all_setups(problem)[index],
-            stationary.stock_frames[index],
-            stationary.bases[index],
-        )
+        setup = all_setups(problem)[index]
+        frame = stationary.stock_frames[index]
+        bases = stationary.bases[index]
         frame = np.eye(4) if frame is None else frame
         if index not in built:
             built[index] = build_cell_model(setup.cell, setup.stock, frame, bases)

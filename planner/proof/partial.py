@@ -1,9 +1,9 @@
-"""Partial proof of programs of other origin: moves that can be read, each stretch of them by itself.
+"""Partial proof of programs of other origin: the moves that can be read, stretch by stretch.
 
-A stretch starts where the arm's position is known: after the first move whose target states it. Proven is
-the motion of one arm: reach, configuration, joint limits and speeds, singularity, speed of the tool, and
-clearance to the cell and to other arms at home. Nothing is proven of signals, of the process, and of what
-the other arms do meanwhile.
+A stretch starts where the arm's position is known: after the first move whose target defines the joints. The
+motion of one arm is proven: reach, configuration, joint limits and speeds, singularity, speed of the tool,
+and clearance to the cell and to other arms at home. Nothing is proven about signals, the process and the
+motion of the other arms.
 """
 
 import dataclasses
@@ -37,16 +37,16 @@ from planner.proof.rules.clearance import (
 from planner.proof.rules.robot_motion import MAX_JOINT_STEP_RAD, TCP_SPEED_FACTOR
 
 UNREAD = "verify.unread"
-"""Code for what was not read, and is not proven."""
+"""Code of issues about lines that were not read, and moves that are not proven."""
 _MAX_STRIDE_M = 0.005
 """Maximum path [m] of any point of an arm between clearance queries."""
 _MAX_QUERIES = 200_000
-"""Maximum number of clearance queries in all. What is left then is not proven."""
+"""Number of clearance queries of an arm after which its remaining stretches are not proven."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ProvenShare:
-    """Proven part of the moves that were found.
+    """Proven part of the moves in the texts.
 
     Attributes:
         moves: Number of moves in the texts.
@@ -76,7 +76,7 @@ class PartialProof:
     """Result of a partial proof.
 
     Attributes:
-        issues: Lines that were not read, and moves that were read but not proven.
+        issues: Issues about lines that were not read, and about moves that are not proven.
         proven: The proven part.
     """
 
@@ -86,11 +86,11 @@ class PartialProof:
 
 @dataclasses.dataclass
 class _MoveCounts:
-    """Counts of moves.
+    """Results for the moves of one arm, or of all.
 
     Attributes:
-        proven: Moves by (file, line), and whether each of their runs was proven.
-        why: Reasons for moves that are not proven.
+        proven: Whether a move is proven each time that it is executed, by its (file, line).
+        why: Reasons why moves are not proven, by (file, line).
         sums: Sums of path [m], proven path [m], time [s] and proven time [s].
         queries: Number of clearance queries.
     """
@@ -101,24 +101,24 @@ class _MoveCounts:
     queries: int = 0
 
     def reject(self, key: tuple[str, int], why: str) -> None:
-        """Note a move that is not proven."""
+        """Record that a move is not proven. Of several reasons the first one counts."""
         self.proven[key] = False
         self.why.setdefault(key, why)
 
 
 def prove_partly(problem: Problem, programs: Mapping[str, str]) -> PartialProof:
-    """Read and prove what is possible of programs of any origin, for the cell of a problem.
+    """Read programs of any origin, and prove as many of their moves as possible, for the cell of a problem.
 
     Args:
         problem: The problem.
         programs: Text by file name.
 
     Raises:
-        TandemError: A robot is not supported (verify.robot_model).
+        TandemError: A robot is not supported (``verify.robot_model``).
     """
-    arm_texts, strays = partial.read_partial(problem, programs)
-    issues = [_unread_issue(path, None, "it belongs to no arm of the cell") for path in strays]
-    total, count = 0, _MoveCounts()
+    arm_texts, unassigned_files = partial.read_partial(problem, programs)
+    issues = [_unread_issue(path, None, "it belongs to no arm of the cell") for path in unassigned_files]
+    move_count, totals = 0, _MoveCounts()
     prover = Prover(problem, {})
     for arm_text in arm_texts:
         arm_count = _MoveCounts()
@@ -132,20 +132,22 @@ def prove_partly(problem: Problem, programs: Mapping[str, str]) -> PartialProof:
                 issues.append(Issue(UNREAD, why, file=key[0], line=key[1], arm=arm_text.arm.name))
         for key in dict.fromkeys(arm_text.moves):
             if key not in arm_count.proven and key not in unread:
-                what = "the move is on no path that was read: not proven"
-                issues.append(Issue(UNREAD, what, file=key[0], line=key[1], arm=arm_text.arm.name))
-        total += len(arm_text.moves)
-        count.proven |= {
+                message = "the move is on no path that was read: not proven"
+                issues.append(Issue(UNREAD, message, file=key[0], line=key[1], arm=arm_text.arm.name))
+        move_count += len(arm_text.moves)
+        totals.proven |= {
             key: is_proven for key, is_proven in arm_count.proven.items() if key in set(arm_text.moves)
         }
-        count.sums += arm_count.sums
-    path_length, path_proven, time, time_proven = count.sums.tolist()
-    proven_share = ProvenShare(total, sum(count.proven.values()), path_length, path_proven, time, time_proven)
+        totals.sums += arm_count.sums
+    path_length, path_proven, time, time_proven = totals.sums.tolist()
+    proven_share = ProvenShare(
+        move_count, sum(totals.proven.values()), path_length, path_proven, time, time_proven
+    )
     return PartialProof(tuple(issues), proven_share)
 
 
-def _unread_issue(file: str, line: int | None, what: str, arm: str | None = None) -> Issue:
-    return Issue(UNREAD, f"{what}: not read, not proven", file=file, line=line, arm=arm)
+def _unread_issue(file: str, line: int | None, reason: str, arm: str | None = None) -> Issue:
+    return Issue(UNREAD, f"{reason}: not read, not proven", file=file, line=line, arm=arm)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -162,19 +164,20 @@ class _KnownStretch:
 
 
 def _known_stretches(problem: Problem, arm_text: PartialPrograms, count: _MoveCounts) -> list[_KnownStretch]:
-    """Return the stretches of moves that start at known joints."""
+    """Return the stretches of moves that start at known joints. Other moves are rejected in ``count``."""
     stretches: list[_KnownStretch] = []
-    open_, shifted = False, False
+    is_open, shifted = False, False  # whether the last stretch goes on, and whether targets may be shifted
 
     def close() -> None:
-        if open_ and stretches[-1].moves and not stretches[-1].moves[-1].zone.fine:
+        """Reject the last move of the open stretch if it ends in a zone."""
+        if is_open and stretches[-1].moves and not stretches[-1].moves[-1].zone.fine:
             last_key = _move_key(arm_text, stretches[-1].moves[-1])
             count.reject(last_key, "its corner leads to an unknown motion")
 
     for part in arm_text.path:
         if isinstance(part, Gap):
             close()
-            open_, shifted = False, shifted or part.shifts
+            is_open, shifted = False, shifted or part.shifts
             continue
         key = _move_key(arm_text, part)
         why = (
@@ -190,38 +193,42 @@ def _known_stretches(problem: Problem, arm_text: PartialPrograms, count: _MoveCo
         if why:
             close()
             count.reject(key, why)
-            open_ = False
+            is_open = False
             continue
-        if open_:
+        if is_open:
             stretches[-1].moves.append(part)
             continue
         count.reject(key, "the start of the move is unknown")
         start = _target_joints(problem, arm_text, part)
         if start is not None:
             stretches.append(_KnownStretch(moves=[], start=start))
-            open_ = True
+            is_open = True
     close()
     return [stretch for stretch in stretches if stretch.moves]
 
 
 def _move_key(arm_text: PartialPrograms, move: MoveStep) -> tuple[str, int]:
+    """Return file and line of a move."""
     return arm_text.paths.get(move.module, move.module), move.line
 
 
 def _unknown_path_reason(
     move: MoveStep, known: frozenset[str] | None, has_track: bool, has_turntable: bool
 ) -> str:
-    """Return why the path of a move is unknown, or an empty text."""
+    """Return why the path of a move is unknown, "" if it is known.
+
+    ``known`` are the kinds of moves whose path is known, None for all kinds.
+    """
     if known is not None and move.kind not in known:
         return f"the path of {move.kind} between its targets is unknown"
     if move.wobj.held or not move.wobj.fixed or not move.tool.held:
         return "its tool or its work object is not the arm's own, or moves"
-    outer = move.target.external
+    external = move.target.external
     if has_track:
         return "its arm is on a track or gantry, which unread moves may have moved"
     if has_turntable:
         return "its block is on a turntable, which unread moves may have rotated"
-    if (np.abs(outer) > 0.0).any() and (outer < 8.9e9).any():
+    if (np.abs(external) > 0.0).any() and (external < 8.9e9).any():
         return "it moves an external axis"
     if {"conc", "corr", "z"} & set(move.switches):
         return "an option changes its path"
@@ -253,6 +260,10 @@ def _prove_stretch(
     stretch: _KnownStretch,
     count: _MoveCounts,
 ) -> None:
+    """Prove the moves of a stretch, and add the results to ``count``.
+
+    The stretch is replayed as a program of its own, with the other arms at home.
+    """
     run = stretch.moves
     keys = [_move_key(arm_text, move) for move in run]
     if count.queries > _MAX_QUERIES or count.sums[2] > MAX_MOTION_TIME_S:
@@ -267,6 +278,7 @@ def _prove_stretch(
     ]
     stage = JobStage(False, None, {task.name: task.steps for task in tasks})
     context = Context(problem, {}, programs)
+    # The cached values are set, because the texts are not read in the usual way.
     context.__dict__["job"] = JobText(tuple(tasks), (stage,), (), (), (), {})
     context.__dict__["bases"] = {arm.name: arm.base for arm in problem.cell.arms}
     try:
@@ -284,22 +296,23 @@ def _prove_stretch(
             count.reject(key, violations[i])
         else:
             count.proven.setdefault(key, True)
-        good = i not in violations and key not in count.why
+        is_proven = i not in violations and key not in count.why
         seconds = float(motion.node_duration[i])
-        count.sums += [path[i], path[i] * good, seconds, seconds * good]
+        count.sums += [path[i], path[i] * is_proven, seconds, seconds * is_proven]
 
 
 def _violations(
     context: Context, prover: Prover, moved_arm: Arm, run: Sequence[MoveStep], count: _MoveCounts
 ) -> dict[int, str]:
-    """Return the moves of a stretch, by number, that violate a requirement, and why."""
+    """Return the first violated requirement of moves of a stretch, by the index of the move."""
     arm, motion, settings = moved_arm.name, context.motion, context.problem.settings
     machine, q = arm_model.robot_machine(moved_arm.data), motion.q[arm]
     out: dict[int, str] = {}
 
-    def mark(wrong: BoolArray, what: str) -> None:
+    def mark(wrong: BoolArray, reason: str) -> None:
+        """Reject the moves of samples ``wrong`` (S,)."""
         for node in np.unique(motion.node[wrong]):
-            out.setdefault(int(node), what)
+            out.setdefault(int(node), reason)
 
     for fault in motion.faults:
         end_node = (
@@ -312,25 +325,29 @@ def _violations(
     outside = np.any((q < machine.data.lower) | (q > machine.data.upper), axis=1)
     mark(np.asarray(outside), "an axis leaves its limits")
     if machine.data.coupling is not None:
-        rod = q[:, 1] + q[:, 2]
+        controller_axis_3 = q[:, 1] + q[:, 2]
         low, high = machine.data.coupling.axis3_lower, machine.data.coupling.axis3_upper
-        mark((rod < low) | (rod > high), "axis 3, as the controller counts it, leaves its limits")
+        mark(
+            (controller_axis_3 < low) | (controller_axis_3 > high),
+            "axis 3, as the controller counts it, leaves its limits",
+        )
     jump = np.abs(np.diff(q, axis=0, prepend=q[:1])).max(axis=1) > MAX_JOINT_STEP_RAD
     mark(jump, "an axis jumps to another solution")
     fast = np.any(np.abs(motion.speed(arm)) > machine.data.velocity, axis=1)
     mark(np.asarray(fast), "an axis is too slow for its time")
-    joint = np.array([move.by_joints for move in run])
+    by_joints = np.array([move.by_joints for move in run])
     near_singular = singularity_distance(machine, q) < settings.singularity_margin - np.deg2rad(0.05)
-    mark(near_singular & ~joint[motion.node], "the arm comes too close to a singular posture")
+    mark(near_singular & ~by_joints[motion.node], "the arm comes too close to a singular posture")
     positions = motion.tcp[arm][np.arange(len(motion.time))][:, :3, 3]
     step = np.linalg.norm(np.diff(positions, axis=0, prepend=positions[:1]), axis=1)
-    spent = np.maximum(np.diff(motion.time, prepend=motion.time[0] - 1.0), 1e-6)
+    elapsed = np.maximum(np.diff(motion.time, prepend=motion.time[0] - 1.0), 1e-6)
     too_fast = "the tool moves faster than the problem allows"
-    mark((step / spent > TCP_SPEED_FACTOR * settings.tcp_speed) & ~joint[motion.node], too_fast)
-    for i in np.flatnonzero(joint).tolist():  # for joint moves the stated speed counts
+    mark((step / elapsed > TCP_SPEED_FACTOR * settings.tcp_speed) & ~by_joints[motion.node], too_fast)
+    for i in np.flatnonzero(by_joints).tolist():  # for joint moves the stated speed counts
         stated = run[i].speed.tcp if run[i].velocity is None else run[i].velocity
         if run[i].speed.axes is None and not (stated or 0.0) <= 1.001 * settings.tcp_speed:
             out.setdefault(i, too_fast)
+    # No point of the arm is assumed to be farther from an axis than 1.5 times the reach.
     path = np.cumsum(np.abs(np.diff(q, axis=0, prepend=q[:1])).sum(axis=1)) * 1.5 * machine.data.reach
     query_count = int(path[-1] / _MAX_STRIDE_M) + 1
     count.queries += query_count
@@ -357,9 +374,9 @@ def _violations(
 def _min_clearance(
     context: Context, prover: Prover, arm: str, rows: IntArray, q: FloatArray, itself: bool
 ) -> tuple[IntArray, FloatArray]:
-    """Return the samples among ``rows`` that were measured, and the smallest distance [m] there.
+    """Return the samples among ``rows`` that were measured, and the smallest distance [m] at each.
 
-    With ``itself`` it is that of one arm to itself, else that of all others.
+    With ``itself`` it is the distance of an arm to itself, else that of all other pairs of bodies.
     """
     problem = context.problem
     joints = {other.name: np.tile(other.home, (len(rows), 1)) for other in problem.cell.arms}
@@ -367,7 +384,7 @@ def _min_clearance(
     required = required_clearance(problem.settings, itself)
     limit, query_range = min_accepted_clearance(required), max(MIN_QUERY_RANGE_M, 1.5 * required)
     model = cell_models(problem, StationaryPoses.of(context), prover.cache)(0)
-    # Contact of the tool's edge with the block is the process's affair.
+    # Contact of the tool's edge with the block depends on the process, so it is not examined.
     contact_pair = {f"{arm}/edge", "stock"}
     ignore = (
         frozenset({frozenset(contact_pair)})

@@ -27,7 +27,7 @@ from planner.runtime.memory import release_memory
 
 
 def unproven_claims(claims: Claims, problem: Problem | None = None) -> list[Issue]:
-    """Find claims that no rule proves, and operations without claims.
+    """Return issues about claims that no rule proves, and about operations without claims.
 
     Args:
         claims: Claims by the name of the operation.
@@ -37,20 +37,20 @@ def unproven_claims(claims: Claims, problem: Problem | None = None) -> list[Issu
     out = []
     for name, group in claims.items():
         inner = [
-            c
+            inner_claim
             for claim in group
             if isinstance(claim, OneOf)
             for alternative in claim.either
-            for c in alternative
+            for inner_claim in alternative
         ]
-        known = (type(claim) for claim in (*group, *inner) if type(claim) not in proven)
-        for kind in dict.fromkeys(known):
-            what = format_message("claims.unproven", operation=name, claim_type=kind.__name__)
-            out.append(Issue("claims.unproven", what, field="operations.process"))
+        unproven = (type(claim) for claim in (*group, *inner) if type(claim) not in proven)
+        for kind in dict.fromkeys(unproven):
+            message = format_message("claims.unproven", operation=name, claim_type=kind.__name__)
+            out.append(Issue("claims.unproven", message, field="operations.process"))
         if all(isinstance(claim, ArmSags) for claim in group):
-            what = f"{name}: its process claims nothing, so nothing of it would be proven"
-            what += "; add claims for what has to hold"
-            out.append(Issue("claims.none", what, field="operations.process"))
+            message = f"{name}: its process claims nothing, so nothing of it would be proven"
+            message += "; add claims for what has to hold"
+            out.append(Issue("claims.none", message, field="operations.process"))
     return out
 
 
@@ -58,8 +58,8 @@ def unproven_claims(claims: Claims, problem: Problem | None = None) -> list[Issu
 class Prover:
     """Proves programs of one problem.
 
-    What does not depend on the programs, such as Drake's models and claimed faces, is kept between proofs,
-    so that later proofs start faster.
+    Values that do not depend on the programs, such as Drake's models and claimed faces, are kept between
+    proofs, so that later proofs start faster.
 
     Attributes:
         problem: The problem.
@@ -79,7 +79,10 @@ class Prover:
         return rule_table.by_stage(rule_table.rules_of(self.problem))
 
     def context(self, programs: Mapping[str, str]) -> Context:
-        """Return the context of a proof: the problem as the programs have it, and all claims on it."""
+        """Return the context of a proof of programs.
+
+        Its problem has the stations that the programs state, and its claims the groups that they choose.
+        """
         if self._completed_claims is None:
             self._completed_claims = _read_claimed_files(self.problem, self.claims)
         context = Context(self.problem, self._completed_claims[0], programs, self._completed_claims[1])
@@ -91,8 +94,8 @@ class Prover:
 
         Args:
             programs: Text by file name.
-            first_error: Stop at the first rule that fails. The verdict is the same.
-            last: Stop after the rule with this code. Such a proof never holds.
+            first_error: Whether to stop at the first rule that fails. The verdict is the same.
+            last: Code of a rule after which to stop. Such a proof never holds. By default all rules run.
         """
         run = _ProofRun(self.context(programs), self._rules)
         for _ in run.steps():
@@ -104,7 +107,7 @@ class Prover:
 
 
 def _read_claimed_files(problem: Problem, claims: Claims) -> tuple[Claims, tuple[Issue, ...]]:
-    """Read the files that claims name, process by process."""
+    """Return claims with the content of the files that they name, and the issues of reading these."""
     issues: list[Issue] = []
     for contribution in of_processes(problem):
         if contribution.complete is not None:
@@ -114,7 +117,10 @@ def _read_claimed_files(problem: Problem, claims: Claims) -> tuple[Claims, tuple
 
 
 def _examine_in_process(context: Context, codes: tuple[str, ...]) -> Iterator[RuleOutcome]:
-    """Examine rules one after the other, in another process. Rules themselves cannot be sent there."""
+    """Examine rules one after the other, in another process.
+
+    They are named by their codes, because rules themselves cannot be sent to another process.
+    """
     rules = {rule.code: rule for rule in rule_table.rules_of(context.problem)}
     for code in codes:
         yield rules[code](context)
@@ -155,7 +161,7 @@ class _ProofRun:
                 yield
 
     def _can_start(self, stage: Stage) -> bool:
-        """Return whether the rules before a stage leave it something to examine."""
+        """Return whether the results of earlier rules leave a stage something to examine."""
         match stage:
             case "tasks":  # postures of arms depend on the files of their robots
                 return not self._has_failed("verify.robot_model") and self.context.is_readable
@@ -168,7 +174,7 @@ class _ProofRun:
         return True
 
     def _start_stage(self, stage: Stage) -> None:
-        """Submit what another process can do meanwhile."""
+        """Submit work of a stage that another process can do meanwhile, and build the facts at its start."""
         groups = (
             rule_table.BODY_RULES,
             *(group for contribution in self.processes for group in contribution.parallel_groups),
@@ -186,6 +192,7 @@ class _ProofRun:
         self._submit(stage, groups[1:])
 
     def _submit(self, stage: Stage, groups: tuple[ParallelGroup, ...]) -> None:
+        """Submit the rules of parallel groups that start with a stage, apart from those that have started."""
         for group in groups:
             if group.stage == stage and group.useful(self.context):
                 rules = (
@@ -207,6 +214,7 @@ class _ProofRun:
         return text.find_modified_targets(self.context.job)
 
     def _add(self, rule: Rule, outcome: RuleOutcome, stage: Stage) -> None:
+        """Record the result of a rule, and its issues with their likely causes and remedies."""
         self.issues += [
             text.with_language_cause(with_remedy(issue))
             if stage == "text"
@@ -224,7 +232,7 @@ class _ProofRun:
         self.results[rule.code] = result
 
     def proof(self) -> Proof:
-        """Return what was found."""
+        """Return the proof as far as rules have run."""
         rules = tuple(
             self.results.get(rule.code)
             or RuleResult(rule.code, rule.title, False, where="not reached", ran=False)

@@ -13,15 +13,15 @@ from planner.proof.rule_order import Stage
 from planner.proof.verdict import CutFace
 
 MAX_FEED_FACTOR = 1.05
-"""Factor by which the replay's ramps and corners may exceed feeds."""
+"""Ratio of speed to feed up to which ramps and corners of the replay may exceed a feed."""
 
 
 @dataclasses.dataclass(frozen=True)
 class RuleOutcome:
-    """What a rule found.
+    """Outcome of a rule.
 
     Attributes:
-        issues: What is wrong.
+        issues: Issues that the rule found.
         worst: The worst value, in ``unit``, or None if the rule only says yes or no.
         limit: What is allowed, in ``unit``.
         unit: Unit in which a person reads both.
@@ -46,7 +46,7 @@ class RuleOutcome:
 
 
 ExamineFunction = Callable[[Context], RuleOutcome]
-"""Function of a rule."""
+"""Function that examines the programs of a context for a rule."""
 Measure = tuple[float, float, str | None]
 """Measured value, allowed value, and the unit in which a person reads both, None for counts."""
 
@@ -119,7 +119,7 @@ def step_issue(
 
 
 def target_label(step: ProgramStep) -> str | None:
-    """Return the name of a move's target: its ID, else its name."""
+    """Return the name of a move's target for messages: its ID, else its name. None for other steps."""
     if not isinstance(step, MoveStep):
         return None
     return f"ID {step.id}" if step.id is not None else step.target_name or None

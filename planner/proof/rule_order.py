@@ -167,6 +167,6 @@ NEEDED: Final = (
     "verify.held_frame",
     "verify.status",
 )
-"""Rules that must hold for a motion to follow from the text."""
+"""Codes of the rules that must hold for a motion to follow from the text."""
 FACES: Final = ("verify.surface", "verify.formed", "verify.milled")
-"""Rules of Tandem that yield simulated faces, in the order in which reports show them."""
+"""Codes of the rules of Tandem that yield simulated faces, in the order in which reports show them."""

@@ -55,7 +55,7 @@ GENERAL_RULES: Final[tuple[Rule, ...]] = (
 )
 """Rules that hold for any motion."""
 BODY_RULES: Final = ParallelGroup("bodies", "sheets", lambda context: not context.is_long)
-"""Rules on the bodies of the cell, which need no fact of a process."""
+"""Rules on the bodies of the cell. They need no fact of a process, so another process can examine them."""
 
 
 def rules_of(problem: Problem | None = None) -> tuple[Rule, ...]:
@@ -66,18 +66,18 @@ def rules_of(problem: Problem | None = None) -> tuple[Rule, ...]:
             ``post.language`` for a language).
     """
     rules = dict.fromkeys((*GENERAL_RULES, *_rules(proofs_of_languages()), *_rules(of_processes())))
-    taken = {rule.code for rule in rules}
+    used_codes = {rule.code for rule in rules}
     language_rules, process_rules = _rules(proofs_of_languages(problem)), _rules(of_processes(problem))
     for code, package_rules in (
         ("post.language", language_rules),
         ("problem.process_package", process_rules),
     ):
         for rule in (rule for rule in package_rules if rule not in rules):
-            if fault := _unusable_reason(rule, taken):
-                what = f"the rule {rule.code} of {rule.examine.__module__} {fault}"
-                raise issue_error(code, f"{what}; repair or uninstall its package")
+            if fault := _unusable_reason(rule, used_codes):
+                message = f"the rule {rule.code} of {rule.examine.__module__} {fault}"
+                raise issue_error(code, f"{message}; repair or uninstall its package")
             rules[rule] = None
-            taken.add(rule.code)
+            used_codes.add(rule.code)
     return tuple(rules)
 
 
@@ -85,9 +85,12 @@ def _rules(parts: Iterable[ProofOfLanguage | ProofOfProcess]) -> list[Rule]:
     return [rule for part in parts for rule in part.rules]
 
 
-def _unusable_reason(rule: Rule, taken: Collection[str]) -> str:
-    """Return why a rule of an installed package cannot be used, or an empty text."""
-    if rule.code in taken:
+def _unusable_reason(rule: Rule, used_codes: Collection[str]) -> str:
+    """Return why a rule of an installed package cannot be used, "" if it can.
+
+    ``used_codes`` are the codes of all other rules.
+    """
+    if rule.code in used_codes:
         return "has the code of another rule"
     if issue_codes.code_owners(rule.code) in (frozenset(), {"Tandem"}):
         return "has no row among the issue codes of its package"
@@ -95,7 +98,7 @@ def _unusable_reason(rule: Rule, taken: Collection[str]) -> str:
 
 
 def by_stage(rules: Iterable[Rule]) -> Mapping[Stage, tuple[Rule, ...]]:
-    """Sort rules into their order.
+    """Return rules in their order, by stage. Rules of installed packages follow those of Tandem.
 
     Raises:
         TandemError: Two rules have the same code, or a rule of Tandem is missing (``internal.error``).

@@ -1,4 +1,4 @@
-"""Curves over the motion, for report and replay."""
+"""Curves over the motion, for the report and its replay view."""
 
 from collections.abc import Mapping
 from typing import Any, Final
@@ -13,26 +13,27 @@ from planner.proof.kinematics.inverse_kinematics import singularity_distance
 from planner.proof.replay.motion import finite_differences
 
 _SAMPLES_PER_BATCH = 65_536
-"""Number of samples of a long motion per batch."""
+"""Number of samples per batch, to limit the memory for long motions."""
 MAX_CURVE_POINTS: Final = 6000
-"""Largest number of points of a curve in a proof."""
+"""Approximate maximum number of points of a curve in a proof. It is below twice this number."""
 
 
 def motion_series(context: Context, measured: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Collect the curves of a motion.
 
-    The motion is thinned to a few thousand samples. Extremes of speeds and accelerations are kept.
+    The motion is decimated to a few thousand samples. Of speeds and accelerations, the extremes between two
+    of these samples are kept.
 
     Args:
         context: Context of the proof.
         measured: Curves that rules measured, by the code of the rule.
 
     Returns:
-        Arrays by name, in SI units: per arm ``joints/<arm>`` (S, 6), ``speed/<arm>``,
-            ``acceleration/<arm>``,
-        ``tcp_speed/<arm>`` and ``singular/<arm>`` (S,) [rad], the distance from singular postures;
-            ``clearance/...`` and
-        ``own_clearance/...`` over the queries of these rules; and the curves of processes.
+        Arrays by name, in SI units, over S samples: ``time`` and ``label`` (S,); for each arm
+        ``joints/<arm>``, ``speed/<arm>`` and ``acceleration/<arm>`` (S, 6), ``tcp_speed/<arm>`` (S,) and
+        ``singular/<arm>`` (S,) [rad], the distance from singular postures. Also ``targets/...`` over the
+        targets, ``clearance/...`` and ``own_clearance/...`` over the queries of these rules, and the curves
+        of processes.
     """
     rule_curves = dict(measured)
     motion = context.motion
@@ -74,7 +75,7 @@ def motion_series(context: Context, measured: Mapping[str, Mapping[str, Any]]) -
 
 
 def _extremes(values: FloatArray, rows: IntArray) -> FloatArray:
-    """Return the value of largest magnitude within each stretch between rows."""
+    """Return the value of largest magnitude from each of the indices ``rows`` up to the next one."""
     if len(rows) == len(values):
         return values
     high = np.maximum.reduceat(values, rows, axis=0)

@@ -1,4 +1,4 @@
-"""Setups as the text has them, and the claims that hold in each."""
+"""Stages of the programs at which setups start, and the claims that hold in each setup."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -17,9 +17,9 @@ class OperatorQuestion:
     """A question to the operator in the straight path of a task.
 
     Attributes:
-        stage: Index of the stage.
+        stage: Number of the stage.
         task: The task.
-        position: Position among the task's steps in the stage.
+        position: Index among the task's steps in the stage.
         step: The question.
     """
 
@@ -31,12 +31,12 @@ class OperatorQuestion:
 
 @dataclasses.dataclass(frozen=True)
 class SetupSpans:
-    """Setups by stage.
+    """Setups by stage of the programs.
 
     Attributes:
-        of_stage: Index of the setup in force (stages,).
-        confirmations: For each setup the questions that ask for its confirmation, none for a setup without
-            steps.
+        of_stage: Index of the setup that is in force at each stage.
+        confirmations: For each setup, the questions that ask the operator to confirm it; none for a setup
+            without steps of the operator.
     """
 
     of_stage: IntArray
@@ -46,15 +46,15 @@ class SetupSpans:
 def setup_spans(setups: tuple[Setup, ...], job: JobText) -> SetupSpans:
     """Return the setups by stage.
 
-    A setup starts at the first stage that asks for its confirmation. If that is missing or out of order,
-    ``verify.setup`` reports it, and nothing else is to be concluded.
+    A setup starts at the first stage that asks for its confirmation. If the confirmations are incomplete or
+    out of order, ``verify.setup`` reports it, and the result means nothing.
     """
     questions = operator_questions(job)
     confirmations = tuple(
         tuple(
-            q
-            for q in questions
-            if setup.steps and single_spaced(q.step.text) == single_spaced(setup.confirmation)
+            question
+            for question in questions
+            if setup.steps and single_spaced(question.step.text) == single_spaced(setup.confirmation)
         )
         for setup in setups
     )
@@ -77,9 +77,9 @@ def operator_questions(job: JobText) -> list[OperatorQuestion]:
 
 
 def shown_characters(job: JobText, question: OperatorQuestion) -> str:
-    """Return all that the task shows since its last move, question or clearing of the panel.
+    """Return the letters and digits that a task shows before a question.
 
-    It is returned as letters and digits.
+    The text starts after the last move, question or clearing of the panel before it.
     """
     lines: list[str] = []
     for number in range(question.stage, -1, -1):
@@ -96,7 +96,7 @@ def shown_characters(job: JobText, question: OperatorQuestion) -> str:
 
 
 def single_spaced(text: str) -> str:
-    """Return the text with single spaces, as a panel's lines give it back."""
+    """Return the text with one space for each sequence of white space, to compare it with panel lines."""
     return " ".join(text.split())
 
 
@@ -104,11 +104,11 @@ def single_spaced(text: str) -> str:
 class JoinedPhase:
     """A phase in which two arms are joined.
 
-    In its first and last stage the operator joins and separates them.
+    In its first stage the operator joins them, in its last stage he separates them.
 
     Attributes:
-        first: First stage.
-        last: Last stage.
+        first: Number of the first stage.
+        last: Number of the last stage.
         claim: Claim that joins them.
         setup: Index of the setup.
     """
@@ -121,7 +121,7 @@ class JoinedPhase:
 
 @dataclasses.dataclass(frozen=True)
 class SetupClaims:
-    """The claims of a setup's operations, one group each."""
+    """The claims of a setup: one group for each of its operations."""
 
     groups: tuple[tuple[Claim, ...], ...]
 
@@ -132,21 +132,21 @@ class SetupClaims:
 
     @property
     def stock_holders(self) -> tuple[HoldsStock, ...]:
-        """Claims about who holds the block, and its weight."""
+        """Claims about the arm that holds the block, and the block's mass."""
         return tuple(c for group in self.groups for c in group if isinstance(c, HoldsStock))
 
     @property
     def contacts(self) -> tuple[ContactOnlyIn, ...]:
-        """Claims about where edges may touch the block."""
+        """Claims about where the working ends of tools may touch the block."""
         return tuple(c for group in self.groups for c in group if isinstance(c, ContactOnlyIn))
 
 
 def claims_by_setup(
     setups: tuple[Setup, ...], problem: Problem, claims: Mapping[str, tuple[Claim, ...]]
 ) -> tuple[SetupClaims, ...]:
-    """Return the claims of each setup, by the names of its operations.
+    """Return the claims of each setup, which are those of its operations.
 
-    Claims of no operation belong to the first.
+    Claims whose name is not that of an operation belong to the first setup.
     """
     names = [operation.name for operation in problem.operations]
     out = []
@@ -160,7 +160,7 @@ def claims_by_setup(
 
 
 def stock_unmoved(problem: Problem, setup: Setup) -> bool:
-    """Return whether the block is where the setup before had it, because no change moves it."""
+    """Return whether the block has the same place as in the previous setup, because no change moves it."""
     change = problem.changes.get(setup.operations[0]) if setup.operations else None
     return setup.number > 1 and not (
         change is not None and set(change.stock) & {"place", "support", "held_by", "grip", "attitude"}

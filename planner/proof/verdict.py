@@ -21,15 +21,15 @@ class RuleResult:
 
     Attributes:
         code: Code of its issues.
-        title: What it requires.
-        passed: Whether the programs met it.
+        title: Requirement in words.
+        passed: Whether the programs meet it.
         worst: Worst value in ``unit``, None for rules that only say yes or no.
         limit: Limit in ``unit``, None for rules that only say yes or no.
         unit: Unit in which a person reads both.
         where: Where the worst value is, or why the rule does not apply.
-        ran: Whether the rule ran. It does not if an earlier fault left nothing to examine; such a rule has
+        ran: Whether the rule ran. It does not run if an earlier fault leaves nothing to examine. Then it has
             not passed.
-        applies: Whether the programs have what the rule examines. If not, the rule has passed.
+        applies: Whether the programs contain something that the rule examines. If not, the rule has passed.
     """
 
     code: str
@@ -49,21 +49,21 @@ class CutFace:
 
     Attributes:
         segment: The segment.
-        points: Points (M, 3) on the expected face.
-        deviation: Deviations (M,), positive where material is left, negative where too much is cut, NaN where
-            the wire did not pass.
+        points: Points (M, 3) [m] on the expected face.
+        deviation: Deviations (M,) [m], positive where material is left, negative where too much is cut, NaN
+            where the tool did not pass.
         area: Area (M,) [m^2] of the face that each point represents.
-        tolerance: Tolerance, the greatest one if it is not the same everywhere.
+        tolerance: Tolerance [m], the greatest one if it is not the same everywhere.
         share: Fraction of the face within tolerance.
         wanted_share: Required fraction.
-        rms: Root mean square of the deviations.
-        largest: Largest deviation.
-        end_error: Error at the ends.
-        share_with_error: Fraction within tolerance with that error.
+        rms: Root mean square [m] of the deviations.
+        largest: Largest deviation [m].
+        end_error: Error [m] of the position of the ends of a wire.
+        share_with_error: Fraction of the face within tolerance with this error.
         speed: Speed (M,) [m/s] of the wire across itself where it passed.
-        allowed: Tolerance (M,) if it is not the same everywhere, else empty.
-        more: Number of other segments that cut the face, too.
-        unreached: Minimum distance of a tool of that size where it fits nowhere nearer.
+        allowed: Tolerance (M,) [m] at each point if it is not the same everywhere, else empty.
+        more: Number of further segments that cut the face, too.
+        unreached: Distance [m] from the face that the tool must keep where it is too large to reach the face.
     """
 
     segment: Segment
@@ -84,13 +84,13 @@ class CutFace:
 
     @property
     def title(self) -> str:
-        """Name for people: the segment, and how many more cut the face."""
+        """Name in reports: the segment, and the number of further segments that cut the face."""
         return f"{self.segment} and {self.more} more" if self.more else str(self.segment)
 
 
 @dataclasses.dataclass(frozen=True)
 class Proof:
-    """The verdict.
+    """The verdict of a proof.
 
     Attributes:
         problem_digest: Digest of the problem.
@@ -121,7 +121,7 @@ class Proof:
 
     @property
     def is_read(self) -> bool:
-        """Whether all texts were read: the rules on several tasks ran."""
+        """Whether all texts were read completely, so that the rules on tasks ran."""
         return self.rule("verify.task_list").ran
 
     def rule(self, code: str) -> RuleResult:

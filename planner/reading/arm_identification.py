@@ -110,6 +110,9 @@ def read_custom_chain(text: str, base: str, tip: str | None) -> UrdfChain:
 
     If joints are coupled, the error also says whether the arm with these joints fixed is of an unsupported
     class.
+
+    Raises:
+        TandemError: With the issues of ``read_chain``.
     """
     try:
         return read_chain(text, base, tip)
@@ -117,9 +120,11 @@ def read_custom_chain(text: str, base: str, tip: str | None) -> UrdfChain:
         arm_class = _unsupported_class(error.chain.axis, error.chain.zero[1:-1, :3, 3], error.chain)
         if arm_class is None:
             raise
-        what, hint = arm_class
+        class_text, hint = arm_class
         first, *rest = error.issues
-        message = f"{first.message.rpartition('; ')[0]}; if fixed, the arm is {what}: {hint}; for a parallel "
+        message = (
+            f"{first.message.rpartition('; ')[0]}; if fixed, the arm is {class_text}: {hint}; for a parallel "
+        )
         message += "rod give the serial arm and its coupled_deg"
         raise TandemError([dataclasses.replace(first, message=message), *rest]) from None
 
@@ -176,10 +181,10 @@ def _class_fault(chain: UrdfChain) -> Issue | None:
     arm_class = _unsupported_class(w, p, chain)
     if arm_class is None:
         return None
-    what, hint = arm_class
+    class_text, hint = arm_class
     return Issue(
         "robot.not_opw",
-        format_message("robot.not_opw", first_link=chain.links[0], arm_class=what),
+        format_message("robot.not_opw", first_link=chain.links[0], arm_class=class_text),
         field="urdf",
         hint=hint,
     )
@@ -206,10 +211,14 @@ _SEVEN_AXES_HINT: Final = (
 
 
 def _unsupported_class(w: FloatArray, p: FloatArray, chain: UrdfChain) -> tuple[str, str] | None:
+    """Return the class of an arm that has no closed form here, with a hint; None if it has one.
+
+    Its axes at zero have the directions w (J, 3) and pass through the points p (J, 3) [m].
+    """
     count = len(w)
     if count == 7:
-        what = _difference_from_panda(w, p)
-        return None if what is None else (f"an arm with seven axes {what}", _SEVEN_AXES_HINT)
+        difference = _difference_from_panda(w, p)
+        return None if difference is None else (f"an arm with seven axes {difference}", _SEVEN_AXES_HINT)
     if count == 5:
         return "an arm with five axes", _FIVE_AXES_TIP_HINT if chain.has_joints_after_tip else _FIVE_AXES_HINT
     if count > 7:
@@ -224,11 +233,11 @@ def _unsupported_class(w: FloatArray, p: FloatArray, chain: UrdfChain) -> tuple[
     if not _are_parallel(w[1], w[2]):
         return "an arm with six axes whose axes 2 and 3 are not parallel", _OTHER_CLASS_HINT
     if _are_parallel(w[2], w[3]):
-        what = _difference_from_ur(w, p)
+        difference = _difference_from_ur(w, p)
         return (
             None
-            if what is None
-            else (f"an arm with three parallel axes (2, 3 and 4), {what}", _OTHER_CLASS_HINT)
+            if difference is None
+            else (f"an arm with three parallel axes (2, 3 and 4), {difference}", _OTHER_CLASS_HINT)
         )
     if not _do_intersect(w, p, (3, 4)):
         return "an arm whose axes 4 and 5 do not meet", _OTHER_CLASS_HINT
@@ -258,9 +267,8 @@ def _difference_from_panda(w: FloatArray, p: FloatArray) -> str | None:
     for a in range(6):
         if abs(float(w[a] @ w[a + 1])) > PARALLELISM_TOLERANCE_RAD:
             return f"whose axes {a + 1} and {a + 2} are not square"
-    if not _do_intersect(
-        w, p, (0, 1, 2)
-    ):  # 1 and 3 are collinear at zero: intersect a pair that is not parallel
+    # axes 1 and 3 are collinear at zero, so the pair that is not parallel is intersected
+    if not _do_intersect(w, p, (0, 1, 2)):
         return "whose axes 1, 2 and 3 do not meet"
     if not _do_intersect(w, p, (4, 5)):
         return "whose axes 5 and 6 do not meet"
@@ -298,10 +306,10 @@ def _common_midpoint(a: FloatArray, u: FloatArray, b: FloatArray, v: FloatArray)
     """
     # a + s u and b + t v are closest for c = u.v, s = ((b-a).u - c (b-a).v) / (1 - c^2)
     # and t = (c (b-a).u - (b-a).v) / (1 - c^2)
-    slant = float(u @ v)
-    along = ((b - a) @ u - slant * ((b - a) @ v)) / (1.0 - slant * slant)
-    other = (slant * ((b - a) @ u) - (b - a) @ v) / (1.0 - slant * slant)
-    return np.asarray(0.5 * (a + along * u + b + other * v))
+    c = float(u @ v)
+    s = ((b - a) @ u - c * ((b - a) @ v)) / (1.0 - c * c)
+    t = (c * ((b - a) @ u) - (b - a) @ v) / (1.0 - c * c)
+    return np.asarray(0.5 * (a + s * u + b + t * v))
 
 
 # ---- parameters --------------------------------------------------------------------------------------
@@ -322,26 +330,26 @@ def _fit_wrist_arm(chain: UrdfChain) -> OpwParameters | OffsetParameters:
     axes = w @ frame[:3, :3].T
     shoulder, elbow, wrist = (frame[:3, :3] @ x + frame[:3, 3] for x in (p[1], p[2], centre))
     # arm: theta_2 = atan2(upper_x, upper_z); theta_2 + theta_3 from the direction of axis 4
-    upper, rest = elbow - shoulder, wrist - elbow
-    sign4 = 1.0 if rest @ axes[3] >= 0.0 else -1.0
+    upper, fore = elbow - shoulder, wrist - elbow
+    sign4 = 1.0 if fore @ axes[3] >= 0.0 else -1.0
     along = sign4 * axes[3]
     across = np.array([along[2], 0.0, -along[0]])
     theta2 = np.arctan2(upper[0], upper[2])
     theta3 = np.arctan2(along[0], along[2]) - theta2
     elbow_frame = np.stack([across, [0.0, 1.0, 0.0], along], axis=1)  # Ry(t2 + t3)
     # wrist: each angle at zero from the direction of the next axis in the frame of the previous one
-    tilt = elbow_frame.T @ axes[4]
-    sign5 = 1.0 if tilt[1] > 1e-9 or (abs(tilt[1]) <= 1e-9 and tilt[0] < 0.0) else -1.0
-    theta4 = np.arctan2(-sign5 * tilt[0], sign5 * tilt[1])
+    axis_5 = elbow_frame.T @ axes[4]
+    sign5 = 1.0 if axis_5[1] > 1e-9 or (abs(axis_5[1]) <= 1e-9 and axis_5[0] < 0.0) else -1.0
+    theta4 = np.arctan2(-sign5 * axis_5[0], sign5 * axis_5[1])
     cos, sin = np.cos(theta4), np.sin(theta4)
-    hand = elbow_frame @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    hand_frame = elbow_frame @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     flange = frame @ tip
     reach = (flange[:3, 3] - wrist) @ axes[5]
-    ahead = reach if abs(reach) > 1e-6 else flange[:3, 2] @ axes[5]
-    sign6 = 1.0 if ahead >= 0.0 else -1.0
-    out = hand.T @ (sign6 * axes[5])
-    theta5 = np.arctan2(out[0], out[2])
-    wrist_frame = hand @ np.array(
+    forward = reach if abs(reach) > 1e-6 else flange[:3, 2] @ axes[5]
+    sign6 = 1.0 if forward >= 0.0 else -1.0
+    axis_6 = hand_frame.T @ (sign6 * axes[5])
+    theta5 = np.arctan2(axis_6[0], axis_6[2])
+    wrist_frame = hand_frame @ np.array(
         [[np.cos(theta5), 0.0, np.sin(theta5)], [0.0, 1.0, 0.0], [-np.sin(theta5), 0.0, np.cos(theta5)]]
     )
     flange_rotation = wrist_frame.T @ flange[:3, :3]
@@ -352,22 +360,21 @@ def _fit_wrist_arm(chain: UrdfChain) -> OpwParameters | OffsetParameters:
     )
     theta = np.array([0.0, theta2, theta3, theta4, theta5, theta6])
     signs = np.array([np.sign(w[0] @ up), np.sign(axes[1, 1]), np.sign(axes[2, 1]), sign4, sign5, sign6])
-    aside = wrist_frame.T @ (
-        frame[:3, :3] @ p[5] + frame[:3, 3] - wrist
-    )  # axis 6 relative to where 4 and 5 meet
-    offset = float(np.hypot(aside[0], aside[1])) >= INTERSECTION_TOLERANCE_M
+    # axis 6 relative to the point where axes 4 and 5 meet
+    axis_offset = wrist_frame.T @ (frame[:3, :3] @ p[5] + frame[:3, 3] - wrist)
+    offset = float(np.hypot(axis_offset[0], axis_offset[1])) >= INTERSECTION_TOLERANCE_M
     kind: Any = OffsetParameters if offset else OpwParameters
     wrist_lengths = (
-        {"a3": _round_length(aside[0]), "b3": _round_length(aside[1])}
+        {"a3": _round_length(axis_offset[0]), "b3": _round_length(axis_offset[1])}
         if offset
         else {"b": _round_length(wrist[1])}
     )
     form: OpwParameters | OffsetParameters = kind(
         a1=_round_length(shoulder[0]),
-        a2=_round_length(rest @ across),
+        a2=_round_length(fore @ across),
         c1=_round_length(shoulder[2]),
         c2=_round_length(np.hypot(upper[0], upper[2])),
-        c3=_round_length(rest @ along),
+        c3=_round_length(fore @ along),
         c4=_round_length(sign6 * reach),
         offsets=_round_angles(-np.arctan2(np.sin(theta), np.cos(theta))),
         signs=signs,
@@ -375,8 +382,8 @@ def _fit_wrist_arm(chain: UrdfChain) -> OpwParameters | OffsetParameters:
         **wrist_lengths,
     )
     right = _round_pose(inverse(flange_poses(form, np.zeros(6))) @ tip)
-    same = np.abs(right - np.eye(4)).max() < MAX_DEVIATION_M
-    return form if same else dataclasses.replace(form, right=right)
+    is_identity = np.abs(right - np.eye(4)).max() < MAX_DEVIATION_M
+    return form if is_identity else dataclasses.replace(form, right=right)
 
 
 def _fit_parallel_arm(chain: UrdfChain) -> ParallelParameters:
@@ -389,9 +396,12 @@ def _fit_parallel_arm(chain: UrdfChain) -> ParallelParameters:
     shoulder = _common_midpoint(p[0], w[0], p[1], w[1])
     wrist, meeting = _common_midpoint(p[3], w[3], p[4], w[4]), _common_midpoint(p[4], w[4], p[5], w[5])
     foot, side, up = _base_axes(w, p[0], shoulder)
-    aside = (meeting - shoulder) @ side
+    side_offset = (meeting - shoulder) @ side
+    # a wrist in the plane of axis 1 defines no side: then y is on the side of the URDF's y
     left = _base(
-        foot, side if (aside if abs(aside) > INTERSECTION_TOLERANCE_M else side[1]) >= 0.0 else -side, up
+        foot,
+        side if (side_offset if abs(side_offset) > INTERSECTION_TOLERANCE_M else side[1]) >= 0.0 else -side,
+        up,
     )
     frame = inverse(left)
     axes = w @ frame[:3, :3].T
@@ -405,14 +415,14 @@ def _fit_parallel_arm(chain: UrdfChain) -> ParallelParameters:
     theta2 = np.arctan2(upper[0], upper[2])
     theta3 = np.arctan2(fore[0], fore[2]) - theta2
     tilt = np.arctan2(sign5 * axes[4, 0], sign5 * axes[4, 2])
-    tilted = from_rpy([0.0, 0.0, 0.0], [0.0, tilt, 0.0])[:3, :3]
+    tilt_rotation = from_rpy([0.0, 0.0, 0.0], [0.0, tilt, 0.0])[:3, :3]
     flange = frame @ tip
     reach = (flange[:3, 3] - meeting) @ axes[5]
     sign6 = 1.0 if (reach if abs(reach) > 1e-6 else flange[:3, 2] @ axes[5]) >= 0.0 else -1.0
-    out = tilted.T @ (sign6 * axes[5])
-    theta5 = np.arctan2(-out[0], out[1])
-    seen = (tilted @ from_rpy([0.0, 0.0, 0.0], [0.0, 0.0, theta5])[:3, :3]).T @ flange[:3, :3]
-    theta6 = np.arctan2(-seen[2, 0], seen[0, 0]) if seen[1, 2] > 1.0 - PARALLELISM_TOLERANCE_RAD else 0.0
+    axis_6 = tilt_rotation.T @ (sign6 * axes[5])
+    theta5 = np.arctan2(-axis_6[0], axis_6[1])
+    local = (tilt_rotation @ from_rpy([0.0, 0.0, 0.0], [0.0, 0.0, theta5])[:3, :3]).T @ flange[:3, :3]
+    theta6 = np.arctan2(-local[2, 0], local[0, 0]) if local[1, 2] > 1.0 - PARALLELISM_TOLERANCE_RAD else 0.0
     theta = np.array([0.0, theta2, theta3, tilt - theta2 - theta3, theta5, theta6])
     form = ParallelParameters(
         b=_round_length(meeting[1]),
@@ -426,8 +436,8 @@ def _fit_parallel_arm(chain: UrdfChain) -> ParallelParameters:
         left=None if np.abs(left - np.eye(4)).max() < _LENGTH_ROUNDING_M else left,
     )
     right = _round_pose(inverse(flange_poses(form, np.zeros(6))) @ tip)
-    same = np.abs(right - np.eye(4)).max() < MAX_DEVIATION_M
-    return form if same else dataclasses.replace(form, right=right)
+    is_identity = np.abs(right - np.eye(4)).max() < MAX_DEVIATION_M
+    return form if is_identity else dataclasses.replace(form, right=right)
 
 
 def _fit_seven_axis_arm(chain: UrdfChain) -> SevenParameters:
@@ -445,45 +455,46 @@ def _fit_seven_axis_arm(chain: UrdfChain) -> SevenParameters:
     points = p @ frame[:3, :3].T + frame[:3, 3]
     shoulder, wrist = (frame[:3, :3] @ x + frame[:3, 3] for x in (shoulder, wrist))
     flange = frame @ tip
-    theta, signs, turn = np.zeros(7), np.ones(7), np.eye(3)  # turn: of the previous link
+    theta, signs, rotation = np.zeros(7), np.ones(7), np.eye(3)  # of the previous link
     signs[0], signs[1] = np.sign(w[0] @ up), np.sign(axes[1, 1])
 
     def next_z(axis: FloatArray, sign: float) -> float:
         """Return the rotation of the frame about its y that aligns its z with an axis."""
-        seen = turn.T @ (sign * axis)
-        return float(np.arctan2(seen[0], seen[2]))
+        local = rotation.T @ (sign * axis)
+        return float(np.arctan2(local[0], local[2]))
 
     def next_y(axis: FloatArray, sign: float) -> float:
         """Return the rotation of the frame about its z that aligns its y with an axis."""
-        seen = turn.T @ (sign * axis)
-        return float(np.arctan2(-seen[0], seen[1]))
+        local = rotation.T @ (sign * axis)
+        return float(np.arctan2(-local[0], local[1]))
 
     def rotated(about: str, angle: float) -> FloatArray:
+        """Return the rotation of the next link, by an angle about the y or z axis of the previous one."""
         rpy = [0.0, angle, 0.0] if about == "y" else [0.0, 0.0, angle]
-        return np.asarray(turn @ from_rpy([0.0, 0.0, 0.0], rpy)[:3, :3])
+        return np.asarray(rotation @ from_rpy([0.0, 0.0, 0.0], rpy)[:3, :3])
 
     # the upper arm is along axis 3 from the shoulder, the forearm along axis 5 from elbow to wrist
     signs[2] = 1.0 if (points[3] - shoulder) @ axes[2] >= 0.0 else -1.0
     theta[1] = next_z(axes[2], signs[2])
-    turn = rotated("y", theta[1])
-    signs[3] = 1.0 if axes[3] @ turn[:, 1] >= -1e-9 else -1.0  # for the smallest value of joint 3 at zero
+    rotation = rotated("y", theta[1])
+    signs[3] = 1.0 if axes[3] @ rotation[:, 1] >= -1e-9 else -1.0  # for the smallest value of joint 3 at zero
     theta[2] = next_y(axes[3], signs[3])
-    turn = rotated("z", theta[2])
-    upper = turn.T @ (points[3] - shoulder)
+    rotation = rotated("z", theta[2])
+    upper = rotation.T @ (points[3] - shoulder)
     signs[4] = 1.0 if (wrist - points[3]) @ axes[4] >= 0.0 else -1.0
     theta[3] = next_z(axes[4], signs[4])
-    turn = rotated("y", theta[3])
-    fore = turn.T @ (wrist - points[3])
+    rotation = rotated("y", theta[3])
+    fore = rotation.T @ (wrist - points[3])
     reach = float((flange[:3, 3] - wrist) @ axes[6])
     signs[6] = 1.0 if (reach if abs(reach) > 1e-6 else flange[:3, 2] @ axes[6]) >= 0.0 else -1.0
-    signs[5] = 1.0 if axes[5] @ turn[:, 1] >= -1e-9 else -1.0
+    signs[5] = 1.0 if axes[5] @ rotation[:, 1] >= -1e-9 else -1.0
     theta[4] = next_y(axes[5], signs[5])
-    turn = rotated("z", theta[4])
+    rotation = rotated("z", theta[4])
     theta[5] = next_z(axes[6], signs[6])
-    turn = rotated("y", theta[5])
-    hand = turn.T @ (points[6] - wrist)
-    seen = turn.T @ flange[:3, :3]
-    theta[6] = np.arctan2(seen[1, 0], seen[0, 0]) if seen[2, 2] > 1.0 - PARALLELISM_TOLERANCE_RAD else 0.0
+    rotation = rotated("y", theta[5])
+    hand = rotation.T @ (points[6] - wrist)
+    local = rotation.T @ flange[:3, :3]
+    theta[6] = np.arctan2(local[1, 0], local[0, 0]) if local[2, 2] > 1.0 - PARALLELISM_TOLERANCE_RAD else 0.0
     form = SevenParameters(
         a2=_round_length(upper[0]),
         a3=_round_length(fore[0]),
@@ -497,8 +508,8 @@ def _fit_seven_axis_arm(chain: UrdfChain) -> SevenParameters:
         left=None if np.abs(left - np.eye(4)).max() < _LENGTH_ROUNDING_M else left,
     )
     right = _round_pose(inverse(flange_poses(form, np.zeros(7))) @ tip)
-    same = np.abs(right - np.eye(4)).max() < MAX_DEVIATION_M
-    return form if same else dataclasses.replace(form, right=right)
+    is_identity = np.abs(right - np.eye(4)).max() < MAX_DEVIATION_M
+    return form if is_identity else dataclasses.replace(form, right=right)
 
 
 def _base_axes(

@@ -98,26 +98,27 @@ def ruled_between_sides(
     Raises:
         TandemError: ``part.not_ruled``, and the code of the kind of file.
     """
-    straight = {key: surface.is_straight(k) for k, key in enumerate("uv")}
-    if ruling_options.rulings is not None and not straight[ruling_options.rulings]:
-        what = (
-            f"its lines along {ruling_options.rulings} are not straight{_straight_direction_hint(straight)}"
+    is_straight = {key: surface.is_straight(k) for k, key in enumerate("uv")}
+    if ruling_options.rulings is not None and not is_straight[ruling_options.rulings]:
+        text = (
+            f"its lines along {ruling_options.rulings} are not "
+            f"straight{_straight_direction_hint(is_straight)}"
         )
-        raise file_error("part.not_ruled", face.path, face.field, what)
-    directions = [key for key in "uv" if straight[key] and ruling_options.rulings in (None, key)]
+        raise file_error("part.not_ruled", face.path, face.field, text)
+    directions = [key for key in "uv" if is_straight[key] and ruling_options.rulings in (None, key)]
     if not directions:
         raise face.error(f"is curved both ways{_FREE_FORM_HINT}", "part.not_ruled")
     if len(directions) > 1:
-        what = "is straight both ways; state the direction of the wire: rulings: u or v"
-        raise face.error(what, "part.not_ruled")
+        text = "is straight both ways; state the direction of the wire: rulings: u or v"
+        raise face.error(text, "part.not_ruled")
     along = "uv".index(directions[0])
     start, end = surface.rails(along, CURVE_CHORD_TOLERANCE_M)
     if (along == 0) != reverse:  # tangent x ruling is the face's normal
         start, end = start[::-1], end[::-1]
     are_closed = [float(np.linalg.norm(side[0] - side[-1])) <= CLOSED_TOLERANCE_M for side in (start, end)]
     if all(are_closed) != ruling_options.closed:
-        what = "is closed: add closed: true" if all(are_closed) else "is not closed: remove closed"
-        raise face.error(what)
+        text = "is closed: add closed: true" if all(are_closed) else "is not closed: remove closed"
+        raise face.error(text)
     if ruling_options.closed:
         start, end = start[:-1], end[:-1]
     corner = (turning_angles(start, ruling_options.closed) > CORNER_ANGLE_RAD) | (
@@ -133,9 +134,10 @@ def ruled_between_sides(
     return resample(ruled, 0.5e-5, 1.0)
 
 
-def _straight_direction_hint(straight: dict[str, bool]) -> str:
-    other = [key for key, value in straight.items() if value]
-    return f"; those along {other[0]} are" if other else _FREE_FORM_HINT
+def _straight_direction_hint(is_straight: dict[str, bool]) -> str:
+    """Return a hint on the other direction, if its lines are straight, else on other uses of the face."""
+    straight_keys = [key for key, value in is_straight.items() if value]
+    return f"; those along {straight_keys[0]} are" if straight_keys else _FREE_FORM_HINT
 
 
 def tessellate_face(
@@ -151,7 +153,7 @@ def tessellate_face(
         notes: Notes to keep.
 
     Raises:
-        TandemError: With the code of the kind of file.
+        TandemError: The facets need more than `MAX_CELLS` cells; with the code of the kind of file.
     """
     try:
         vertices, normals, faces, deviation = surface.facets(chord_mm * MM, MAX_CELLS)
@@ -161,12 +163,12 @@ def tessellate_face(
         ) from error
     if is_reversed:
         normals, faces = -normals, faces[:, ::-1]
-    what = (
+    message = (
         f"{face.path.name}: {len(faces)} facets are up to {deviation / MM:.2g} mm off the face, as measured"
     )
     note = Issue(
         face.facets_code,
-        what,
+        message,
         Severity.NOTE,
         file=str(face.path),
         field=face.field,

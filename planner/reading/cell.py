@@ -402,9 +402,9 @@ def build_cell(spec: CellFile, folder: Path) -> Cell:
                 for issue in error.issues
             ]
             raise TandemError(issues) from error
-        if arm.home_deg is not None and (short := posture_fault(arm.home_deg, data.axes)):
-            what = f"home_deg: {short}"
-            raise issue_error("problem.field", what, field=f"arms.{number}.home_deg", arm=arm.name)
+        if arm.home_deg is not None and (fault := posture_fault(arm.home_deg, data.axes)):
+            text = f"home_deg: {fault}"
+            raise issue_error("problem.field", text, field=f"arms.{number}.home_deg", arm=arm.name)
         home = data.home if arm.home_deg is None else data.from_controller(np.array(arm.home_deg) * DEG)
         if float(data.limit_margin(home)) < 0.0:
             raise TandemError(_home_outside_limits_issue(arm, number, data))
@@ -412,8 +412,8 @@ def build_cell(spec: CellFile, folder: Path) -> Cell:
         if mounted.mass > data.payload:
             raise TandemError(tool_too_heavy_issue(arm.name, f"arms.{number}.tool", mounted, data))
         if arm.stiffness is not None and data.axes != 6:
-            what = f"stiffness: has six axes, but {data.title} has {data.axes}; remove it"
-            raise issue_error("problem.field", what, field=f"arms.{number}.stiffness", arm=arm.name)
+            text = f"stiffness: has six axes, but {data.title} has {data.axes}; remove it"
+            raise issue_error("problem.field", text, field=f"arms.{number}.stiffness", arm=arm.name)
         stiffness = data.stiffness if arm.stiffness is None else arm.stiffness.to_stiffness()
         sag = None if arm.compensate_sag is None else arm.compensate_sag.to_compensation()
         if sag is not None and stiffness is None:
@@ -438,10 +438,12 @@ def build_cell(spec: CellFile, folder: Path) -> Cell:
     rail_axes.check_units(arms, controller)
     wires = tuple(wire.to_wire() for wire in available_wires(spec.wires or ()))
     if spec.turntable is not None and spec.positioner is not None:
-        what = "got a turntable and a positioner; state only the one under the block"
-        raise issue_error("problem.field", what, field="positioner")
-    below = spec.turntable if spec.positioner is None else spec.positioner
-    table, plate = rotary_axes.build_turntable(below, arms, controller, [body.name for body in obstacles])
+        text = "got a turntable and a positioner; state only the one under the block"
+        raise issue_error("problem.field", text, field="positioner")
+    table_spec = spec.turntable if spec.positioner is None else spec.positioner
+    table, plate = rotary_axes.build_turntable(
+        table_spec, arms, controller, [body.name for body in obstacles]
+    )
     return Cell(spec.name, tuple(arms), (*obstacles, *plate), controller, _build_grippers(spec), wires, table)
 
 
@@ -455,52 +457,53 @@ def _language_family(word: str, arm: ArmFile, number: int) -> str:
     title = "trajectories" if language is None else language.title
     for field, stated in (("track", arm.track), ("axes", arm.axes)):
         if stated is not None:
-            what = f"{field} of arm {arm.name}: {title} (controller: {{language: {word}}}) support only "
-            what += "fixed arms; remove it, or use the arm's own language"
-            raise issue_error("problem.field", what, field=f"arms.{number}.{field}", arm=arm.name)
+            message = f"{field} of arm {arm.name}: {title} (controller: {{language: {word}}}) support only "
+            message += "fixed arms; remove it, or use the arm's own language"
+            raise issue_error("problem.field", message, field=f"arms.{number}.{field}", arm=arm.name)
     return "ROS" if language is None else language.families[0]
 
 
 def _read_robot(spec: str | OwnRobotFile, folder: Path) -> RobotData:
+    """Return the robot of the catalogue with a name, or a custom one with files relative to ``folder``."""
     if isinstance(spec, str):
         return robot(spec)
     if spec.name in robot_names():
-        what = f"name: {spec.name!r} is a built-in robot; give your robot another name"
-        raise issue_error("problem.duplicate_name", what, field="name")
+        message = f"name: {spec.name!r} is a built-in robot; give your robot another name"
+        raise issue_error("problem.duplicate_name", message, field="name")
     return build_robot(spec, folder)
 
 
 def _refuse_duplicate_robots(arms: list[Arm]) -> None:
     """Refuse two different robots with the same name."""
-    first: dict[str, RobotData] = {}
+    first_by_name: dict[str, RobotData] = {}
     for number, arm in enumerate(arms):
         if arm.custom_data is None or arm.custom_data.file is None:
             continue
-        other = first.setdefault(arm.robot, arm.custom_data)
+        other = first_by_name.setdefault(arm.robot, arm.custom_data)
         if _robot_identity(other) != _robot_identity(arm.custom_data):
-            what = f"name: {arm.robot!r} is a different robot in another arm of the cell; rename one"
-            raise issue_error("problem.duplicate_name", what, field=f"arms.{number}.robot.name", arm=arm.name)
+            text = f"name: {arm.robot!r} is a different robot in another arm of the cell; rename one"
+            raise issue_error("problem.duplicate_name", text, field=f"arms.{number}.robot.name", arm=arm.name)
 
 
 def _robot_identity(robot: RobotData) -> tuple[object, ...]:
     """Return what identifies a custom robot, for comparison."""
     file, coupling = robot.file, robot.coupling
     links = () if file is None else (file.text, file.base, file.tip)
-    speeds_up, home = robot.acceleration.tolist(), robot.home.tolist()
-    return *links, robot.family, robot.payload, robot.assumed, coupling, speeds_up, home
+    acceleration, home = robot.acceleration.tolist(), robot.home.tolist()
+    return *links, robot.family, robot.payload, robot.assumed, coupling, acceleration, home
 
 
 def _build_grippers(spec: CellFile) -> tuple[tooling.Gripper, ...]:
     """Create the available grippers, each with a unique name."""
     out: list[tooling.Gripper] = []
     for number, gripper in enumerate(spec.grippers):
-        plate = isinstance(gripper, GripperPlateFile)
+        is_plate = isinstance(gripper, GripperPlateFile)
         size = (
             f"{gripper.width_mm:g}x{gripper.depth_mm:g}"
             if isinstance(gripper, GripperPlateFile)
             else f"{2 * gripper.radius_mm:g}"
         )
-        default_name = f"{'plate' if plate else 'cup'}_{size}".replace(".", "_")
+        default_name = f"{'plate' if is_plate else 'cup'}_{size}".replace(".", "_")
         named = gripper.model_copy(update={"name": gripper.name or default_name})
         try:
             built = build_tool(named, Path())
@@ -509,8 +512,8 @@ def _build_grippers(spec: CellFile) -> tuple[tooling.Gripper, ...]:
                 "problem.field", f"grippers.{number}: {error}", field=f"grippers.{number}"
             ) from error
         if built.name.lower() in [other.name.lower() for other in out]:
-            what = f"grippers.{number}: the name '{built.name}' is given more than once; rename one"
-            raise issue_error("problem.duplicate_name", what, field=f"grippers.{number}")
+            message = f"grippers.{number}: the name '{built.name}' is given more than once; rename one"
+            raise issue_error("problem.duplicate_name", message, field=f"grippers.{number}")
         out += [built] if isinstance(built, tooling.Gripper) else []
     return tuple(out)
 
@@ -597,9 +600,9 @@ def _build_working_tool(
 
 
 def _unknown_stiffness_issue(arm: ArmFile, number: int) -> Issue:
-    what = f"arm {arm.name}: the stiffness of its robot is unknown, so its sag cannot be computed"
+    message = f"arm {arm.name}: the stiffness of its robot is unknown, so its sag cannot be computed"
     hint = "state stiffness: {joints_nm_rad: [...], source: ...} as identified, or remove compensate_sag"
-    return Issue("problem.field", f"{what}; {hint}", field=f"arms.{number}.compensate_sag", arm=arm.name)
+    return Issue("problem.field", f"{message}; {hint}", field=f"arms.{number}.compensate_sag", arm=arm.name)
 
 
 def _home_outside_limits_issue(arm: ArmFile, number: int, data: RobotData) -> Issue:
@@ -607,13 +610,13 @@ def _home_outside_limits_issue(arm: ArmFile, number: int, data: RobotData) -> Is
         f"{low:.0f} to {high:.0f}" for low, high in np.stack([data.lower, data.upper], axis=1) / DEG
     )
     got = ", ".join(f"{angle:g}" for angle in arm.home_deg or ())
-    what = f"home_deg is [{got}], outside the limits of {data.title}: its joints, counted without the "
-    what += f"parallel rod, range over {limits} deg; correct it"
-    return Issue("problem.field", what, field=f"arms.{number}.home_deg", arm=arm.name)
+    message = f"home_deg is [{got}], outside the limits of {data.title}: its joints, counted without the "
+    message += f"parallel rod, range over {limits} deg; correct it"
+    return Issue("problem.field", message, field=f"arms.{number}.home_deg", arm=arm.name)
 
 
 def tool_too_heavy_issue(arm: str, field: str, tool: tooling.Tool, data: RobotData) -> Issue:
     """Return the issue of a tool that exceeds the payload of the robot ``data``."""
-    what = f"the tool weighs {tool.mass:g} kg, but {data.title} carries {data.payload:g} kg; use a larger "
-    what += "robot or a lighter tool"
-    return Issue("problem.field", what, field=field, arm=arm, **measurement(tool.mass, data.payload, "kg"))
+    message = f"the tool weighs {tool.mass:g} kg, but {data.title} carries {data.payload:g} kg; use a larger "
+    message += "robot or a lighter tool"
+    return Issue("problem.field", message, field=field, arm=arm, **measurement(tool.mass, data.payload, "kg"))

@@ -133,7 +133,7 @@ class InterlockFile(Strict):
 
 
 def _installed(value: Any, validate: ValidatorFunctionWrapHandler) -> Any:
-    """Accept the name of a language that an installed package adds."""
+    """Accept the name of a language that an installed package adds. Other values are validated."""
     added = isinstance(value, str) and not plugins.is_built_in(Language, value)
     return value if added and value in plugins.usable(Language) else validate(value)
 
@@ -209,18 +209,18 @@ def build_controller(spec: ControllerFile, arms: Sequence[str]) -> Controller:
     is_separate = spec.sync == "handshake"
     tasks = spec.tasks or (Controller.tasks[:1] * 2 if is_separate else Controller.tasks)
     units = spec.units or (Controller.units[:1] * 2 if is_separate else Controller.units)
-    stated = (("tasks", tasks), ("units", units), ("robots", spec.robots or units))
-    for field, names in stated:
+    names_by_field = (("tasks", tasks), ("units", units), ("robots", spec.robots or units))
+    for field, names in names_by_field:
         if len(names) < len(arms):
-            what = f"{len(names)} {field} for {len(arms)} arms; name one for each arm of the cell"
-            raise issue_error("post.tasks", what, field=f"controller.{field}")
+            message = f"{len(names)} {field} for {len(arms)} arms; name one for each arm of the cell"
+            raise issue_error("post.tasks", message, field=f"controller.{field}")
         if not is_separate and len({name.lower() for name in names}) != len(names):
-            what = f"the {field} {', '.join(names)} are not unique; give each arm its own"
-            raise issue_error("problem.duplicate_name", what, field=f"controller.{field}")
-    for field, called in (("controller.tasks", tasks), ("arms", tuple(arms))):
-        if "controller" in (name.lower() for name in called):
-            what = "controller is the name of a folder next to the programs; rename it"
-            raise issue_error("problem.field", what, field=field)
+            message = f"the {field} {', '.join(names)} are not unique; give each arm its own"
+            raise issue_error("problem.duplicate_name", message, field=f"controller.{field}")
+    for field, used_names in (("controller.tasks", tasks), ("arms", tuple(arms))):
+        if "controller" in (name.lower() for name in used_names):
+            message = "controller is the name of a folder next to the programs; rename it"
+            raise issue_error("problem.field", message, field=field)
     if spec.handshake is not None and not is_separate:
         raise _handshake_error(
             "", "a handshake is stated, but sync is multimove; set sync to handshake or remove it"
@@ -261,32 +261,33 @@ def _check_ros(spec: ControllerFile, arms: Sequence[str]) -> None:
     """Raise for inconsistent settings of joint trajectories."""
     for name in spec.joint_prefix:
         if name not in arms:
-            what = f"the cell has no arm {name}; allowed: {', '.join(arms)}"
-            raise issue_error("problem.field", what, field="controller.joint_prefix")
+            text = f"the cell has no arm {name}; allowed: {', '.join(arms)}"
+            raise issue_error("problem.field", text, field="controller.joint_prefix")
     if spec.language != "ros" and spec.joint_prefix:
-        what = f"a joint_prefix is stated, but language is {spec.language}; set language: ros or remove it"
-        raise issue_error("problem.field", what, field="controller.joint_prefix")
+        text = f"a joint_prefix is stated, but language is {spec.language}; set language: ros or remove it"
+        raise issue_error("problem.field", text, field="controller.joint_prefix")
     if spec.language == "ros" and spec.sync == "handshake":
-        what = "language: ros with sync: handshake; with ros one controller moves all joints on one clock: "
-        what += "remove sync, or use two arms with their own languages"
-        raise issue_error("problem.field", what, field="controller.sync")
+        text = "language: ros with sync: handshake; with ros one controller moves all joints on one clock: "
+        text += "remove sync, or use two arms with their own languages"
+        raise issue_error("problem.field", text, field="controller.sync")
 
 
 def _check_spline_path(spec: ControllerFile, arms: int) -> None:
     """Raise if spline blocks cannot be written or proven."""
     if spec.dialect != "krc4":
-        what = f"path: spline with dialect: {spec.dialect}; allowed: krc4; set dialect: krc4 or path: slin"
+        message = f"path: spline with dialect: {spec.dialect}; allowed: krc4; set dialect: krc4 or path: slin"
     elif spec.sync == "handshake" or arms > 1:
-        what = (
+        message = (
             "path: spline for two arms, which would have to stop at every meeting, and whose "
             "distance between meetings is proven on straight moves; allowed: one arm; set path: slin"
         )
     else:
         return
-    raise issue_error("problem.field", what, field="controller.path")
+    raise issue_error("problem.field", message, field="controller.path")
 
 
 def _build_interlock(spec: InterlockFile) -> Interlock:
+    """Convert the interlock. An output without a stated name has the default name of its request."""
     outputs = {
         request: PowerOutput(item.signal or default_output_name(request), item.device or "", item.device_map)
         for request, item in spec.outputs.items()
@@ -302,32 +303,38 @@ def _check_io(io: Mapping[str, Mapping[str, int]], arms: Sequence[str], handshak
     """Raise for signal numbers of an unknown arm, or for two signals that share one."""
     for arm, numbers in io.items():
         if arm not in arms:
-            what = f"the cell has no arm {arm}; allowed: {', '.join(arms)}"
-            raise issue_error("problem.field", what, field="controller.io")
+            text = f"the cell has no arm {arm}; allowed: {', '.join(arms)}"
+            raise issue_error("problem.field", text, field="controller.io")
         signals = handshake.of(arm) if handshake else None
         inputs = {signals.input.lower(), signals.partner_running.lower()} if signals else set()
-        lines = inputs | (
+        handshake_names = inputs | (
             {signals.output.lower(), signals.running.lower(), signals.move_enable.lower()}
             if signals
             else set()
         )
-        used: dict[tuple[bool, int] | str, str] = {}
+        name_by_key: dict[tuple[bool, int] | str, str] = {}
         for name, number in numbers.items():
             # for other names, _numbers decides later whether an operation waits for them
             keys: list[tuple[bool, int] | str] = [name.lower()]
-            keys += [(name.lower() in inputs, number)] if name.lower() in lines else []
+            keys += [(name.lower() in inputs, number)] if name.lower() in handshake_names else []
             for key in keys:
-                if key in used:
-                    raise TandemError(_shared_number_issue(used[key], name, number, f"controller.io.{arm}"))
-            used |= dict.fromkeys(keys, name)
+                if key in name_by_key:
+                    raise TandemError(
+                        _shared_number_issue(name_by_key[key], name, number, f"controller.io.{arm}")
+                    )
+            name_by_key |= dict.fromkeys(keys, name)
 
 
 def _shared_number_issue(first: str, second: str, number: int, field: str) -> Issue:
-    what = f"{first} and {second} (number {number}) cannot be distinguished"
-    return Issue("problem.field", f"{what}; give each its own name and number", field=field)
+    message = f"{first} and {second} (number {number}) cannot be distinguished"
+    return Issue("problem.field", f"{message}; give each its own name and number", field=field)
 
 
 def _build_handshake(spec: HandshakeFile, arms: Sequence[str], power: str) -> Handshake:
+    """Convert the handshake of two arms. ``power`` is the name of the signal of the wire's power.
+
+    Raises ``problem.field`` for other numbers of arms, unknown arms, equal signals and inconsistent wires.
+    """
     if len(arms) != 2:
         raise _handshake_error(
             "", f"the cell has {len(arms)} arm; a handshake connects the controllers of two"
@@ -343,16 +350,21 @@ def _build_handshake(spec: HandshakeFile, arms: Sequence[str], power: str) -> Ha
         for names in [spec.signals.get(arm, SignalsFile())]
     }
     for arm, names in signals.items():
-        words = [*dataclasses.astuple(names), power]
-        if len({word.lower() for word in words}) != len(words):
-            what = f"{', '.join(words[:-1])} and {power} (the wire's power) must be {len(words)} signals"
-            raise _handshake_error(f"signals.{arm}", f"{what}; give them different names")
+        signal_names = [*dataclasses.astuple(names), power]
+        if len({word.lower() for word in signal_names}) != len(signal_names):
+            text = (
+                f"{', '.join(signal_names[:-1])} and {power} (the wire's power) must be "
+                f"{len(signal_names)} signals"
+            )
+            raise _handshake_error(f"signals.{arm}", f"{text}; give them different names")
     wires = tuple(SignalWire(w.output.arm, w.output.signal, w.input.arm, w.input.signal) for w in spec.wires)
     _check_wires(wires, signals)
-    runs = [wire.output.lower() == signals[wire.source].running.lower() for wire in wires]
-    meet = tuple(wire for wire, running in zip(wires, runs, strict=True) if not running)
-    watch = tuple(wire for wire, running in zip(wires, runs, strict=True) if running)
-    return Handshake(spec.kind, spec.every, signals, meet, watch, spec.timeout_s, spec.patience_s)
+    are_running = [wire.output.lower() == signals[wire.source].running.lower() for wire in wires]
+    meeting_wires = tuple(wire for wire, is_running in zip(wires, are_running, strict=True) if not is_running)
+    watch_wires = tuple(wire for wire, is_running in zip(wires, are_running, strict=True) if is_running)
+    return Handshake(
+        spec.kind, spec.every, signals, meeting_wires, watch_wires, spec.timeout_s, spec.patience_s
+    )
 
 
 def _check_wires(wires: Sequence[SignalWire], signals: Mapping[str, PartnerSignals]) -> None:
@@ -371,12 +383,12 @@ def _check_wires(wires: Sequence[SignalWire], signals: Mapping[str, PartnerSigna
             (signals[a].running, signals[b].partner_running),
         )
     ]
-    got = {(w.source, w.output.lower(), w.sink, w.input.lower()) for w in wires}
+    stated = {(w.source, w.output.lower(), w.sink, w.input.lower()) for w in wires}
     for wire in required:
-        if (wire.source, wire.output.lower(), wire.sink, wire.input.lower()) not in got:
-            what = f"no wire goes from {wire.output} of {wire.source} to {wire.input} of {wire.sink}"
+        if (wire.source, wire.output.lower(), wire.sink, wire.input.lower()) not in stated:
+            message = f"no wire goes from {wire.output} of {wire.source} to {wire.input} of {wire.sink}"
             raise _handshake_error(
-                "wires", f"{what}; add it, correct the names of the signals, or remove wires"
+                "wires", f"{message}; add it, correct the names of the signals, or remove wires"
             )
 
 
@@ -412,26 +424,31 @@ def controller_faults(cell: Cell, operations: Sequence[Operation]) -> list[Issue
 def _number_faults(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Issue]:
     """Check that signals have numbers of the arm's controller, unique among inputs and among outputs."""
     out = []
-    given = {name.lower() for _, operation in operations if (name := _ok_signal(operation)) is not None}
+    waited_for = {name.lower() for _, operation in operations if (name := _ok_signal(operation)) is not None}
     for arm in cell.arms:
         allowed = UR_OUTPUTS if arm.data.family == "UR" else OTHER_NUMBERS
         signals = cell.controller.handshake.of(arm.name)
-        joined = cell.controller.sync == "handshake"
-        inputs = given | ({signals.input.lower(), signals.partner_running.lower()} if joined else set())
+        has_handshake = cell.controller.sync == "handshake"
+        inputs = waited_for | (
+            {signals.input.lower(), signals.partner_running.lower()} if has_handshake else set()
+        )
         used: dict[tuple[bool, int], str] = {}
         for name, number in cell.controller.io.get(arm.name, {}).items():
             other = used.setdefault((name.lower() in inputs, number), name)
             if other != name:
                 out.append(_shared_number_issue(other, name, number, f"cell.controller.io.{arm.name}"))
             if number not in allowed:
-                got = f"{name} is number {number} on the {arm.data.family} controller of arm {arm.name}"
-                what = f"{got}; allowed: {allowed.start} to {allowed.stop - 1}"
+                assignment = (
+                    f"{name} is number {number} on the {arm.data.family} controller of arm {arm.name}"
+                )
+                text = f"{assignment}; allowed: {allowed.start} to {allowed.stop - 1}"
                 field = f"cell.controller.io.{arm.name}.{name}"
-                out.append(Issue("problem.field", what, field=field, hint="state its actual number"))
+                out.append(Issue("problem.field", text, field=field, hint="state its actual number"))
     return out
 
 
 def _ok_signal(operation: Operation) -> str | None:
+    """Return the input that an operation waits for, None if it waits for none."""
     name = getattr(operation, "ok_signal", None)
     return name if isinstance(name, str) else None
 
@@ -441,6 +458,7 @@ _SPINDLE_PROCESSES: Final = ("milling", "trim")
 
 
 def _power_consumer(operation: Operation) -> str:
+    """Return the kind of tool that an operation's signal powers, for messages."""
     if lights_torch(operation):
         return "torch"
     if getattr(getattr(operation, "by", None), "kind", "") == "knife":
@@ -452,20 +470,21 @@ def _signal_faults(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> l
     """Check that each name has one use. Requests of the same use may be repeated."""
     controller = cell.controller
     uses: dict[str, str] = {}
-    leads: dict[str, str] = {}
+    lead_by_signal: dict[str, str] = {}
     issues: list[Issue] = []
 
-    def use(name: str, what: str, field: str, longest: int = MAX_RAPID_NAME) -> None:
-        previous_use = uses.setdefault(name.lower(), what)
-        if previous_use != what:
-            got = f"{name} is used as {previous_use} and as {what}; a signal has one use"
-            issues.append(Issue("problem.field", got, field=field, hint="give them different signals"))
-        if len(name) > longest:
-            got = f"{name} has {len(name)} characters; allowed: {longest}"
-            issues.append(Issue("problem.field", got, field=field, hint="shorten the name"))
+    def use(name: str, purpose: str, field: str, max_length: int = MAX_RAPID_NAME) -> None:
+        """Record a use of a signal, and add the faults of its name."""
+        previous_use = uses.setdefault(name.lower(), purpose)
+        if previous_use != purpose:
+            text = f"{name} is used as {previous_use} and as {purpose}; a signal has one use"
+            issues.append(Issue("problem.field", text, field=field, hint="give them different signals"))
+        if len(name) > max_length:
+            text = f"{name} has {len(name)} characters; allowed: {max_length}"
+            issues.append(Issue("problem.field", text, field=field, hint="shorten the name"))
         if name.lower().startswith("tandem") or name.lower() == "answer":
-            got = f"{name} is a name in the generated files, which would shadow the signal"
-            issues.append(Issue("problem.field", got, field=field, hint="give the signal another name"))
+            text = f"{name} is a name in the generated files, which would shadow the signal"
+            issues.append(Issue("problem.field", text, field=field, hint="give the signal another name"))
 
     interlock, interlock_field = controller.interlock, "cell.controller.interlock"
     if controller.sync == "handshake":
@@ -483,13 +502,15 @@ def _signal_faults(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> l
         signal = getattr(operation, "signal", None)
         if isinstance(signal, str):
             lead = next((arm.name for arm in cell.arms if arm.name in operation.arms), "")
-            known = leads.setdefault(signal.lower(), lead)
-            if controller.sync == "handshake" and known != lead:
-                got = f"{signal} powers tools of arms {known} and {lead}, which have separate controllers"
+            known_lead = lead_by_signal.setdefault(signal.lower(), lead)
+            if controller.sync == "handshake" and known_lead != lead:
+                text = (
+                    f"{signal} powers tools of arms {known_lead} and {lead}, which have separate controllers"
+                )
                 hint = "use another signal for the operations of one of them"
-                issues.append(Issue("problem.field", got, field=f"{field}.signal", hint=hint))
-            what = f"the power of a {_power_consumer(operation)}"
-            use(signal, what, f"{field}.signal", MAX_SWITCHED_NAME)
+                issues.append(Issue("problem.field", text, field=f"{field}.signal", hint=hint))
+            purpose = f"the power of a {_power_consumer(operation)}"
+            use(signal, purpose, f"{field}.signal", MAX_SWITCHED_NAME)
             use(
                 interlock.power_output(signal).signal,
                 f"the output that {signal} drives",
@@ -500,23 +521,23 @@ def _signal_faults(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> l
             use(ok_signal, "an input that an operation waits for", f"{field}.ok_signal")
     for arm in cell.arms:
         for request, output in interlock.outputs.items():
-            stated = controller.signal_number(arm.name, request) is not None and arm.data.family != "UR"
-            if stated and controller.signal_number(arm.name, output.signal) is None:
-                got = f"{output.signal} has no number on the controller of arm {arm.name}, but {request} has"
+            has_number = controller.signal_number(arm.name, request) is not None and arm.data.family != "UR"
+            if has_number and controller.signal_number(arm.name, output.signal) is None:
+                text = f"{output.signal} has no number on the controller of arm {arm.name}, but {request} has"
                 hint = f"add it to controller: {{io: {{{arm.name}: ...}}}}"
                 issues.append(
-                    Issue("problem.field", got, field=f"{interlock_field}.outputs.{request}", hint=hint)
+                    Issue("problem.field", text, field=f"{interlock_field}.outputs.{request}", hint=hint)
                 )
-    wired: dict[tuple[str, int], str] = {}
+    signal_by_bit: dict[tuple[str, int], str] = {}
     for request, output in interlock.outputs.items():
         key = (output.device.lower(), output.bit)
-        if output.device and key in wired:
-            got = f"{wired[key]} and {output.signal} are both bit {output.bit} of {output.device}"
+        if output.device and key in signal_by_bit:
+            text = f"{signal_by_bit[key]} and {output.signal} are both bit {output.bit} of {output.device}"
             hint = "give each output its own bit (device_map)"
             issues.append(
-                Issue("problem.field", got, field=f"{interlock_field}.outputs.{request}", hint=hint)
+                Issue("problem.field", text, field=f"{interlock_field}.outputs.{request}", hint=hint)
             )
-        wired[key] = output.signal
+        signal_by_bit[key] = output.signal
     if controller.sync == "handshake":
         issues += _running_wire_faults(cell, operations, uses)
     return issues
@@ -532,9 +553,9 @@ def _running_wire_faults(
         field = f"cell.controller.handshake.signals.{arm.name}"
         for name in (signals.running, signals.partner_running, signals.lost_input):
             if name.lower() in uses:
-                got = f"{name} is used as {uses[name.lower()]} and as an end of a running wire"
-                got += "; a signal has one use"
-                issues.append(Issue("problem.field", got, field=field, hint="give them different signals"))
+                text = f"{name} is used as {uses[name.lower()]} and as an end of a running wire"
+                text += "; a signal has one use"
+                issues.append(Issue("problem.field", text, field=field, hint="give them different signals"))
     return issues
 
 
@@ -543,52 +564,63 @@ def _device_bit_faults(cell: Cell, operations: Sequence[tuple[str, Operation]]) 
 
     Each signal must exist, and no two inputs and no two outputs of a controller may share a bit.
     """
-    controller, issues = cell.controller, list[Issue]()
-    alone, taken = controller.sync == "handshake", dict[tuple[str, bool, str, int], str]()
-    order = [arm.name for arm in cell.arms]
-    ends: dict[str, list[str]] = {}
-    inputs: dict[str, set[str]] = {}
+    controller = cell.controller
+    issues: list[Issue] = []
+    is_separate = controller.sync == "handshake"
+    signal_by_bit: dict[tuple[str, bool, str, int], str] = {}  # by controller, whether input, device and bit
+    arm_names = [arm.name for arm in cell.arms]
+    signals: dict[str, list[str]] = {}
+    inputs_by_arm: dict[str, set[str]] = {}
     for arm in cell.arms:
         if arm.data.family != "ABB":
             continue
-        partner_signals, mine, given = controller.handshake.of(arm.name), list[str](), list[str]()
+        partner_signals = controller.handshake.of(arm.name)
+        outputs: list[str] = []
+        inputs: list[str] = []
         if controller.sync == "handshake":
-            mine, given = (
-                [partner_signals.running, partner_signals.output],
-                [partner_signals.partner_running, partner_signals.input],
-            )
+            outputs = [partner_signals.running, partner_signals.output]
+            inputs = [partner_signals.partner_running, partner_signals.input]
         for _, operation in operations:
             power = getattr(operation, "signal", None)
-            if isinstance(power, str) and arm.name == next((n for n in order if n in operation.arms), ""):
+            if isinstance(power, str) and arm.name == next((n for n in arm_names if n in operation.arms), ""):
                 power_output = controller.interlock.power_output(power)
                 if power_output.device:
-                    taken[arm.name if alone else "", False, power_output.device.lower(), power_output.bit] = (
-                        power_output.signal
-                    )
+                    signal_by_bit[
+                        arm.name if is_separate else "", False, power_output.device.lower(), power_output.bit
+                    ] = power_output.signal
             if arm.name in operation.arms or controller.sync != "handshake":
-                given += [ok_signal] if (ok_signal := _ok_signal(operation)) is not None else []
+                ok_signal = _ok_signal(operation)
+                if ok_signal is not None:
+                    inputs.append(ok_signal)
                 die = getattr(operation, "die", None)
-                mine += [die.signal] if die is not None and getattr(die, "holder", "") == "sinking" else []
-        ends[arm.name] = list(dict.fromkeys([*mine, *given]))
-        inputs[arm.name] = {name.lower() for name in given}
-    ends = {name: names for name, names in ends.items() if names}
+                if die is not None and getattr(die, "holder", "") == "sinking":
+                    outputs.append(die.signal)
+        signals[arm.name] = list(dict.fromkeys([*outputs, *inputs]))
+        inputs_by_arm[arm.name] = {name.lower() for name in inputs}
+    signals = {name: names for name, names in signals.items() if names}
     for arm_name, device_bits in controller.interlock.device_bits.items():
-        known = [name.lower() for name in ends.get(arm_name, [])]
+        known_names = [name.lower() for name in signals.get(arm_name, [])]
         for signal, device_bit in device_bits.items():
-            is_input = signal.lower() in inputs.get(arm_name, set())
-            other = taken.setdefault(
-                (arm_name if alone else "", is_input, device_bit.device.lower(), device_bit.bit), signal
+            is_input = signal.lower() in inputs_by_arm.get(arm_name, set())
+            other = signal_by_bit.setdefault(
+                (arm_name if is_separate else "", is_input, device_bit.device.lower(), device_bit.bit), signal
             )
             if other.lower() != signal.lower():
-                got = f"{other} and {signal} are both bit {device_bit.bit} of {device_bit.device}"
+                text = f"{other} and {signal} are both bit {device_bit.bit} of {device_bit.device}"
                 field = f"cell.controller.interlock.places.{arm_name}"
                 hint = f"give each {'input' if is_input else 'output'} its own bit (device_map)"
-                issues.append(Issue("problem.field", got, field=field, hint=hint))
-            if signal.lower() not in known:
-                got = f"arm {arm_name} has no signal {signal} at an ABB controller that does not switch power"
-                may = "; ".join(f"{name}: {', '.join(names)}" for name, names in ends.items()) or "none"
+                issues.append(Issue("problem.field", text, field=field, hint=hint))
+            if signal.lower() not in known_names:
+                text = (
+                    f"arm {arm_name} has no signal {signal} at an ABB controller that does not switch power"
+                )
+                allowed = (
+                    "; ".join(f"{name}: {', '.join(names)}" for name, names in signals.items()) or "none"
+                )
                 field = f"cell.controller.interlock.places.{arm_name}"
-                issues.append(Issue("problem.field", f"{got}; allowed: {may}", field=field, hint="remove it"))
+                issues.append(
+                    Issue("problem.field", f"{text}; allowed: {allowed}", field=field, hint="remove it")
+                )
     return issues
 
 
@@ -598,15 +630,15 @@ def _option_faults(controller: Controller, cell: Cell, operations: Sequence[Oper
     A cell without stated options is not checked.
     """
     arms = {arm for operation in operations for arm in operation.arms}
-    together = [arm for arm in cell.arms if arm.name in arms and arm.data.family == "ABB"]
-    if controller.options is None or controller.sync == "handshake" or len(together) < 2:
+    moved_arms = [arm for arm in cell.arms if arm.name in arms and arm.data.family == "ABB"]
+    if controller.options is None or controller.sync == "handshake" or len(moved_arms) < 2:
         return []
     required = _COORDINATED[controller.robotware]
     if any(option.split()[:1] == required.split()[:1] for option in controller.options):
         return []
-    got = format_message("post.option", required_option=required, listed_options=_listed_options(controller))
+    text = format_message("post.option", required_option=required, listed_options=_listed_options(controller))
     hint = "install the option, or use two controllers that share signals (sync: handshake)"
-    return [Issue("post.option", got, field="cell.controller.options", hint=hint)]
+    return [Issue("post.option", text, field="cell.controller.options", hint=hint)]
 
 
 def _listed_options(controller: Controller) -> str:

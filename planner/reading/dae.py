@@ -59,7 +59,7 @@ def read_dae(path: Path, scale: float) -> tuple[ColouredMesh, ...]:
         geometry_error = next((str(error) for error in model.errors if "eometry" in str(error)), None)
         if geometry_error is not None:
             raise ValueError(f"it cannot be read ({geometry_error[:120]})")
-        size = scale * float(model.assetInfo.unitmeter or 1.0)
+        metres_per_unit = scale * float(model.assetInfo.unitmeter or 1.0)
         by_colour = _triangles_by_colour(model)
     except ValueError:
         raise
@@ -68,7 +68,7 @@ def read_dae(path: Path, scale: float) -> tuple[ColouredMesh, ...]:
         raise ValueError(f"it cannot be read ({reason})") from error
     out = []
     for color, pieces in by_colour.items():
-        corners = size * np.concatenate(pieces)
+        corners = metres_per_unit * np.concatenate(pieces)
         if not np.isfinite(corners).all():
             raise ValueError("it contains numbers that are not finite")
         mesh = merge_vertices(
@@ -101,14 +101,14 @@ def _triangles_by_colour(model: Any) -> dict[Colour | None, list[FloatArray]]:
             if count > MAX_PIECES:
                 raise ValueError(f"it has more than {MAX_PIECES:,} pieces; join them")
             faces = piece.triangleset() if hasattr(piece, "triangleset") else piece
-            index = getattr(faces, "vertex_index", None)
-            if index is None or not len(index) or np.shape(index)[1] != 3:
+            vertex_index = getattr(faces, "vertex_index", None)
+            if vertex_index is None or not len(vertex_index) or np.shape(vertex_index)[1] != 3:
                 continue  # lines
-            rows = np.asarray(index, dtype=np.int64)
-            if rows.min() < 0 or rows.max() >= len(faces.vertex):
+            corner_index = np.asarray(vertex_index, dtype=np.int64)
+            if corner_index.min() < 0 or corner_index.max() >= len(faces.vertex):
                 raise ValueError("a face refers to a missing vertex")
             out.setdefault(_colour(piece.material), []).append(
-                np.asarray(faces.vertex, dtype=np.float64)[rows]
+                np.asarray(faces.vertex, dtype=np.float64)[corner_index]
             )
     return out
 

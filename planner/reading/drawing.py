@@ -72,53 +72,54 @@ def read_dxf(path: Path, unit: float, layer: str | None, field: str) -> tuple[li
         drawing = readfile(path)
         space = list(drawing.modelspace())
     except Exception as error:  # damaged files raise anything
-        what = f"cannot be read ({_first_line(error)}); export it again"
-        raise file_error("part.dxf", path, field, what) from error
+        message = f"cannot be read ({_first_line(error)}); export it again"
+        raise file_error("part.dxf", path, field, message) from error
     layers = sorted({entity.dxf.layer for entity in space})
     on_layer = [e for e in space if layer is None or e.dxf.layer.lower() == layer.lower()]
     visible = [e for e in on_layer if not _is_hidden(e, drawing)]
     curves = [e for e in visible if e.dxftype() in ENTITY_KINDS]
-    hidden = f"{len(on_layer) - len(visible)} hidden" if len(on_layer) > len(visible) else ""
+    hidden_text = f"{len(on_layer) - len(visible)} hidden" if len(on_layer) > len(visible) else ""
     if not curves:
-        what = f"has no curves on layer {layer}" if layer is not None else "has no curves"
-        what += f", but {hidden}; {_SHOW_HIDDEN_HINT}" if hidden else ""
+        message = f"has no curves on layer {layer}" if layer is not None else "has no curves"
+        message += f", but {hidden_text}; {_SHOW_HIDDEN_HINT}" if hidden_text else ""
         raise file_error(
-            "part.dxf", path, field, f"{what}; its layers are {', '.join(layers[:12]) or '(none)'}"
+            "part.dxf", path, field, f"{message}; its layers are {', '.join(layers[:12]) or '(none)'}"
         )
     notes = []
-    others = sorted({e.dxftype() for e in visible} - set(ENTITY_KINDS))
-    if others:
-        what = f"{path.name}: left out {', '.join(others)}; "
-        what += f"only {', '.join(ENTITY_KINDS)} are read (explode blocks)"
-        notes.append(Issue("part.dxf_left_out", what, Severity.NOTE, file=str(path), field=field))
-    if hidden:
-        what = f"{path.name}: left out {hidden}; {_SHOW_HIDDEN_HINT}"
-        notes.append(Issue("part.dxf_left_out", what, Severity.NOTE, file=str(path), field=field))
+    unread_kinds = sorted({e.dxftype() for e in visible} - set(ENTITY_KINDS))
+    if unread_kinds:
+        message = f"{path.name}: left out {', '.join(unread_kinds)}; "
+        message += f"only {', '.join(ENTITY_KINDS)} are read (explode blocks)"
+        notes.append(Issue("part.dxf_left_out", message, Severity.NOTE, file=str(path), field=field))
+    if hidden_text:
+        message = f"{path.name}: left out {hidden_text}; {_SHOW_HIDDEN_HINT}"
+        notes.append(Issue("part.dxf_left_out", message, Severity.NOTE, file=str(path), field=field))
     name, metres = INSUNITS.get(drawing.header.get("$INSUNITS", 0), ("", unit))
     if abs(metres - unit) > 1e-9:
         stated_unit = next(short for short, size in LENGTH_UNITS.items() if size == unit)
-        what = f"{path.name} states lengths in {name} ($INSUNITS), but the problem reads them in "
-        what += (
+        message = f"{path.name} states lengths in {name} ($INSUNITS), but the problem reads them in "
+        message += (
             f"{stated_unit}; check its size, then write unit: {name}, or save it with the right unit (_UNITS)"
         )
-        notes.append(Issue("part.dxf_unit", what, Severity.WARNING, file=str(path), field=field))
+        notes.append(Issue("part.dxf_unit", message, Severity.WARNING, file=str(path), field=field))
     try:
         _require_size(curves, ezpath, unit, path, field)
         pieces = [p for p in (_flatten(e, ezpath, unit) for e in curves) if len(p) > 1]
     except TandemError:
         raise
     except Exception as error:  # invalid curves, such as too few or unordered knots, raise anything
-        what = f"has a curve that cannot be read ({_first_line(error)}); draw it again"
-        raise file_error("part.dxf", path, field, what) from error
+        message = f"has a curve that cannot be read ({_first_line(error)}); draw it again"
+        raise file_error("part.dxf", path, field, message) from error
     if len(pieces) > MAX_CURVES:
-        what = f"has {len(pieces)} curves, allowed {MAX_CURVES}; name a layer, or join them to polylines"
-        raise file_error("part.dxf", path, field, what)
+        message = f"has {len(pieces)} curves, allowed {MAX_CURVES}; name a layer, or join them to polylines"
+        raise file_error("part.dxf", path, field, message)
     if any(not np.isfinite(p).all() for p in pieces):
         raise file_error("part.dxf", path, field, "has numbers that are not finite; export it again")
     return join_curves(pieces), notes
 
 
 def _first_line(error: Exception) -> str:
+    """Return the first line of an exception's text, or the exception's name if it has no text."""
     return str(error).splitlines()[0][:120] if str(error) else type(error).__name__
 
 
@@ -136,15 +137,18 @@ def _is_hidden(entity: Any, drawing: Any) -> bool:
 
 def _require_size(curves: list[Any], ezpath: Any, unit: float, path: Path, field: str) -> None:
     """Raise ``part.dxf`` for curves larger than any part, which would have too many points."""
-    corners = [[(v.x, v.y, v.z) for v in ezpath.make_path(curve).control_vertices()] for curve in curves]
-    points = np.array([v for curve in corners for v in curve], dtype=np.float64).reshape(-1, 3) * unit
+    control_points = [
+        [(v.x, v.y, v.z) for v in ezpath.make_path(curve).control_vertices()] for curve in curves
+    ]
+    points = np.array([v for curve in control_points for v in curve], dtype=np.float64).reshape(-1, 3) * unit
     extent = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
     if extent > MAX_EXTENT_M:
-        what = f"is {extent:.4g} m across, allowed {MAX_EXTENT_M:g} m; check the unit, or remove stray points"
-        raise file_error("part.dxf", path, field, what)
+        text = f"is {extent:.4g} m across, allowed {MAX_EXTENT_M:g} m; check the unit, or remove stray points"
+        raise file_error("part.dxf", path, field, text)
 
 
 def _flatten(entity: Any, ezpath: Any, unit: float) -> FloatArray:
+    """Return points (N, 3) [m] along an entity, in its direction."""
     if entity.dxftype() == "SPLINE":
         return _flatten_spline(entity, CURVE_CHORD_TOLERANCE_M / unit) * unit
     curve = ezpath.make_path(entity)
@@ -158,12 +162,12 @@ def _flatten_spline(entity: Any, chord: float) -> FloatArray:
 
     The knots of a closed spline extend beyond them, and so do the paths of ezdxf.
     """
-    tool = entity.construction_tool()
-    points = np.array([(v.x, v.y, v.z) for v in tool.control_points], dtype=np.float64).reshape(-1, 3)
-    weight = np.array(tool.weights(), dtype=np.float64).reshape(-1, 1)
+    spline = entity.construction_tool()
+    points = np.array([(v.x, v.y, v.z) for v in spline.control_points], dtype=np.float64).reshape(-1, 3)
+    weight = np.array(spline.weights(), dtype=np.float64).reshape(-1, 1)
     weight = weight if len(weight) == len(points) else np.ones((len(points), 1))
     control = np.concatenate([points * weight, weight], axis=1)
-    return NurbsCurve(tool.degree, np.array(tool.knots(), dtype=np.float64), control).chords(chord)
+    return NurbsCurve(spline.degree, np.array(spline.knots(), dtype=np.float64), control).chords(chord)
 
 
 def _is_reversed(entity: Any, points: FloatArray) -> bool:
@@ -195,18 +199,17 @@ def join_curves(pieces: list[FloatArray]) -> list[FileCurve]:
     Each curve runs in the direction of its first piece; a closed one starts with that piece.
     """
     ends = np.array([piece[[0, -1]] for piece in pieces]).reshape(-1, 2, 3)
-    is_left = np.array(
-        [not _is_closed(piece) for piece in pieces], dtype=bool
-    )  # pieces that may still be joined
-    done = np.zeros(len(pieces), dtype=bool)
+    # pieces that may still be joined
+    is_joinable = np.array([not _is_closed(piece) for piece in pieces], dtype=bool)
+    is_joined = np.zeros(len(pieces), dtype=bool)
     out = []
     for start, first in enumerate(pieces):
-        if done[start]:
+        if is_joined[start]:
             continue
-        chain, prepended, is_left[start] = first, 0, False
-        while is_left.any() and not _is_closed(chain):
+        chain, prepended, is_joinable[start] = first, 0, False
+        while is_joinable.any() and not _is_closed(chain):
             # if several ends meet, continue with the nearest
-            rows = np.flatnonzero(is_left)
+            rows = np.flatnonzero(is_joinable)
             gap = np.linalg.norm(ends[rows][:, :, None] - chain[[0, -1]], axis=-1)
             row, end, chain_end = np.unravel_index(int(np.argmin(gap)), gap.shape)
             if gap[row, end, chain_end] > _JOIN_TOLERANCE_M:
@@ -215,7 +218,7 @@ def join_curves(pieces: list[FloatArray]) -> list[FileCurve]:
             piece = pieces[i][::-1] if end else pieces[i]  # leads away from the chain
             chain = np.concatenate([chain, piece[1:]] if chain_end else [piece[:0:-1], chain])
             prepended += 0 if chain_end else len(piece) - 1
-            is_left[i], done[i] = False, True
+            is_joinable[i], is_joined[i] = False, True
         closed = _is_closed(chain)
         out.append(FileCurve(np.roll(chain[:-1], -prepended, axis=0) if closed else chain, closed))
     return out

@@ -86,10 +86,10 @@ class DrawingFile(Strict):
         notes: list[Issue] = []
         for layer in self.layers or (None,):
             if self.is_rhino:
-                chosen = rhino.RhinoFile.model_construct(
+                rhino_spec = rhino.RhinoFile.model_construct(
                     file=self.file, layer=layer, name=self.name, colour=self.colour, unit=self.unit
                 )
-                curves, file_notes = rhino.read_curves(chosen, Path(), field)
+                curves, file_notes = rhino.read_curves(rhino_spec, Path(), field)
             else:
                 curves, file_notes = read_dxf(Path(self.file), LENGTH_UNITS[self.unit or "mm"], layer, field)
             out += curves

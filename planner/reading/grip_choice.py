@@ -81,51 +81,53 @@ def choose_grips(problem: Problem, free: Collection[int]) -> Problem:
 
 
 def _apply_grip(problem: Problem, setup: Setup, mounted: Gripper, grip: Grip) -> Problem:
+    """Return the problem with the grip of a setup and a note, unchanged if the setup has this grip."""
     stock, first = setup.stock, setup.operations[0]
-    changed = grip.tool is not mounted
-    if not changed and np.allclose(grip.pose(stock), stock.grip, atol=1e-12):
+    is_changed = grip.tool is not mounted
+    if not is_changed and np.allclose(grip.pose(stock), stock.grip, atol=1e-12):
         return problem
     position_text = ", ".join(f"{v / MM + 0.0:g}" for v in grip.position)
     rotation_text = f", rotated by {grip.rotation / DEG:g} deg" if grip.rotation else ""
-    which = f"one of {len(problem.cell.grippers)} in the cell" if changed else "the mounted one"
+    choice = f"one of {len(problem.cell.grippers)} in the cell" if is_changed else "the mounted one"
     pose = grip.pose(stock)
-    at = ", ".join(f"{v / MM + 0.0:.6g}" for v in pose[:3, 3])
-    rpy = f", rpy_deg: [0, 0, {-grip.rotation / DEG:g}]" if grip.rotation else ""
-    gripper_key = f"gripper: {grip.tool.name}, " if changed else ""
+    xyz_text = ", ".join(f"{v / MM + 0.0:.6g}" for v in pose[:3, 3])
+    rpy_text = f", rpy_deg: [0, 0, {-grip.rotation / DEG:g}]" if grip.rotation else ""
+    gripper_key = f"gripper: {grip.tool.name}, " if is_changed else ""
     note = Issue(
         "stock.grip_chosen",
         format_message(
             "stock.grip_chosen",
             gripper=grip.tool.name,
             arm=stock.held_by,
-            choice=which,
+            choice=choice,
             centre_mm=position_text,
             rotation_clause=rotation_text,
         ),
         Severity.NOTE,
         arm=stock.held_by,
-        hint=f"to fix or change it, state it: {{{gripper_key}grip: {{xyz_mm: [{at}]{rpy}}}}}",
+        hint=f"to fix or change it, state it: {{{gripper_key}grip: {{xyz_mm: [{xyz_text}]{rpy_text}}}}}",
     )
     name = str(stock.held_by)
+    # the first setup is in the cell and the stock, later ones are changes before their first operation
     change = problem.changes.get(first)
     if setup.number > 1 and change is not None:
-        tools = {**change.tools, name: grip.tool} if changed else change.tools
+        tools = {**change.tools, name: grip.tool} if is_changed else change.tools
         steps = change.steps
-        if changed:
+        if is_changed:
             other_steps = [
                 s for s in steps if not (s.startswith("Mount the tool") and s.endswith(f"on arm {name}."))
             ]
             steps = (f"Mount the tool {grip.tool.name} on arm {name}.", *other_steps)
         fields = {**change.stock, "grip": grip.pose(stock), "grip_chosen": True}
-        new = dataclasses.replace(change, tools=tools, stock=fields, steps=steps)
-        problem = dataclasses.replace(problem, changes={**problem.changes, first: new})
+        new_change = dataclasses.replace(change, tools=tools, stock=fields, steps=steps)
+        problem = dataclasses.replace(problem, changes={**problem.changes, first: new_change})
     else:
         arms = tuple(
             dataclasses.replace(a, tool=grip.tool) if a.name == name else a for a in problem.cell.arms
         )
-        own_stock = dataclasses.replace(problem.stock, grip=grip.pose(stock), grip_chosen=True)
+        new_stock = dataclasses.replace(problem.stock, grip=grip.pose(stock), grip_chosen=True)
         cell = dataclasses.replace(problem.cell, arms=arms)
-        problem = dataclasses.replace(problem, cell=cell, stock=own_stock)
+        problem = dataclasses.replace(problem, cell=cell, stock=new_stock)
     return dataclasses.replace(problem, notes=(*problem.notes, note))
 
 
@@ -142,17 +144,17 @@ def choose_grip(setup: Setup, part: Part | None, margin: float) -> Grip | None:
     wires = _wire_sweep(setup, part)
     mounted = arm.tool
     payload = arm.data.payload
-    known = [mounted, *setup.cell.grippers] if isinstance(mounted, Gripper) else list(setup.cell.grippers)
-    strong_grippers = [gripper for gripper in known if can_hold(gripper, stock, payload)]
+    grippers = [mounted, *setup.cell.grippers] if isinstance(mounted, Gripper) else list(setup.cell.grippers)
+    strong_grippers = [gripper for gripper in grippers if can_hold(gripper, stock, payload)]
     if strong_grippers and strong_grippers[0] is mounted:
         centred_grip = Grip(strong_grippers[0], (0.0, 0.0), 0.0)
         if fits(centred_grip, stock, wires, margin):
             return centred_grip
     for tool in sorted(strong_grippers, key=lambda gripper: -gripper.holding_force):
-        for turn in (0.0, 90.0 * DEG):
-            at = _best_grip_point(tool, turn, stock, wires, margin)
-            if at is not None:
-                return Grip(tool, at, turn)
+        for rotation in (0.0, 90.0 * DEG):
+            position = _best_grip_point(tool, rotation, stock, wires, margin)
+            if position is not None:
+                return Grip(tool, position, rotation)
     return None
 
 
@@ -173,18 +175,21 @@ def grip_advice(setup: Setup, part: Part | None, margin: float) -> str:
     stock = setup.stock
     arm = setup.cell.arm(str(stock.held_by))
     wires = _wire_sweep(setup, part)
-    best = _largest_plate(stock, wires, margin)
-    if best is None:
+    largest = _largest_plate(stock, wires, margin)
+    if largest is None:
         return "no gripper of 20 mm or more fits below the part"
-    size, at, turn = best
+    size, position, rotation = largest
     width, depth = (round(v / MM) for v in size)
-    rotation_text = f", rotated by {turn / DEG:g} deg" if turn else ""
-    where = f"[{at[0] / MM + 0.0:g}, {at[1] / MM + 0.0:g}] mm{rotation_text}"
+    rotation_text = f", rotated by {rotation / DEG:g} deg" if rotation else ""
+    place_text = f"[{position[0] / MM + 0.0:g}, {position[1] / MM + 0.0:g}] mm{rotation_text}"
     plate = gripper_plate(*size)
-    text = f"the largest plate that fits has width_mm: {width}, depth_mm: {depth}, with its centre at {where}"
+    text = (
+        f"the largest plate that fits has width_mm: {width}, depth_mm: {depth}, with its centre at "
+        f"{place_text}"
+    )
     if not can_hold(plate, stock, arm.data.payload):
-        needed = GRIP_FORCE_FACTOR * (stock.mass or 0.0) * GRAVITY
-        return f"{text}; it holds with {plate.holding_force:.0f} N, but {needed:.0f} N are required"
+        required_force = GRIP_FORCE_FACTOR * (stock.mass or 0.0) * GRAVITY
+        return f"{text}; it holds with {plate.holding_force:.0f} N, but {required_force:.0f} N are required"
     return f"{text}; add it to the cell's grippers, or mount it, and remove grip, so that Tandem chooses it"
 
 
@@ -212,9 +217,9 @@ class GripWirePaths:
     Attributes:
         surfaces: Ruled surfaces along which wires run.
         floor: Height of the bottom face of the block [m].
-        parts: Outlines on the bottom face of what stays held.
-        middle: Centre of these outlines [m].
-        cache: Crossings by level.
+        parts: Outlines on the bottom face of the pieces that stay held, None for a block without a part.
+        middle: Centre of these outlines, or of the block [m].
+        cache: Results of :meth:`crossings_below` by height.
     """
 
     surfaces: tuple[RuledSurface, ...]
@@ -242,12 +247,12 @@ def _largest_margin(problem: Problem, setup: Setup) -> float:
 
 
 def _wire_sweep(setup: Setup, part: Part | None) -> GripWirePaths:
-    """Return the rulings of all surfaces of the part, extended as required."""
+    """Return the paths of the wires that cut the part: along the rulings of all its surfaces, extended."""
     stock = setup.stock
     floor = float(stock.lower[2])
     surfaces = () if part is None else part.ruled
     outlines = [_outline(surface, floor) for surface in surfaces if surface.closed and not surface.hole]
-    valid_outlines = [surface for surface in outlines if surface is not None and surface.area > 0.0]
+    valid_outlines = [outline for outline in outlines if outline is not None and outline.area > 0.0]
     parts = shapely.unary_union(valid_outlines) if valid_outlines else None
     centre = (0.5 * (stock.lower + stock.upper))[:2] if parts is None else np.array(parts.centroid.coords[0])
     return GripWirePaths(surfaces, floor, parts, (float(centre[0]), float(centre[1])))
@@ -267,7 +272,7 @@ def _crossings(surfaces: Sequence[RuledSurface], level: float) -> FloatArray:
 def _crossings_of_surface(surface: RuledSurface, level: float) -> FloatArray:
     """Return points (M', 2) [m] where rulings, and interpolated ones, cross z = ``level``.
 
-    NaN for horizontal rulings.
+    Points of horizontal rulings are NaN.
     """
     start, end = surface.start, surface.end
     if surface.closed:
@@ -276,19 +281,20 @@ def _crossings_of_surface(surface: RuledSurface, level: float) -> FloatArray:
         np.linalg.norm(np.diff(start, axis=0), axis=1), np.linalg.norm(np.diff(end, axis=0), axis=1)
     )
     count = np.clip(np.ceil(spacing / RULING_SPACING_M), 1, 400).astype(int)
-    at = np.concatenate([k + np.arange(n) / n for k, n in enumerate(count)])
-    at = at if surface.closed else np.append(at, len(start) - 1.0)
-    k = np.minimum(at.astype(int), len(start) - 2)
-    fraction = (at - k)[:, None]
+    index = np.concatenate([k + np.arange(n) / n for k, n in enumerate(count)])
+    index = index if surface.closed else np.append(index, len(start) - 1.0)
+    k = np.minimum(index.astype(int), len(start) - 2)
+    fraction = (index - k)[:, None]
     first = start[k] + fraction * (start[k + 1] - start[k])
     last = end[k] + fraction * (end[k + 1] - end[k])
     rise = last[:, 2] - first[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
-        along = np.where(np.abs(rise) > 1e-9, (level - first[:, 2]) / rise, np.nan)
-    return np.asarray(first[:, :2] + along[:, None] * (last - first)[:, :2])
+        fraction_along = np.where(np.abs(rise) > 1e-9, (level - first[:, 2]) / rise, np.nan)
+    return np.asarray(first[:, :2] + fraction_along[:, None] * (last - first)[:, :2])
 
 
 def _outline(surface: RuledSurface, level: float) -> Polygon | None:
+    """Return the outline of a closed surface at z = ``level``, None for fewer than three points."""
     points = _crossings_of_surface(surface, level)
     points = points[np.isfinite(points).all(axis=1)]
     return shapely.make_valid(Polygon(points)) if len(points) > 2 else None
@@ -305,10 +311,10 @@ def _gripper_extents(tool: Gripper) -> list[tuple[FloatArray, tuple[float, float
 
 
 def _free_region(
-    tool: Gripper, turn: float, stock: Stock, wires: GripWirePaths, margin: float
+    tool: Gripper, rotation: float, stock: Stock, wires: GripWirePaths, margin: float
 ) -> BaseGeometry:
     """Return where the centre of a gripper's face may be on the bottom face of the block."""
-    half = 0.5 * np.array(tool.footprint if turn == 0.0 else tool.footprint[::-1])
+    half = 0.5 * np.array(tool.footprint if rotation == 0.0 else tool.footprint[::-1])
     low, high = stock.lower[:2] + half, stock.upper[:2] - half
     if (high < low - 1e-9).any():
         return Polygon()
@@ -318,18 +324,20 @@ def _free_region(
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=2)))
     blocked = []
     for half_size, levels in _gripper_extents(tool):
-        around = signs * ((half_size if turn == 0.0 else half_size[::-1]) + margin + EXTRA_WIRE_CLEARANCE_M)
+        corners = signs * (
+            (half_size if rotation == 0.0 else half_size[::-1]) + margin + EXTRA_WIRE_CLEARANCE_M
+        )
         for below in levels:
-            points = (wires.crossings_below(below)[:, :, None] + around).reshape(-1, 8, 2)
+            points = (wires.crossings_below(below)[:, :, None] + corners).reshape(-1, 8, 2)
             blocked += list(shapely.convex_hull(shapely.multipoints(points)))
     return free.difference(shapely.unary_union(blocked)) if blocked else free
 
 
 def _best_grip_point(
-    tool: Gripper, turn: float, stock: Stock, wires: GripWirePaths, margin: float
+    tool: Gripper, rotation: float, stock: Stock, wires: GripWirePaths, margin: float
 ) -> tuple[float, float] | None:
     """Return the grid point nearest to the centre of the part at which the face may be, or None."""
-    free = _free_region(tool, turn, stock, wires, margin)
+    free = _free_region(tool, rotation, stock, wires, margin)
     if free.is_empty:
         return None
     low, high = np.array(free.bounds).reshape(2, 2)
@@ -341,15 +349,19 @@ def _best_grip_point(
         points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
         points = points[shapely.intersects_xy(free, points)] if len(points) else points
         if len(points):
-            best = points[int(np.argmin(np.linalg.norm(points - wires.middle, axis=1)))]
-            return float(round(best[0], 9)), float(round(best[1], 9))
+            nearest = points[int(np.argmin(np.linalg.norm(points - wires.middle, axis=1)))]
+            return float(round(nearest[0], 9)), float(round(nearest[1], 9))
     return None
 
 
 def _largest_plate(
     stock: Stock, wires: GripWirePaths, margin: float
 ) -> tuple[tuple[float, float], tuple[float, float], float] | None:
-    """Return about the largest plate that fits, in steps of `PLATE_STEP_M`, with centre and rotation."""
+    """Return approximately the largest plate that fits, in steps of `PLATE_STEP_M`.
+
+    Returns:
+        Width and depth [m], centre (2,) [m], and rotation [rad], which is 0; None if no plate fits.
+    """
     free_region = _free_region(
         gripper_plate(2.0 * PLATE_STEP_M, 2.0 * PLATE_STEP_M), 0.0, stock, wires, margin
     )
@@ -360,14 +372,14 @@ def _largest_plate(
         np.arange(np.ceil(a / GRIP_POINT_STEP_M), np.floor(b / GRIP_POINT_STEP_M) + 1) * GRIP_POINT_STEP_M
         for a, b in zip(low, high, strict=True)
     ]
-    middles = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    middles = middles[shapely.intersects_xy(free_region, middles)] if len(middles) else middles
-    edge_distance = np.minimum(stock.upper[:2] - middles, middles - stock.lower[:2])
+    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    centres = centres[shapely.intersects_xy(free_region, centres)] if len(centres) else centres
+    edge_distance = np.minimum(stock.upper[:2] - centres, centres - stock.lower[:2])
     wire_points = np.concatenate(
         [wires.crossings_below(0.0).mean(axis=1), wires.crossings_below(FACE_THICKNESS_M).mean(axis=1)]
     )
     wire_distance = (
-        np.abs(middles[:, None] - wire_points) - margin - EXTRA_WIRE_CLEARANCE_M - 0.5 * RULING_SPACING_M
+        np.abs(centres[:, None] - wire_points) - margin - EXTRA_WIRE_CLEARANCE_M - 0.5 * RULING_SPACING_M
     )
     sizes: list[tuple[float, float]] = []
     for depth in (
@@ -376,13 +388,13 @@ def _largest_plate(
         half_width = np.where(wire_distance[..., 1] < 0.5 * depth, wire_distance[..., 0], np.inf).min(
             axis=1, initial=np.inf
         )
-        half = np.where(
+        half_sizes = np.where(
             edge_distance[:, 1] >= 0.5 * depth - 1e-9, np.minimum(half_width, edge_distance[:, 0]), 0.0
         )
-        width = float(np.floor(2.0 * half.max() / PLATE_STEP_M + 1e-6) * PLATE_STEP_M)
+        width = float(np.floor(2.0 * half_sizes.max() / PLATE_STEP_M + 1e-6) * PLATE_STEP_M)
         sizes += [(min(width, 2.0), float(depth))] if width >= 2.0 * PLATE_STEP_M else []
     for size in sorted(sizes, key=lambda candidate: -candidate[0] * candidate[1]):
-        at = _best_grip_point(gripper_plate(*size), 0.0, stock, wires, margin)
-        if at is not None:
-            return size, at, 0.0
+        position = _best_grip_point(gripper_plate(*size), 0.0, stock, wires, margin)
+        if position is not None:
+            return size, position, 0.0
     return None

@@ -71,47 +71,54 @@ def link_visuals(
         files: Visual mesh files by their names in the URDF; None for missing ones.
 
     Returns:
-        Visuals of base and links, empty if only collision shapes would be shown; and links that are not shown
-            as in the URDF, with the reason.
+        Visuals of base and links, empty if only collision shapes would be shown; and the reasons for each
+        link that is not shown as in the URDF.
     """
     meshes = _visual_meshes(chain, files)
-    faults = {owner: f"a <visual> of the link {owner} ({why})" for owner, why in chain.invalid_visuals}
-    looks_by_link: dict[str, list[VisualShape]] = {}
+    faults = {owner: f"a <visual> of the link {owner} ({reason})" for owner, reason in chain.invalid_visuals}
+    visuals_by_link: dict[str, list[VisualShape]] = {}
     for visual, mesh in zip(chain.visuals, meshes, strict=True):
-        link_looks = looks_by_link.setdefault(visual.owner, [])
+        owner_visuals = visuals_by_link.setdefault(visual.owner, [])
         if isinstance(mesh, str):
             faults.setdefault(visual.owner, f"{visual.file} ({mesh})")
         elif mesh is None:
             shape = Shape(visual.kind, visual.size, visual.pose)  # type: ignore[arg-type]
-            link_looks.append(VisualShape(shape, visual.color or NEUTRAL_COLOUR))
+            owner_visuals.append(VisualShape(shape, visual.color or NEUTRAL_COLOUR))
         else:  # colours of a mesh file override those of the URDF, as in ROS viewers
-            shapes_of = [(Shape("mesh", (), visual.pose, m.vertices, m.faces), colour) for m, colour in mesh]
-            link_looks += [
-                VisualShape(shape, colour or visual.color or NEUTRAL_COLOUR) for shape, colour in shapes_of
+            coloured_shapes = [
+                (Shape("mesh", (), visual.pose, m.vertices, m.faces), colour) for m, colour in mesh
             ]
-    shown = {owner: link_looks for owner, link_looks in looks_by_link.items() if owner not in faults}
+            owner_visuals += [
+                VisualShape(shape, colour or visual.color or NEUTRAL_COLOUR)
+                for shape, colour in coloured_shapes
+            ]
+    shown = {owner: owner_visuals for owner, owner_visuals in visuals_by_link.items() if owner not in faults}
     reasons = tuple(faults.values())
     if not shown:
         return (), reasons
     return tuple(
-        _link_looks(chain, link, link_looks, shown)
-        for link, link_looks in zip(chain.links, shapes, strict=True)
+        _visuals_of_link(chain, link, link_shapes, shown)
+        for link, link_shapes in zip(chain.links, shapes, strict=True)
     ), reasons
 
 
-def _link_looks(
+def _visuals_of_link(
     chain: UrdfChain, link: str, shapes: tuple[Shape, ...], shown: Mapping[str, list[VisualShape]]
 ) -> tuple[VisualShape, ...]:
     """Return the visuals of a link of the chain and of the URDF links fixed to it.
 
     A URDF link without visuals is shown by its collision shapes.
     """
-    stated = [item.owner for item in chain.shapes if item.link == link]
+    shape_owners = [item.owner for item in chain.shapes if item.link == link]
     visual_owners = [item.owner for item in chain.visuals if item.link == link]
     out: list[VisualShape] = []
-    for owner in dict.fromkeys((*stated, *visual_owners)):
-        hulls = [VisualShape(shape) for shape, of in zip(shapes, stated, strict=True) if of == owner]
-        out += shown.get(owner, hulls)
+    for owner in dict.fromkeys((*shape_owners, *visual_owners)):
+        collision_visuals = [
+            VisualShape(shape)
+            for shape, shape_owner in zip(shapes, shape_owners, strict=True)
+            if shape_owner == owner
+        ]
+        out += shown.get(owner, collision_visuals)
     return tuple(out)
 
 
@@ -120,16 +127,16 @@ def _visual_meshes(
 ) -> list[tuple[_ColouredMesh, ...] | str | None]:
     """Return the meshes [m] of each visual, None for primitives, or the reason why there are none."""
     readable = visual_meshes_to_bundle(files)
-    named: list[_MeshKey] = []
-    out: list[str | None] = []
+    keys: list[_MeshKey] = []
+    reasons: list[str | None] = []
     for visual in chain.visuals:
         if visual.kind == "mesh" and visual.file in readable:
-            named.append(_mesh_key(readable[visual.file], visual))
-        out.append(None if visual.kind != "mesh" else _missing_reason(files.get(visual.file)))
-    read = iter(_decimated_meshes(tuple(named)))
+            keys.append(_mesh_key(readable[visual.file], visual))
+        reasons.append(None if visual.kind != "mesh" else _missing_reason(files.get(visual.file)))
+    read_meshes = iter(_decimated_meshes(tuple(keys)))
     return [
-        next(read) if visual.kind == "mesh" and visual.file in readable else reason
-        for visual, reason in zip(chain.visuals, out, strict=True)
+        next(read_meshes) if visual.kind == "mesh" and visual.file in readable else reason
+        for visual, reason in zip(chain.visuals, reasons, strict=True)
     ]
 
 
@@ -152,26 +159,26 @@ def _mesh_key(path: Path, visual: UrdfShape) -> _MeshKey:
 
 
 @functools.lru_cache(maxsize=4)
-def _decimated_meshes(named: tuple[_MeshKey, ...]) -> tuple[tuple[_ColouredMesh, ...] | str, ...]:
+def _decimated_meshes(keys: tuple[_MeshKey, ...]) -> tuple[tuple[_ColouredMesh, ...] | str, ...]:
     """Return decimated meshes of a robot's files, or the reasons why there are none.
 
     Cached, because a problem is read several times.
     """
-    known = {item: _read_meshes(Path(item[0]), item[3]) for item in dict.fromkeys(named)}
-    given = [known[item] for item in named]
-    all_meshes = [mesh for item in given if not isinstance(item, str) for mesh, _ in item]
+    meshes_by_key = {entry: _read_meshes(Path(entry[0]), entry[3]) for entry in dict.fromkeys(keys)}
+    meshes_by_file = [meshes_by_key[entry] for entry in keys]
+    all_meshes = [mesh for entry in meshes_by_file if not isinstance(entry, str) for mesh, _ in entry]
     meshes = _decimate(all_meshes)
     if meshes is None:
         count = sum(len(mesh.faces) for mesh in all_meshes)
-        what = f"{count:,} triangles of the robot, more than {MAX_TRIANGLES:,} even if decimated"
-        return tuple(item if isinstance(item, str) else what for item in given)
-    fine = iter(split_creases(mesh, CREASE_ANGLE_RAD) for mesh in meshes)
+        reason = f"{count:,} triangles of the robot, more than {MAX_TRIANGLES:,} even if decimated"
+        return tuple(entry if isinstance(entry, str) else reason for entry in meshes_by_file)
+    split_meshes = iter(split_creases(mesh, CREASE_ANGLE_RAD) for mesh in meshes)
     out: list[tuple[_ColouredMesh, ...] | str] = []
-    for item in given:
-        if not isinstance(item, str):
-            shown = [(next(fine), colour) for _, colour in item]
-            item = tuple((mesh, colour) for mesh, colour in shown if len(mesh.faces))
-        out.append(item)
+    for entry in meshes_by_file:
+        if not isinstance(entry, str):
+            shown = [(next(split_meshes), colour) for _, colour in entry]
+            entry = tuple((mesh, colour) for mesh, colour in shown if len(mesh.faces))
+        out.append(entry)
     return read_only(tuple(out))
 
 

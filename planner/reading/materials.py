@@ -114,61 +114,61 @@ def available_wires(entries: Sequence[WiresFile]) -> tuple[WireFile, ...]:
             wire that cannot be distinguished from another one.
     """
     issues: list[Issue] = []
-    seen: dict[tuple[str, str], int] = {}
+    first_entry: dict[tuple[str, str], int] = {}
     for number, entry in enumerate(entries):
         try:
             material = wire_material(entry.material)
             if entry.temperature_c > material.limit_temperature:
-                what = f"{entry.temperature_c:g} C, allowed up to {material.limit_temperature:g} C for"
+                text = f"{entry.temperature_c:g} C, allowed up to {material.limit_temperature:g} C for"
                 issues.append(
-                    _field_issue(number, "temperature_c", f"got {what} {entry.material}; correct it")
+                    _field_issue(number, "temperature_c", f"got {text} {entry.material}; correct it")
                 )
         except TandemError as error:
             issues.append(_field_issue(number, "material", error.issues[0].message))
-        previous = seen.setdefault((entry.material, entry.size), number)
+        previous = first_entry.setdefault((entry.material, entry.size), number)
         if previous != number:
-            what = f"{entry.material} {entry.size} is already given in wires.{previous}; "
-            issues.append(_field_issue(number, "", what + "give each section once, with all its lengths"))
+            text = f"{entry.material} {entry.size} is already given in wires.{previous}; "
+            issues.append(_field_issue(number, "", text + "give each section once, with all its lengths"))
         for a, b in itertools.pairwise(sorted(entry.lengths_mm)):
             if b - a < DISTINCT_LENGTH_MM:
-                what = f"{a:g} and {b:g} mm cannot be told apart by an operator; give lengths differing by "
-                issues.append(_field_issue(number, "lengths_mm", what + f"{DISTINCT_LENGTH_MM:g} mm or more"))
+                text = f"{a:g} and {b:g} mm cannot be told apart by an operator; give lengths differing by "
+                issues.append(_field_issue(number, "lengths_mm", text + f"{DISTINCT_LENGTH_MM:g} mm or more"))
     if issues:
         raise TandemError(issues)
     return tuple(w for entry in entries for w in sorted(entry.wires(), key=lambda w: w.length_mm))
 
 
-def _field_issue(number: int, name: str, what: str) -> Issue:
+def _field_issue(number: int, name: str, message: str) -> Issue:
     field = f"wires.{number}" + (f".{name}" if name else "")
-    return Issue("problem.field", f"{field}: {what}", field=field)
+    return Issue("problem.field", f"{field}: {message}", field=field)
 
 
 def wire_faults(available: Sequence[BentWire], operations: Sequence[Any]) -> Iterator[Issue]:
     """Yield ``problem.field`` for operations whose bent wire is missing or unavailable.
 
     An operation is refused if neither it nor the cell states a wire, if its wire is not among those of the
-    cell, or if its power fits none of them.
+    cell, or if its kerf should follow from its power, but the cell only has strips.
     """
     wires = [WireFile.from_wire(wire) for wire in available]
     for index, operation in enumerate(operations):
         if getattr(operation, "process", "") != "elastic_wire":
             continue
         field, operation_wire = f"operations.{index}.wire", operation.wire
-        have = "; ".join(map(str, wires))
+        available_text = "; ".join(map(str, wires))
         if operation_wire is None and not wires:
-            what = "no wire is stated and the cell lists none; state wire, or add wires to the cell"
-            yield Issue("problem.field", f"{field}: {what}", field=field)
+            message = "no wire is stated and the cell lists none; state wire, or add wires to the cell"
+            yield Issue("problem.field", f"{field}: {message}", field=field)
         elif operation_wire is not None and wires and operation_wire not in wires:
-            what = (
+            message = (
                 f"{operation_wire} at {operation_wire.temperature_c:g} C is not a wire of the cell, which "
-                f"has: {have}"
+                f"has: {available_text}"
             )
             hint = "remove wire, so that one of them is chosen, state one of them, or add it to the list"
-            yield Issue("problem.field", f"{field}: {what}", field=field, hint=hint)
+            yield Issue("problem.field", f"{field}: {message}", field=field, hint=hint)
         elif operation_wire is None and operation.power_w is not None and not any(w.is_round for w in wires):
-            what = "the kerf of strips is unknown, and all wires of the cell are strips; give kerf_mm"
+            message = "the kerf of strips is unknown, and all wires of the cell are strips; give kerf_mm"
             yield Issue(
-                "problem.field", f"operations.{index}.power_w: {what}", field=f"operations.{index}.power_w"
+                "problem.field", f"operations.{index}.power_w: {message}", field=f"operations.{index}.power_w"
             )
 
 
@@ -259,12 +259,13 @@ def make_foam(fields: dict[str, Any]) -> FoamMaterial:
 
 
 def _build_foam(spec: FoamFile, source: str) -> FoamMaterial:
-    known = ("density", "specific_heat", "melt_temperature", "conductivity", "kerf")
+    """Convert a foam to SI units, with one source for all its properties."""
+    properties = ("density", "specific_heat", "melt_temperature", "conductivity", "kerf")
     return FoamMaterial(
         name=spec.name,
         title=spec.title or spec.name,
         density=spec.density_kg_m3,
-        sources=dict.fromkeys(known, source),
+        sources=dict.fromkeys(properties, source),
         specific_heat=spec.specific_heat_j_kg_k,
         melt_temperature=spec.melt_temperature_c,
         conductivity=spec.conductivity_w_m_k,
@@ -304,6 +305,7 @@ def write_foam(path: Path, foam: FoamMaterial, source: str) -> None:
 
 
 def _fit_data(fit: KerfFit) -> dict[str, Any]:
+    """Return a fit as the key ``kerf`` of a foam file."""
     tests = fit.tests
     data = {
         "chi": fit.chi,
@@ -330,16 +332,17 @@ def _round_digits(value: Any) -> Any:
 
 
 def _foam_issue(error: dict[str, Any], document: strict_yaml.Document | None) -> Issue:
+    """Return the issue of a validation error of pydantic, with file and line if there is a document."""
     location = tuple(error["loc"])
     field = ".".join(str(step) for step in location)
-    got = error.get("input")
+    value = error.get("input")
     remedy = {"missing": "add it", "extra_forbidden": "remove it or correct its spelling"}
-    what = "unknown key" if error["type"] == "extra_forbidden" else error["msg"]
-    if error["type"] != "missing" and not isinstance(got, dict | list):
-        what += f", got {got!r:.60}"
+    message = "unknown key" if error["type"] == "extra_forbidden" else error["msg"]
+    if error["type"] != "missing" and not isinstance(value, dict | list):
+        message += f", got {value!r:.60}"
     return Issue(
         "kerf.foam_file",
-        what,
+        message,
         file=None if document is None else str(document.path),
         line=None if document is None else document.line(location),
         field=field,

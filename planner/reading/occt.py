@@ -43,24 +43,27 @@ def answer(request: dict[str, Any]) -> dict[str, Any]:
     units = _units(reader, path)
     if not reader.Transfer(document):
         return {"fault": "it has no shape that Open CASCADE can read", "units": units}
-    faces, count, chosen, bodies = list[dict[str, Any]](), 0, None, 0
-    for number, face, about in _faces(reader, document):
-        bodies = max(bodies, about.pop("body"))
-        names = [name.lower() for name in about["names"]]
+    faces: list[dict[str, Any]] = []
+    selected_face = None
+    count = bodies = 0
+    for number, face, properties in _faces(reader, document):
+        bodies = max(bodies, properties.pop("body"))
+        names = [name.lower() for name in properties["names"]]
         if request.get("face") not in (None, number):
             continue
         if request.get("name") is not None and str(request["name"]).lower() not in names:
             continue
-        if request.get("colour") is not None and str(request["colour"]).lower() != about["colour"]:
+        if request.get("colour") is not None and str(request["colour"]).lower() != properties["colour"]:
             continue
-        count, chosen = count + 1, face
+        count, selected_face = count + 1, face
         if len(faces) < MAX_LISTED_FACES:
-            faces.append({"number": number, **about})
-    out = {"units": units, "bodies": bodies, "faces": faces, "count": count}
-    return out | {"surface": _surface(chosen)} if count == 1 else out
+            faces.append({"number": number, **properties})
+    result = {"units": units, "bodies": bodies, "faces": faces, "count": count}
+    return result | {"surface": _surface(selected_face)} if count == 1 else result
 
 
 def _reader(path: str) -> tuple[Any, Any]:
+    """Return a reader of STEP or IGES that keeps names and colours, and an empty document for its shapes."""
     from OCP.IGESCAFControl import IGESCAFControl_Reader
     from OCP.Message import Message
     from OCP.STEPCAFControl import STEPCAFControl_Reader
@@ -69,20 +72,21 @@ def _reader(path: str) -> tuple[Any, Any]:
 
     for printer in list(Message.DefaultMessenger_s().Printers()):
         Message.DefaultMessenger_s().RemovePrinter(printer)  # they would mix with the JSON answer
-    iges = path.lower().endswith(IGES_SUFFIXES)
-    reader = IGESCAFControl_Reader() if iges else STEPCAFControl_Reader()
+    is_iges = path.lower().endswith(IGES_SUFFIXES)
+    reader = IGESCAFControl_Reader() if is_iges else STEPCAFControl_Reader()
     reader.SetNameMode(True)
     reader.SetColorMode(True)
     return reader, TDocStd_Document(TCollection_ExtendedString("tandem"))
 
 
 def _units(reader: Any, path: str) -> list[str]:
+    """Return the names of the length units that the file states."""
     if path.lower().endswith(IGES_SUFFIXES):
         return [IGES_UNITS.get(reader.IGESModel().GlobalSection().UnitFlag(), "a unit of its own")]
     from OCP.collections import Sequence_TCollection_AsciiString
 
-    lengths, angles, solid = (Sequence_TCollection_AsciiString() for _ in range(3))
-    reader.ChangeReader().FileUnits(lengths, angles, solid)
+    lengths, angles, solid_angles = (Sequence_TCollection_AsciiString() for _ in range(3))
+    reader.ChangeReader().FileUnits(lengths, angles, solid_angles)
     names = [lengths.Value(k + 1).ToCString() for k in range(lengths.Length())]
     return sorted({name for name in names if name})
 
@@ -110,32 +114,38 @@ def _faces(reader: Any, document: Any) -> Iterator[tuple[int, Any, dict[str, Any
             label_names = [name.Get().ToExtString()]
         root = shapes.GetShape_s(label)
         solids = list(_parts(root, TopAbs_SOLID))
-        loose = list(_parts(root, TopAbs_SHELL, TopAbs_SOLID))
-        single = list(_parts(root, TopAbs_FACE, TopAbs_SHELL))
-        for body in (*solids, *loose, *single):
+        shells = list(_parts(root, TopAbs_SHELL, TopAbs_SOLID))
+        single_faces = list(_parts(root, TopAbs_FACE, TopAbs_SHELL))
+        for body in (*solids, *shells, *single_faces):
             bodies += 1
-            within = [*label_names, *_names(reader, body)]
+            body_names = [*label_names, *_names(reader, body)]
             for face_shape in _parts(body, TopAbs_FACE):
                 number += 1
                 face = TopoDS.Face(face_shape)
-                names = dict.fromkeys([*_names(reader, face), *within])
+                names = dict.fromkeys([*_names(reader, face), *body_names])
                 kind = str(BRepAdaptor_Surface(face).GetType()).rpartition("_")[2].lower()
                 colour = next((c for part in (face, body, root) if (c := _colour(colours, part))), None)
-                about = {"names": [n for n in names if n], "colour": colour, "kind": kind, "body": bodies}
-                yield number, face, about
+                properties = {
+                    "names": [n for n in names if n],
+                    "colour": colour,
+                    "kind": kind,
+                    "body": bodies,
+                }
+                yield number, face, properties
 
 
-def _parts(shape: Any, kind: Any, outside: Any = None) -> Iterator[Any]:
-    """Yield parts of one kind, except those within ``outside``."""
+def _parts(shape: Any, kind: Any, excluded: Any = None) -> Iterator[Any]:
+    """Yield parts of a shape of one kind, except those inside a part of the kind ``excluded``."""
     from OCP.TopExp import TopExp_Explorer
 
-    walk = TopExp_Explorer(shape, kind) if outside is None else TopExp_Explorer(shape, kind, outside)
-    while walk.More():
-        yield walk.Current()
-        walk.Next()
+    explorer = TopExp_Explorer(shape, kind) if excluded is None else TopExp_Explorer(shape, kind, excluded)
+    while explorer.More():
+        yield explorer.Current()
+        explorer.Next()
 
 
 def _names(reader: Any, shape: Any) -> list[str]:
+    """Return the name of the entity from which a shape was read, as a list that is empty without a name."""
     session = reader.ChangeReader().WS() if hasattr(reader, "ChangeReader") else reader.WS()
     entity = session.TransferReader().EntityFromShapeResult(shape, 1)
     for key in ("Name", "NameValue"):
@@ -147,6 +157,7 @@ def _names(reader: Any, shape: Any) -> list[str]:
 
 
 def _colour(colours: Any, shape: Any) -> str | None:
+    """Return the colour of a shape as '#rrggbb', None if it has none of its own."""
     from OCP.Quantity import Quantity_Color
     from OCP.XCAFDoc import XCAFDoc_ColorGen, XCAFDoc_ColorSurf
 
@@ -160,7 +171,8 @@ def _colour(colours: Any, shape: Any) -> str | None:
 def _surface(face: Any) -> dict[str, Any]:
     """Return the face as a B-spline surface between its parameter lines, or its fault.
 
-    The answer has degrees, knots, control points (x, y, z, weight) [mm], and whether the normal is reversed.
+    The answer has points (u, v) of the edges, the region of u and v, degrees, complete knots, homogeneous
+    control points (x w, y w, z w, w) [mm], and whether the normal is reversed.
     """
     from OCP.BRep import BRep_Tool
     from OCP.BRepAdaptor import BRepAdaptor_Curve2d
@@ -173,12 +185,12 @@ def _surface(face: Any) -> dict[str, Any]:
     for edge_shape in _parts(face, TopAbs_EDGE):
         curve = BRepAdaptor_Curve2d(TopoDS.Edge(edge_shape), face)
         first, last = curve.FirstParameter(), curve.LastParameter()
-        at = [curve.Value(first + k / (EDGE_SAMPLES - 1) * (last - first)) for k in range(EDGE_SAMPLES)]
-        edges.append([(point.X(), point.Y()) for point in at])
+        points = [curve.Value(first + k / (EDGE_SAMPLES - 1) * (last - first)) for k in range(EDGE_SAMPLES)]
+        edges.append([(point.X(), point.Y()) for point in points])
     if not edges:
         return {"fault": "no edges"}
     surface = BRep_Tool.Surface_s(face)
-    region = [[f(p[k] for edge in edges for p in edge) for f in (min, max)] for k in (0, 1)]
+    region = [[bound(p[k] for edge in edges for p in edge) for bound in (min, max)] for k in (0, 1)]
     try:
         spline = _spline(surface, region)
     except Exception as error:  # Open CASCADE raises many kinds
@@ -208,6 +220,10 @@ def _surface(face: Any) -> dict[str, Any]:
 
 
 def _spline(surface: Any, region: list[list[float]]) -> Any:
+    """Return the region of a surface as a B-spline surface that is not periodic.
+
+    The region has the lower and upper bound of u, then of v. Without a period it is limited to the surface.
+    """
     from OCP.Geom import Geom_RectangularTrimmedSurface
     from OCP.GeomConvert import GeomConvert
 
@@ -227,6 +243,7 @@ def _spline(surface: Any, region: list[list[float]]) -> Any:
 
 
 def _homogeneous(spline: Any, i: int, j: int) -> list[float]:
+    """Return a control point, counted from 1, as (x w, y w, z w, w)."""
     pole, weight = spline.Pole(i, j), spline.Weight(i, j)
     return [pole.X() * weight, pole.Y() * weight, pole.Z() * weight, weight]
 

@@ -15,9 +15,8 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from planner.claims.segments import fold
-from planner.geometry import curves as outlines
 from planner.geometry.arrays import FloatArray, Mesh, RuledSurface, from_parts, from_rpy, transform
-from planner.geometry.curves import RuledGuide, polyline_guide, spline_guide
+from planner.geometry.curves import RuledGuide, check_outlines, nest_outlines, polyline_guide, spline_guide
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.part_placement import (
     MAX_EXTENT_M,
@@ -127,10 +126,10 @@ def build_plate(spec: PlateFile, folder: Path, height: float) -> tuple[list[Rule
             Issue("part.dxf", f"{len(guides)} outlines, allowed {_MAX_OUTLINES}", field="part.plate")
         )
     if not issues:
-        issues = outlines.check_outlines([guide.points[:, :2] for guide in guides], names)
+        issues = check_outlines([guide.points[:, :2] for guide in guides], names)
     if issues:
         raise TandemError(issues)
-    nested = outlines.nest_outlines([g.points[:, :2] for g in guides], [g.corner for g in guides])
+    nested = nest_outlines([g.points[:, :2] for g in guides], [g.corner for g in guides])
     count = {True: 0, False: 0}
     ruled = []
     for outline in nested:
@@ -153,8 +152,8 @@ def centring_pose(ruled: Sequence[RuledSurface], stock_size: FloatArray) -> Floa
     flat = np.concatenate([surface.start for surface in ruled])
     centre = 0.5 * (flat.min(axis=0) + flat.max(axis=0))
     extent = np.ptp(flat, axis=0)[:2]
-    turn = (extent > stock_size[:2] + 1e-9).any() and (extent[::-1] <= stock_size[:2] + 1e-9).all()
-    rotation = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]) if turn else np.eye(3)
+    is_rotated = (extent > stock_size[:2] + 1e-9).any() and (extent[::-1] <= stock_size[:2] + 1e-9).all()
+    rotation = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]) if is_rotated else np.eye(3)
     return from_parts(rotation, -rotation @ np.array([centre[0], centre[1], 0.0]))
 
 
@@ -165,6 +164,7 @@ def letter_label(number: int) -> str:
 
 
 def _guides(spec: PlateFile, folder: Path) -> tuple[list[RuledGuide], list[str], list[Issue]]:
+    """Return the guides of all outlines, the field of each in the problem, and notes."""
     guides: list[RuledGuide] = []
     names: list[str] = []
     notes: list[Issue] = []
@@ -192,26 +192,26 @@ def _guides(spec: PlateFile, folder: Path) -> tuple[list[RuledGuide], list[str],
 
 
 def _flatness_notes(path: Path, curves: Sequence[FileCurve], field: str, code: str) -> list[Issue]:
-    """Return a note with this code if curves are not flat.
+    """Check that the curves of a file are closed, and return a note with ``code`` if they are not flat.
 
     Raises:
         TandemError: ``part.outline_open``.
     """
     open_curves = [curve for curve in curves if not curve.closed]
     if open_curves:
-        at = open_curves[0].points[0] / MM
+        position_mm = open_curves[0].points[0] / MM
         gap = np.linalg.norm(open_curves[0].points[0] - open_curves[0].points[-1]) / MM
-        what = (
+        message = (
             f"{path.name}: {len(open_curves)} of {len(curves)} curves are not closed, the first begins at "
-            f"({at[0]:.2f}, {at[1]:.2f}) mm with its ends {gap:.3g} mm apart; close them, or name a layer "
-            "without them"
+            f"({position_mm[0]:.2f}, {position_mm[1]:.2f}) mm with its ends {gap:.3g} mm apart; close them, "
+            "or name a layer without them"
         )
-        raise issue_error("part.outline_open", what, file=str(path), field=field)
+        raise issue_error("part.outline_open", message, file=str(path), field=field)
     height = max(float(np.ptp(curve.points[:, 2])) for curve in curves)
     if height <= 1e-5:
         return []
-    what = f"{path.name}: its curves are not flat ({height / MM:.3g} mm in z); they were projected along z"
-    return [Issue(code, what, Severity.NOTE, file=str(path), field=field)]
+    message = f"{path.name}: its curves are not flat ({height / MM:.3g} mm in z); they were projected along z"
+    return [Issue(code, message, Severity.NOTE, file=str(path), field=field)]
 
 
 def _lower_corner(points: FloatArray) -> tuple[float, ...]:
@@ -220,13 +220,14 @@ def _lower_corner(points: FloatArray) -> tuple[float, ...]:
 
 
 def _guide(spec: OutlineFile, angle: float) -> RuledGuide:
+    """Return the closed guide of an outline, with corners at angles above ``angle`` [rad]."""
     if spec.circle is not None:
         radius = spec.circle.radius_mm * MM
         count = max(16, int(np.ceil(np.pi / np.arccos(max(0.0, 1.0 - SPLINE_CHORD_TOLERANCE_M / radius)))))
-        turn = np.arange(count) / count * 2.0 * np.pi
+        angles = np.arange(count) / count * 2.0 * np.pi
         x, y = np.array(spec.circle.centre_mm) * MM
-        ring = np.stack([x + radius * np.cos(turn), y + radius * np.sin(turn), 0.0 * turn], axis=1)
-        return RuledGuide(ring, np.zeros(count, dtype=np.bool_), turn / (2.0 * np.pi), closed=True)
+        ring = np.stack([x + radius * np.cos(angles), y + radius * np.sin(angles), 0.0 * angles], axis=1)
+        return RuledGuide(ring, np.zeros(count, dtype=np.bool_), angles / (2.0 * np.pi), closed=True)
     flat = np.array(spec.polyline_mm or spec.bspline_mm, dtype=np.float64) * MM
     points = np.concatenate([flat, np.zeros((len(flat), 1))], axis=1)
     if spec.polyline_mm is not None:
@@ -310,8 +311,8 @@ def build_part(spec: PartFile, folder: Path, stock: Stock) -> Part:
         pose = None if isinstance(spec.in_stock, str) else spec.in_stock.to_matrix()
         return sheet.build_formed_part(spec.sheet_mesh, folder, stock, pose)
     if stock.sheet is not None:
-        what = "part: a sheet requires a sheet_mesh; give one, or a block as stock:"
-        raise issue_error("problem.field", what, field="part")
+        message = "part: a sheet requires a sheet_mesh; give one, or a block as stock:"
+        raise issue_error("problem.field", message, field="part")
     if spec.front is not None:
         faces = part_surfaces.build_faces(spec.front, spec.back, folder)
         return _place_faces(faces, spec.in_stock, stock_size)
@@ -354,13 +355,14 @@ def _surfaces(spec: PartFile, folder: Path) -> tuple[list[RuledSurface], list[Is
 
 
 def _place_faces(faces: PartFaces, in_stock: InStock, stock_size: FloatArray) -> Part:
+    """Return a part of faces in the stock frame. Raises ``part.stock_too_small``."""
     points = [mesh.vertices for mesh in (faces.front, faces.back) if mesh is not None]
-    everything = np.vstack(points)
+    all_points = np.vstack(points)
     if isinstance(in_stock, PlaceFile):
         pose = in_stock.to_matrix()
     else:
-        pose = pose_in_block(faces.front, everything, stock_size)
-    _require_enclosed(overhang(transform(pose, everything), stock_size), stock_size, in_stock == "auto")
+        pose = pose_in_block(faces.front, all_points, stock_size)
+    _require_enclosed(overhang(transform(pose, all_points), stock_size), stock_size, in_stock == "auto")
     return Part(
         _transform_mesh(faces.front, pose),
         None if faces.back is None else _transform_mesh(faces.back, pose),
@@ -376,6 +378,7 @@ def _place_ruled(
     stock_size: FloatArray,
     pose: FloatArray | None,
 ) -> Part:
+    """Return a part of ruled surfaces in the stock frame, at ``pose`` unless ``in_stock`` states another."""
     if isinstance(in_stock, PlaceFile):
         pose = in_stock.to_matrix()
     if pose is None:
@@ -386,9 +389,11 @@ def _place_ruled(
 
 
 def _refuse_shapes(ruled: Sequence[RuledSurface], field: str) -> None:
+    """Raise the issues of :func:`check_ruled` for all surfaces, if there are errors."""
+
     def check_all() -> Iterator[Issue]:
-        for own in ruled:
-            yield from check_ruled(own, field)
+        for surface in ruled:
+            yield from check_ruled(surface, field)
 
     issues = list(check_all())
     if has_errors(issues):
@@ -404,19 +409,24 @@ def _transform_ruled(ruled: RuledSurface, pose: FloatArray) -> RuledSurface:
 
 
 def _require_enclosed(missing: FloatArray, stock_size: FloatArray, auto: bool) -> None:
-    """Raise ``part.stock_too_small`` if the part extends beyond the block by more than a micrometre."""
+    """Raise ``part.stock_too_small`` if the part extends beyond the block by more than a micrometre.
+
+    ``missing`` (3,) [m] is by how much the block must be larger along each axis.
+    """
     if not (missing > 1e-6).any():
         return
-    short = ", ".join(f"{v * 1e3:.1f} mm in {a}" for v, a in zip(missing, "xyz", strict=True) if v > 1e-6)
+    excess = ", ".join(f"{v * 1e3:.1f} mm in {a}" for v, a in zip(missing, "xyz", strict=True) if v > 1e-6)
     size = " x ".join(f"{v * 1e3:g}" for v in stock_size)
     orientation = "even in the best orientation" if auto else "at in_stock; try in_stock: auto or move it"
-    worst = int(np.argmax(missing))
-    enough = tuple(float(v) for v in np.ceil((stock_size + missing) / (0.1 * MM) - 1e-6) / 10.0)
+    worst_axis = int(np.argmax(missing))
+    needed = tuple(float(v) for v in np.ceil((stock_size + missing) / (0.1 * MM) - 1e-6) / 10.0)
     raise issue_error(
         "part.stock_too_small",
-        f"the part extends beyond the block of {size} mm by {short}, {orientation}; use a larger block",
+        f"the part extends beyond the block of {size} mm by {excess}, {orientation}; use a larger block",
         field="stock.size_mm",
-        **measurement(float((stock_size + missing)[worst] * 1e3), float(stock_size[worst] * 1e3), "mm"),
-        hint=f"the part alone needs size_mm: [{', '.join(f'{v:g}' for v in enough)}]",
-        remedy=Remedy("size", "stock", size_mm=enough),
+        **measurement(
+            float((stock_size + missing)[worst_axis] * 1e3), float(stock_size[worst_axis] * 1e3), "mm"
+        ),
+        hint=f"the part alone needs size_mm: [{', '.join(f'{v:g}' for v in needed)}]",
+        remedy=Remedy("size", "stock", size_mm=needed),
     )

@@ -74,11 +74,11 @@ def build_wing(spec: WingFile, folder: Path) -> tuple[RuledSurface, list[Issue]]
             sections.append(points)
             notes += section_notes
             if spec.trailing_edge_mm > 0.5 * _thickness(points) * section.chord_mm:
-                what = (
+                message = (
                     f"the {side}'s trailing edge is {spec.trailing_edge_mm:g} mm thick, the section is "
                     f"{_thickness(points) * section.chord_mm:.3g} mm; allowed is half of that, so use less"
                 )
-                issues.append(Issue("part.wing", what, field="part.wing.trailing_edge_mm"))
+                issues.append(Issue("part.wing", message, field="part.wing.trailing_edge_mm"))
         except TandemError as error:
             issues += error.issues
     if issues:
@@ -98,6 +98,7 @@ def build_wing(spec: WingFile, folder: Path) -> tuple[RuledSurface, list[Issue]]
 
 
 def _airfoil_section(spec: SectionFile, folder: Path, field: str) -> tuple[FloatArray, list[Issue]]:
+    """Return points (N, 2) of an airfoil per chord, and notes of its file."""
     if spec.file is not None:
         return read_airfoil(folder / spec.file, f"{field}.file")
     try:
@@ -249,19 +250,19 @@ def build_ruled(spec: RuledFile, folder: Path, field: str) -> tuple[RuledSurface
     start, end = guides
     counts = [int((g.corner if g.closed else g.corner[1:-1]).sum()) for g in guides]
     if counts[0] != counts[1]:
-        what = (
-            f"surface {spec.name}: its start guide has {counts[0]} corners and its end guide "
-            f"{counts[1]}; they "
-            "must be equal, because corners are kept together: give corners_mm with the corners of one "
-            "or both, "
-            "or another corner_deg"
+        message = (
+            f"surface {spec.name}: its start guide has {counts[0]} corners and its end guide {counts[1]}; "
+            "they must be equal, because corners are kept together: give corners_mm with the corners of one "
+            "or both, or another corner_deg"
         )
-        raise issue_error("part.corners", what, field=field, value=float(counts[1]), limit=float(counts[0]))
+        raise issue_error(
+            "part.corners", message, field=field, value=float(counts[1]), limit=float(counts[0])
+        )
     start, end, reverse = align_guides(start, end, spec.match)
     if reverse:
-        what = f"surface {spec.name}: its end guide runs opposite to its start guide and was reversed, "
-        what += "so that rulings do not cross; reverse its points in the file"
-        notes.append(Issue("part.guide_turned", what, Severity.NOTE, field=f"{field}.end"))
+        message = f"surface {spec.name}: its end guide runs opposite to its start guide and was reversed, "
+        message += "so that rulings do not cross; reverse its points in the file"
+        notes.append(Issue("part.guide_turned", message, Severity.NOTE, field=f"{field}.end"))
     ruled = join_guides(spec.name, start, end, spec.match, spec.hole)
     if spec.closed:
         ruled = facing_outwards(ruled)
@@ -288,21 +289,25 @@ def build_guide(
     curve, notes = _read_curve(spec, closed, folder, field)
     if len(curve.points) < (3 if closed else 2) or curve.length < 1e-3:
         min_points = "3 points" if closed else "2 points"
-        what = f"the guide has {len(curve.points)} points and a length of {curve.length / MM:.3g} mm; "
-        what += f"at least {min_points} that differ and 1 mm are required"
-        raise issue_error("part.guide", what, field=field)
+        message = f"the guide has {len(curve.points)} points and a length of {curve.length / MM:.3g} mm; "
+        message += f"at least {min_points} that differ and 1 mm are required"
+        raise issue_error("part.guide", message, field=field)
     if spec.corners_mm is not None:
-        at = np.array(spec.corners_mm, dtype=np.float64).reshape(-1, 3) * MM
-        if len(at) == 0:
-            none = np.zeros(len(curve.points), dtype=np.bool_)
-            return dataclasses.replace(curve, corner=none, anchor=np.zeros(0, dtype=np.bool_)), notes
-        curve = with_corners(curve, at)
+        corner_points = np.array(spec.corners_mm, dtype=np.float64).reshape(-1, 3) * MM
+        if len(corner_points) == 0:
+            no_corner = np.zeros(len(curve.points), dtype=np.bool_)
+            return dataclasses.replace(curve, corner=no_corner, anchor=np.zeros(0, dtype=np.bool_)), notes
+        curve = with_corners(curve, corner_points)
     return curve, notes
 
 
 def _read_curve(
     spec: GuideFile, requires_closed: bool | None, folder: Path, field: str
 ) -> tuple[RuledGuide, list[Issue]]:
+    """Return a guide with corners at large angles, and notes of its file.
+
+    ``requires_closed`` is ``closed`` of :func:`build_guide`.
+    """
     angle, closed = spec.corner_deg * DEG, requires_closed is True
     if spec.polyline_mm is not None:
         return polyline_guide(np.array(spec.polyline_mm) * MM, closed, angle), []
@@ -312,24 +317,25 @@ def _read_curve(
         return spline_guide("bezier", np.array(spec.bezier_mm) * MM, SPLINE_CHORD_TOLERANCE_M, closed), []
     if spec.rhino is not None:
         curves, notes = rhino.read_curves(spec.rhino, folder, f"{field}.rhino")
-        selection, what = (
-            spec.rhino.selection_text(),
-            "state a layer, name or colour that only this curve has",
-        )
-        code, source_field, file, height = "part.rhino", f"{field}.rhino", spec.rhino.file, None
+        selection = spec.rhino.selection_text()
+        remedy = "state a layer, name or colour that only this curve has"
+        code, source_field = "part.rhino", f"{field}.rhino"
+        file, height = spec.rhino.file, None
     elif spec.dxf is not None:
         unit = LENGTH_UNITS[spec.dxf.unit]
         curves, notes = read_dxf(folder / spec.dxf.file, unit, spec.dxf.layer, f"{field}.dxf")
-        selection, what = f" on layer {spec.dxf.layer or '(all)'}", "state a layer with this curve only"
-        code, source_field, file, height = "part.dxf", f"{field}.dxf", spec.dxf.file, spec.dxf.z_mm
+        selection = f" on layer {spec.dxf.layer or '(all)'}"
+        remedy = "state a layer with this curve only"
+        code, source_field = "part.dxf", f"{field}.dxf"
+        file, height = spec.dxf.file, spec.dxf.z_mm
     else:
         raise ValueError("a guide needs points")
     if len(curves) != 1 or (requires_closed is not None and curves[0].closed != closed):
         kind = "closed" if closed else "open"
-        got = f"{len(curves)} curves" if len(curves) != 1 else f"a curve that is not {kind}"
+        content = f"{len(curves)} curves" if len(curves) != 1 else f"a curve that is not {kind}"
         kind = "" if requires_closed is None else f"{kind} "
-        message = f"{file}: holds {got}{selection}, expected one {kind}curve; {what}"
-        raise issue_error(code, message, field=source_field)
+        text = f"{file}: holds {content}{selection}, expected one {kind}curve; {remedy}"
+        raise issue_error(code, text, field=source_field)
     points = curves[0].run_points() if requires_closed is None else curves[0].points.copy()
     if height is not None:
         points[:, 2] = height * MM

@@ -246,6 +246,9 @@ def build_surface(
 
     Returns:
         Mesh, unit normals (V, 3) of its vertices, and notes.
+
+    Raises:
+        TandemError: Issues of files; ``mesh.unit`` for a loft that needs too many cells.
     """
     cad = _cad_face(given, folder, field)
     if cad is not None:
@@ -259,12 +262,11 @@ def build_surface(
     region = loft.region
     nu, nv = grid_counts(loft.to_loft(), region.u, region.v, loft.chord_mm * MM)
     if nu * nv > _MAX_CELLS:
-        what = (
+        message = (
             f"the loft needs {nu} x {nv} cells to be within chord_mm {loft.chord_mm:g}, {_MAX_CELLS} in "
-            "all are "
-            "allowed; correct its dimensions, or allow a larger chord_mm"
+            "all are allowed; correct its dimensions, or allow a larger chord_mm"
         )
-        raise issue_error("mesh.unit", what, field=field)
+        raise issue_error("mesh.unit", message, field=field)
     vertices, normals, faces = tessellate(loft.to_loft(), region.u, region.v, loft.chord_mm * MM)
     if loft.flip:
         normals, faces = -normals, faces[:, ::-1]
@@ -274,12 +276,12 @@ def build_surface(
 def _cad_face(given: "FrontFile | BackFile | StripsFile", folder: Path, field: str) -> CadFace | None:
     """Return the face of a Rhino, STEP or IGES file; None if there is none of these."""
     if given.rhino is not None:
-        face, name = rhino.read_face(given.rhino, folder, f"{field}.rhino"), given.rhino.file
+        face, file_name = rhino.read_face(given.rhino, folder, f"{field}.rhino"), given.rhino.file
     elif given.step is not None:
-        face, name = step.read_face(given.step, folder, f"{field}.step"), given.step.file
+        face, file_name = step.read_face(given.step, folder, f"{field}.step"), given.step.file
     else:
         return None
-    check_file(face.mesh, field, folder / name)
+    check_file(face.mesh, field, folder / file_name)
     return face
 
 
@@ -291,9 +293,9 @@ def check_size(front: TriangleMesh, field: str, largest: float = MAX_EXTENT_M) -
     length = float(np.linalg.norm(np.ptp(front.vertices, axis=0)))
     width = float(face_areas(front).sum()) / length  # mean width; the extents of a bent strip do not give it
     if width < MIN_EXTENT_M or length > largest:
-        what = f"the face is {length * 1e3:.4g} mm long and {width * 1e3:.3g} mm wide, allowed are "
-        what += f"{MIN_EXTENT_M * 1e3:g} to {largest * 1e3:g} mm; correct its dimensions, unit or region"
-        raise issue_error("mesh.unit", what, field=field)
+        message = f"the face is {length * 1e3:.4g} mm long and {width * 1e3:.3g} mm wide, allowed are "
+        message += f"{MIN_EXTENT_M * 1e3:g} to {largest * 1e3:g} mm; correct its dimensions, unit or region"
+        raise issue_error("mesh.unit", message, field=field)
 
 
 def check_file(mesh: TriangleMesh, field: str, path: Path) -> None:
@@ -312,22 +314,22 @@ def read_face(spec: FaceMeshFile, folder: Path, field: str, largest: float = MAX
 
 
 def _check_sides(front: TriangleMesh, back: TriangleMesh) -> None:
-    """Raise unless the back lies behind the front and its normals point away from the part."""
+    """Raise ``part.faces`` unless the back lies behind the front and its normals point away from the part."""
     depth = (front.vertices.mean(axis=0) - back.vertices.mean(axis=0)) @ vertex_normals(front).mean(axis=0)
     facing = float(vertex_normals(front).mean(axis=0) @ vertex_normals(back).mean(axis=0))
     if depth <= 0.0 or facing >= 0.0:
-        what = "does not lie behind the front" if depth <= 0.0 else "has normals that point into the part"
+        fault = "does not lie behind the front" if depth <= 0.0 else "has normals that point into the part"
         # reversed, the front faces away from the back, and the back from the front
-        over = [
+        reversed_names = [
             name
-            for name, wrong in (("front", depth < 0.0), ("back", (depth < 0.0) == (facing < 0.0)))
-            if wrong
+            for name, is_reversed in (("front", depth < 0.0), ("back", (depth < 0.0) == (facing < 0.0)))
+            if is_reversed
         ]
-        remedy = f"reverse the {' and the '.join(over)} (flip: true, or false if it is true)"
+        remedy = f"reverse the {' and the '.join(reversed_names)} (flip: true, or false if it is true)"
         raise issue_error(
             "part.faces",
-            f"the face {what}; normals of both faces must point away from the part: "
-            + (remedy if over and depth != 0.0 and facing != 0.0 else "move one of them"),
+            f"the face {fault}; normals of both faces must point away from the part: "
+            + (remedy if reversed_names and depth != 0.0 and facing != 0.0 else "move one of them"),
             field="part.back",
         )
 
@@ -373,18 +375,18 @@ def build_ruled_mesh(spec: RuledMeshFile, folder: Path) -> tuple[RuledSurface, l
     """
     mesh = read_face(spec, folder, "part.mesh")
     ruled, deviation = find_rulings(patch_of_mesh(mesh, "part.mesh"), "patch")
-    at = ", ".join(f"{v / MM:.1f}" for v in deviation.position)
-    what = (
-        f"the ruled surface is up to {deviation.largest / MM:.3g} mm off the mesh, near ({at}) mm, and "
-        "within "
+    position_text = ", ".join(f"{v / MM:.1f}" for v in deviation.position)
+    message = (
+        f"the ruled surface is up to {deviation.largest / MM:.3g} mm off the mesh, near ({position_text}) "
+        "mm, and "
     )
-    what += f"{deviation.quantile_95 / MM:.3g} mm of it at 95 %"
+    message += f"within {deviation.quantile_95 / MM:.3g} mm of it at 95 %"
     largest, limit = deviation.largest / MM, spec.tolerance_mm
     if largest > limit:
-        what += f"; {limit:g} mm are allowed: allow more, or cut it into ruled strips (part.strips)"
-        raise issue_error("part.not_ruled", what, field="part.mesh", value=largest, limit=limit, unit="mm")
+        message += f"; {limit:g} mm are allowed: allow more, or cut it into ruled strips (part.strips)"
+        raise issue_error("part.not_ruled", message, field="part.mesh", value=largest, limit=limit, unit="mm")
     note = Issue(
-        "part.ruled_deviation", what, Severity.NOTE, field="part.mesh", **measurement(largest, limit, "mm")
+        "part.ruled_deviation", message, Severity.NOTE, field="part.mesh", **measurement(largest, limit, "mm")
     )
     return ruled, [*unit_note(folder / spec.file, "part.mesh"), note]
 
@@ -399,20 +401,26 @@ def build_strips(spec: StripsFile, folder: Path) -> tuple[RuledSurface, list[Iss
     strips = ruled_approximation.cut_strips(
         patch, spec.across, spec.tolerance_mm * MM, spec.count, "part.strips"
     )
-    count, worst, limit = len(strips.strips), float(strips.deviation.max() / MM), spec.tolerance_mm
-    what = ruled_approximation.strip_notes(strips)
-    if spec.count is not None and worst > limit:
+    count, max_deviation, limit = len(strips.strips), float(strips.deviation.max() / MM), spec.tolerance_mm
+    text = ruled_approximation.strip_notes(strips)
+    if spec.count is not None and max_deviation > limit:
         raise issue_error(
             "part.strips",
-            f"{what}; {limit:g} mm are allowed, so use more strips, or remove count",
+            f"{text}; {limit:g} mm are allowed, so use more strips, or remove count",
             field="part.strips.count",
-            **measurement(worst, limit, "mm"),
+            **measurement(max_deviation, limit, "mm"),
         )
     if spec.take > count:
-        what = f"take is {spec.take}, but the surface is cut into {count} strips; choose one of them"
-        raise issue_error("part.strips", what, field="part.strips.take")
+        text = f"take is {spec.take}, but the surface is cut into {count} strips; choose one of them"
+        raise issue_error("part.strips", text, field="part.strips.take")
     note = Issue(
-        "part.strips_found", what, Severity.NOTE, field="part.strips", value=worst, limit=limit, unit="mm"
+        "part.strips_found",
+        text,
+        Severity.NOTE,
+        field="part.strips",
+        value=max_deviation,
+        limit=limit,
+        unit="mm",
     )
     return resample(strips.strips[spec.take - 1], 0.5e-5, 1.0), [*notes, note]
 

@@ -52,16 +52,19 @@ def find_problem(path: Path) -> Path:
 
 
 def bundle(problem: Problem) -> dict[str, bytes]:
-    """Return the problem as self-contained files, as :func:`pack_files`."""
+    """Return the contents of self-contained files of a problem by their names, see :func:`pack_files`."""
     return pack_files(problem.source)
 
 
 def pack_files(source: Mapping[str, Any]) -> dict[str, bytes]:
-    """Return the values of a problem, as from :func:`resolve_files`, as self-contained files.
+    """Return the contents of self-contained files by their names, from the values of a problem.
 
     ``problem.yaml`` has the cell inlined. The files that it names are in ``files/``, under the user's names
     with hashes. Reading them gives a problem with the same digest, so a result folder can be proven wherever
     it is copied.
+
+    Args:
+        source: Values of the problem, as from :func:`resolve_files`.
 
     Raises:
         OSError: If a file is missing.
@@ -100,10 +103,10 @@ def problem_digest(source: Mapping[str, Any]) -> str:
     File locations, comments and visual meshes have no effect.
     """
 
-    def content(path: Path) -> str:
+    def file_hash(path: Path) -> str:
         return hashlib.sha256(path.read_bytes()).hexdigest() if is_file(path) else "missing"
 
-    text = json.dumps(map_file_names(_without_visuals(source), content), sort_keys=True, default=str)
+    text = json.dumps(map_file_names(_without_visuals(source), file_hash), sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -168,6 +171,7 @@ class SettingsFile(Strict):
 
 
 def _require_acceptable(code: str) -> str:
+    """Return the code of an error that a problem may accept. Raises ``ValueError`` for other codes."""
     acceptable = sorted(name for name, row in all_codes().items() if row.acceptance)
     if code not in acceptable:
         raise ValueError(f"this cannot be accepted; acceptable are {', '.join(acceptable)}")
@@ -213,7 +217,7 @@ def read_problem(path: Path, models: OperationModels) -> Problem:
 
 
 def build_problem(document: Document, models: OperationModels) -> Problem:
-    """Validate and convert a parsed problem file, as :func:`read_problem`."""
+    """Validate and convert a parsed problem file. Parameters and errors are as in :func:`read_problem`."""
     path = document.path
     spec, issues = validate(ProblemFile, document.data, document, ())
     # operations by the schemas of their processes
@@ -227,10 +231,10 @@ def build_problem(document: Document, models: OperationModels) -> Problem:
             issues += faults
             if setup is not None:
                 setups[index] = setup
-            stated, faults = read_forces(raw, index, document)
+            operation_forces, faults = read_forces(raw, index, document)
             issues += faults
-            if stated:
-                forces[index] = stated
+            if operation_forces:
+                forces[index] = operation_forces
             operation, faults = read_operation(raw, index, document, models)
             issues += faults
             if operation is not None:
@@ -313,19 +317,21 @@ def _part_faults(document: Document) -> list[Issue]:
     Empty if the fields of the part itself, or of the size of the block, have faults.
     """
     data, folder = document.data, document.path.parent
-    given, sheet, part_data = (data.get(key) for key in ("stock", "sheet", "part"))
-    block = {"size_mm": given.get("size_mm")} if isinstance(given, dict) else None
-    part, wrong = validate(PartFile, part_data, document, ("part",))
-    size, faults = (
-        validate(StockFile, block, document, ()) if block else validate(SheetFile, sheet, document, ())
+    stock_data, sheet, part_data = (data.get(key) for key in ("stock", "sheet", "part"))
+    block_data = {"size_mm": stock_data.get("size_mm")} if isinstance(stock_data, dict) else None
+    part, part_faults = validate(PartFile, part_data, document, ("part",))
+    stock_spec, faults = (
+        validate(StockFile, block_data, document, ())
+        if block_data
+        else validate(SheetFile, sheet, document, ())
     )
-    if wrong or faults:
+    if part_faults or faults:
         return []
     try:
         stock = (
-            sheet_file.build_sheet_stock(size)
-            if isinstance(size, SheetFile)
-            else stock_file.build_stock(size, folder)
+            sheet_file.build_sheet_stock(stock_spec)
+            if isinstance(stock_spec, SheetFile)
+            else stock_file.build_stock(stock_spec, folder)
         )
         part_file.build_part(part, folder, stock)
     except TandemError as error:
@@ -335,8 +341,10 @@ def _part_faults(document: Document) -> list[Issue]:
 
 def _operations_without_grip(spec: ProblemFile, setups: Mapping[int, SetupFile]) -> set[int]:
     """Return the operations before which an arm takes up a block without a stated grip."""
-    first = {0} if spec.stock is not None and spec.stock.grip is None else set()
-    return first | {i for i, setup in setups.items() if setup.held_by is not None and setup.grip is None}
+    first_operations = {0} if spec.stock is not None and spec.stock.grip is None else set()
+    return first_operations | {
+        i for i, setup in setups.items() if setup.held_by is not None and setup.grip is None
+    }
 
 
 def _with_first_steps(problem: Problem) -> Problem:
@@ -353,7 +361,11 @@ def _with_first_steps(problem: Problem) -> Problem:
 
 
 def read_setup(raw: Any, index: int, document: Document) -> tuple[SetupFile | None, list[Issue]]:
-    """Read the setup of an operation, which is common to all processes."""
+    """Read the setup of an operation, which is common to all processes.
+
+    Returns:
+        Setup, None if there is none or it is invalid; and the faults.
+    """
     if not isinstance(raw, dict) or "setup" not in raw:
         return None, []
     setup, faults = validate(SetupFile, raw["setup"], document, ("operations", index, "setup"))
@@ -361,7 +373,11 @@ def read_setup(raw: Any, index: int, document: Document) -> tuple[SetupFile | No
 
 
 def read_forces(raw: Any, index: int, document: Document) -> tuple[dict[str, Force], list[Issue]]:
-    """Read the forces {arm: force} of an operation, which are common to all processes."""
+    """Read the forces of an operation, which are common to all processes.
+
+    Returns:
+        Forces by arm, empty if there are none or they are invalid; and the faults.
+    """
     if not isinstance(raw, dict) or "forces" not in raw:
         return {}, []
     forces, faults = validate(ForcesFile, {"forces": raw["forces"]}, document, ("operations", index))
@@ -371,6 +387,7 @@ def read_forces(raw: Any, index: int, document: Document) -> tuple[dict[str, For
 def _build_changes(
     setups: Mapping[int, SetupFile], cell: Cell, folder: Path, document: Document
 ) -> tuple[dict[int, SetupChange], list[Issue]]:
+    """Return the changes before operations by their indices, and the faults of invalid ones."""
     changes: dict[int, SetupChange] = {}
     issues: list[Issue] = []
     for index, setup in setups.items():
@@ -406,11 +423,11 @@ def validate(
 
 def _is_emptied(error: dict[str, Any]) -> bool:
     """Whether a list counts as too short only because its entries have faults, which are reported."""
-    got = error.get("input")
+    entries = error.get("input")
     return (
         error["type"] == "too_short"
-        and isinstance(got, list)
-        and len(got) >= error.get("ctx", {}).get("min_length", 0)
+        and isinstance(entries, list)
+        and len(entries) >= error.get("ctx", {}).get("min_length", 0)
     )
 
 
@@ -421,36 +438,40 @@ _NAME: Final = re.compile(r"\^\[A-Za-z\]\[A-Za-z0-9_\]\{0,(\d+)\}\$")
 def _field_issue(
     error: dict[str, Any], document: Document, prefix: tuple[str | int, ...], data: Any
 ) -> Issue:
+    """Return the issue of a pydantic error with field and line; ``data`` is at ``prefix`` of the file."""
     location = (*prefix, *_steps_in_file(error["loc"], data))
     field = ".".join(str(step) for step in location)
-    got = error.get("input")
-    shown = "" if error["type"] == "missing" or isinstance(got, dict | list) else f", got {reprlib.repr(got)}"
+    value = error.get("input")
+    value_text = (
+        "" if error["type"] == "missing" or isinstance(value, dict | list) else f", got {reprlib.repr(value)}"
+    )
     code = "problem.not_finite" if error["type"] == "finite_number" else "problem.field"
     remedy = {
         "missing": "add it",
         "extra_forbidden": "remove it or correct its spelling",
         "finite_number": "give a finite number",
     }.get(error["type"], "correct it")
-    what = "unknown key" if error["type"] == "extra_forbidden" else error["msg"]
+    fault = "unknown key" if error["type"] == "extra_forbidden" else error["msg"]
     if error["type"] == "too_short":
         min_length, length = error["ctx"]["min_length"], error["ctx"]["actual_length"]
-        what = f"has {length} {'entry' if length == 1 else 'entries'}, at least {min_length} required"
+        fault = f"has {length} {'entry' if length == 1 else 'entries'}, at least {min_length} required"
         remedy = "add the missing ones, or remove the key if it is optional"
-    if (several := rail_axes.linear_axes_fault(location, got)) is not None:
-        what, remedy = several
+    axes_fault = rail_axes.linear_axes_fault(location, value)
+    if axes_fault is not None:
+        fault, remedy = axes_fault
     if error["type"] == "missing" and isinstance(error["loc"][-1], int):  # of a list of a fixed length
-        what, remedy = f"entry {error['loc'][-1]}, counted from 0, is missing", "give all entries"
+        fault, remedy = f"entry {error['loc'][-1]}, counted from 0, is missing", "give all entries"
     if error["type"] in ("tuple_type", "list_type"):
-        what, remedy = "expected a list", "put it in brackets: [..]"
+        fault, remedy = "expected a list", "put it in brackets: [..]"
     name = _NAME.fullmatch(error.get("ctx", {}).get("pattern", ""))
     if name:
         max_length = int(name[1]) + 1
-        what = (
+        fault = (
             f"names start with a letter A to Z, then letters, digits and _, at most {max_length} characters"
         )
     return Issue(
         code,
-        f"{field}: {what}{shown}; {remedy}",
+        f"{field}: {fault}{value_text}; {remedy}",
         file=document.name,
         line=document.line(location),
         field=field,
@@ -463,8 +484,8 @@ def _steps_in_file(location: tuple[str | int, ...], data: Any) -> Iterator[str |
     pydantic inserts the names of chosen alternatives.
     """
     for number, step in enumerate(location):
-        last = number == len(location) - 1
-        if isinstance(data, dict) and (step in data or (last and isinstance(step, str))):
+        is_last = number == len(location) - 1
+        if isinstance(data, dict) and (step in data or (is_last and isinstance(step, str))):
             data = data.get(step)
         elif isinstance(data, list) and isinstance(step, int) and step < len(data):
             data = data[step]
@@ -476,19 +497,23 @@ def _steps_in_file(location: tuple[str | int, ...], data: Any) -> Iterator[str |
 def read_operation(
     raw: Any, index: int, document: Document, models: OperationModels
 ) -> tuple[Operation | None, list[Issue]]:
-    """Read operation ``index`` of a problem by the schema of its process; None with faults."""
+    """Read operation ``index`` of a problem by the schema of its process.
+
+    Returns:
+        Operation, None if it is invalid; and the faults.
+    """
     location: tuple[str | int, ...] = ("operations", index)
     if not isinstance(raw, dict):
         return None, []
     process = raw.get("process")
     model = models.get(process) if isinstance(process, str) else None
     if model is None:
-        known = ", ".join(sorted(models))
+        known_processes = ", ".join(sorted(models))
         return None, [
             Issue(
                 "problem.unknown_process",
                 format_message(
-                    "problem.unknown_process", index=index, process=process, known_processes=known
+                    "problem.unknown_process", index=index, process=process, known_processes=known_processes
                 ),
                 file=document.name,
                 line=document.line((*location, "process")),
@@ -504,13 +529,14 @@ def read_operation(
 
 
 def _read_cell(spec: str | CellFile, document: Document) -> Cell:
+    """Return the cell that a problem file states, or that of the separate file that it names."""
     if isinstance(spec, CellFile):
         return _build_cell(spec, document, ("cell",))
     path = document.path.parent / spec
     if not is_file(path):
-        what = f"cell: no file {path}; check the path, which is relative to the folder of the problem file"
+        message = f"cell: no file {path}; check the path, which is relative to the folder of the problem file"
         raise issue_error(
-            "problem.missing_file", what, file=document.name, line=document.line(("cell",)), field="cell"
+            "problem.missing_file", message, file=document.name, line=document.line(("cell",)), field="cell"
         )
     return read_cell(strict_yaml.read(path))
 
@@ -528,6 +554,7 @@ def read_cell(document: Document) -> Cell:
 
 
 def _build_cell(spec: CellFile, document: Document, prefix: tuple[str | int, ...]) -> Cell:
+    """Convert a cell at the path ``prefix`` of a document. Faults get their field and line there."""
     try:
         return cell_file.build_cell(spec, document.path.parent)
     except TandemError as error:
@@ -551,6 +578,7 @@ def _with_line(issue: Issue, document: Document) -> Issue:
 
 
 def _name_faults(cell: Cell, operations: list[Operation], document: Document) -> Iterator[Issue]:
+    """Yield faults of repeated names of arms, obstacles or operations, and of unknown arms."""
     file = document.name
     groups = {
         "cell.arms": [arm.name for arm in cell.arms],
@@ -566,13 +594,14 @@ def _name_faults(cell: Cell, operations: list[Operation], document: Document) ->
                 field=field,
                 line=document.line((field.split(".")[0],)),
             )
-    known = [arm.name for arm in cell.arms]
+    arm_names = [arm.name for arm in cell.arms]
     for index, operation in enumerate(operations):
         for arm in operation.arms:
-            if arm not in known:
+            if arm not in arm_names:
                 yield Issue(
                     "problem.unknown_arm",
-                    f"operations.{index}.arms: '{arm}' is not an arm of the cell; it has {', '.join(known)}",
+                    f"operations.{index}.arms: '{arm}' is not an arm of the cell; it has "
+                    f"{', '.join(arm_names)}",
                     file=file,
                     field=f"operations.{index}.arms",
                     line=document.line(("operations", index, "arms")),

@@ -67,16 +67,16 @@ def force_faults(problem: Problem) -> Iterator[Issue]:
         field = f"operations.{index}.forces"
         for name in forces:
             if name not in operation.arms:
-                what = f"got {name!r}, which takes no part in {operation.name}; its arms are "
-                yield _fault(f"{field}: {what}{', '.join(operation.arms)}", field)
+                text = f"got {name!r}, which takes no part in {operation.name}; its arms are "
+                yield _fault(f"{field}: {text}{', '.join(operation.arms)}", field)
                 continue
             if setup.cell.arm(name).sag is None:
-                what = f"{field}: a force on {name} has no effect without sag compensation; state "
-                yield _fault(f"{what}compensate_sag and stiffness of that arm, or remove the force", field)
+                text = f"{field}: a force on {name} has no effect without sag compensation; state "
+                yield _fault(f"{text}compensate_sag and stiffness of that arm, or remove the force", field)
             if setup.stock.held_by is not None:
-                what = f"{field}: arm {setup.stock.held_by} holds the block and would deflect under the same "
+                text = f"{field}: arm {setup.stock.held_by} holds the block and would deflect under the same "
                 yield _fault(
-                    f"{what}force, which is not supported; clamp the block, or remove the force", field
+                    f"{text}force, which is not supported; clamp the block, or remove the force", field
                 )
     for setup in problem.setups:
         for arm in setup.cell.arms:
@@ -85,13 +85,14 @@ def force_faults(problem: Problem) -> Iterator[Issue]:
             for i in indices[1:]:
                 if not _are_equal(stated[indices[0]], stated[i]):
                     names = [problem.operations[k].name for k in (indices[0], i)]
-                    what = f"operations.{i}.forces: {' and '.join(names)} belong to one setup but state "
-                    what += f"different forces on {arm.name}; state the same force, or give the second "
-                    what += "its own setup"
-                    yield _fault(what, f"operations.{i}.forces")
+                    text = f"operations.{i}.forces: {' and '.join(names)} belong to one setup but state "
+                    text += f"different forces on {arm.name}; state the same force, or give the second "
+                    text += "its own setup"
+                    yield _fault(text, f"operations.{i}.forces")
 
 
 def _are_equal(first: Force | None, second: Force | None) -> bool:
+    """Return whether two forces have the same frame and the same values, or both are None."""
     if first is None or second is None:
         return first is second
     return (
@@ -101,5 +102,5 @@ def _are_equal(first: Force | None, second: Force | None) -> bool:
     )
 
 
-def _fault(what: str, field: str) -> Issue:
-    return Issue("problem.field", what, field=field)
+def _fault(message: str, field: str) -> Issue:
+    return Issue("problem.field", message, field=field)

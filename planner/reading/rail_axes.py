@@ -125,55 +125,60 @@ def build_linear_axes(
     Raises:
         TandemError: ``problem.field``, ``problem.duplicate_name`` or ``problem.track``, with all faults.
     """
-    stated: list[tuple[str, TrackFile | GantryAxisFile]] = [] if track is None else [("track", track)]
-    stated += [(f"axes.{k}", axis) for k, axis in enumerate(axes or ())]
-    if not stated:
+    specs: list[tuple[str, TrackFile | GantryAxisFile]] = [] if track is None else [("track", track)]
+    specs += [(f"axes.{k}", axis) for k, axis in enumerate(axes or ())]
+    if not specs:
         return ()
-    arm_field, issues = f"arms.{number}", list[Issue]()
+    arm_field = f"arms.{number}"
+    issues: list[Issue] = []
     if track is not None and axes:
-        what = f"arm {arm.name} has a track and axes; state all of them as axes, from the floor up"
-        issues.append(Issue("problem.field", what, field=f"{arm_field}.track", arm=arm.name))
-    for name, spec in stated:
+        text = f"arm {arm.name} has a track and axes; state all of them as axes, from the floor up"
+        issues.append(Issue("problem.field", text, field=f"{arm_field}.track", arm=arm.name))
+    for name, spec in specs:
         faults = (*_axis_faults(spec), *_carried_body_faults(spec, bodies))
-        for key, what in faults:
+        for key, text in faults:
             issues.append(
-                Issue("problem.field", f"{key}: {what}", field=f"{arm_field}.{name}.{key}", arm=arm.name)
+                Issue("problem.field", f"{key}: {text}", field=f"{arm_field}.{name}.{key}", arm=arm.name)
             )
     if axes:
         issues += [
-            Issue(code, what, field=f"{arm_field}.{field}", arm=arm.name)
-            for code, field, what in (*_duplicate_axis_faults(axes, arm), *_dependent_axis_faults(axes))
+            Issue(code, text, field=f"{arm_field}.{field}", arm=arm.name)
+            for code, field, text in (*_duplicate_axis_faults(axes, arm), *_dependent_axis_faults(axes))
         ]
     kind = "track" if track is not None else "gantry"
     if arm.data.family not in EXTERNAL_AXIS_FAMILIES:
-        what = f"arm {arm.name} is of {arm.data.family}; tracks and gantries are only supported for "
-        what += (
+        text = f"arm {arm.name} is of {arm.data.family}; tracks and gantries are only supported for "
+        text += (
             f"{' and '.join(EXTERNAL_AXIS_FAMILIES)} controllers; remove the {kind} and move the base, or "
         )
-        what += "use such an arm"
-        issues.append(Issue("problem.track", what, field=f"{arm_field}.{stated[0][0]}", arm=arm.name))
+        text += "use such an arm"
+        issues.append(Issue("problem.track", text, field=f"{arm_field}.{specs[0][0]}", arm=arm.name))
     if track is not None and track.follow is not None and arm.sag is not None:
-        what = f"arm {arm.name} has a coordinated track and sag compensation; both together are not "
-        what += "supported yet; remove follow or compensate_sag"
-        issues.append(Issue("problem.track", what, field=f"{arm_field}.track.follow", arm=arm.name))
+        text = f"arm {arm.name} has a coordinated track and sag compensation; both together are not "
+        text += "supported yet; remove follow or compensate_sag"
+        issues.append(Issue("problem.track", text, field=f"{arm_field}.track.follow", arm=arm.name))
     if track is not None and track.follow is not None and track.carries:
-        what = f"the coordinated track of arm {arm.name} carries bodies; "
-        what += "this is not supported yet; remove follow or carries"
-        issues.append(Issue("problem.track", what, field=f"{arm_field}.track.carries", arm=arm.name))
+        text = f"the coordinated track of arm {arm.name} carries bodies; "
+        text += "this is not supported yet; remove follow or carries"
+        issues.append(Issue("problem.track", text, field=f"{arm_field}.track.carries", arm=arm.name))
     if arm.base_auto:
-        what = f"arm {arm.name} is on a {kind}, whose pose is not searched; state its base"
-        issues.append(Issue("problem.track", what, field=f"{arm_field}.base_auto", arm=arm.name))
+        text = f"arm {arm.name} is on a {kind}, whose pose is not searched; state its base"
+        issues.append(Issue("problem.track", text, field=f"{arm_field}.base_auto", arm=arm.name))
     if issues:
         raise TandemError(issues)
-    return tuple(_build_axis(spec, column) for column, (_, spec) in enumerate(stated))
+    return tuple(_build_axis(spec, column) for column, (_, spec) in enumerate(specs))
 
 
 def _build_axis(spec: TrackFile | GantryAxisFile, column: int) -> LinearAxis:
-    follow, axis_name = None, ""
+    """Convert one axis. ``column`` is its index from the floor up, unless it states its external axis."""
+    follow = None
+    axis_name = ""
     if isinstance(spec, TrackFile):
         follow = spec.follow
     else:
-        axis_name, column = spec.name, column if spec.external_axis is None else spec.external_axis - 1
+        axis_name = spec.name
+        if spec.external_axis is not None:
+            column = spec.external_axis - 1
     return LinearAxis(
         np.array(spec.axis) / float(np.linalg.norm(spec.axis)),
         spec.range_mm[0] * MM,
@@ -190,19 +195,20 @@ def _build_axis(spec: TrackFile | GantryAxisFile, column: int) -> LinearAxis:
 
 
 def _axis_faults(spec: LinearAxisFile) -> list[tuple[str, str]]:
+    """Return faults of the direction, range, home and rates of an axis, as (key, message)."""
     out = []
     low, high = spec.range_mm
     if not float(np.linalg.norm(spec.axis)) > MIN_AXIS_LENGTH:
         out.append(("axis", "its length is 0; give the direction of growing values, such as [0, 1, 0]"))
     if not low < high:
-        what = f"got {low:g} to {high:g}; give the lower value first, then a larger one"
-        out.append(("range_mm", what))
+        text = f"got {low:g} to {high:g}; give the lower value first, then a larger one"
+        out.append(("range_mm", text))
     elif high - low < MIN_TRACK_RANGE_MM:
-        what = f"got {low:g} to {high:g} mm, but the minimum range of a track is {MIN_TRACK_RANGE_MM:g} mm; "
-        out.append(("range_mm", f"{what}values are mm: 3 m are 3000"))
+        text = f"got {low:g} to {high:g} mm, but the minimum range of a track is {MIN_TRACK_RANGE_MM:g} mm; "
+        out.append(("range_mm", f"{text}values are mm: 3 m are 3000"))
     elif max(-low, high) > MAX_TRACK_VALUE_MM:
-        what = f"got {low:g} to {high:g} mm; allowed are values up to {MAX_TRACK_VALUE_MM:g} mm either way; "
-        out.append(("range_mm", f"{what}put 0 near the work, and make the range no longer than required"))
+        text = f"got {low:g} to {high:g} mm; allowed are values up to {MAX_TRACK_VALUE_MM:g} mm either way; "
+        out.append(("range_mm", f"{text}put 0 near the work, and make the range no longer than required"))
     elif not low <= spec.home_mm <= high:
         out.append(("home_mm", f"{spec.home_mm:g} is outside the range of {low:g} to {high:g}"))
     for name, value in (("speed_mm_s", spec.speed_mm_s), ("acceleration_mm_s2", spec.acceleration_mm_s2)):
@@ -214,11 +220,12 @@ def _axis_faults(spec: LinearAxisFile) -> list[tuple[str, str]]:
 
 
 def _carried_body_faults(spec: LinearAxisFile, bodies: Sequence[str]) -> list[tuple[str, str]]:
+    """Return faults of the bodies that an axis carries, as (key, message)."""
     out = []
     for name in dict.fromkeys(spec.carries):
         if name not in bodies:
-            what = f"{name!r} is not an obstacle of the cell; obstacles are {', '.join(bodies) or 'none'}"
-            out.append(("carries", what))
+            message = f"{name!r} is not an obstacle of the cell; obstacles are {', '.join(bodies) or 'none'}"
+            out.append(("carries", message))
         elif spec.carries.count(name) > 1:
             out.append(("carries", f"{name!r} is listed twice; name each body once"))
     return out
@@ -231,26 +238,25 @@ def _duplicate_axis_faults(axes: Sequence[GantryAxisFile], arm: Arm) -> list[tup
     for k, axis in enumerate(axes):
         previous_names = [previous.name.lower() for previous in axes[:k]]
         if axis.name.lower() in previous_names:
-            what = f"two axes of arm {arm.name} are called {axis.name}; give each its own name"
-            out.append(("problem.duplicate_name", f"axes.{k}.name", what))
+            message = f"two axes of arm {arm.name} are called {axis.name}; give each its own name"
+            out.append(("problem.duplicate_name", f"axes.{k}.name", message))
         if columns[k] in columns[:k]:
             letter = "abcdef"[columns[k]]
-            what = f"external_axis: it is {columns[k] + 1} (eax_{letter}, E{columns[k] + 1}), as for "
-            what += f"axis {axes[columns.index(columns[k])].name}; give each axis its own"
-            out.append(("problem.field", f"axes.{k}.external_axis", what))
+            message = f"external_axis: it is {columns[k] + 1} (eax_{letter}, E{columns[k] + 1}), as for "
+            message += f"axis {axes[columns.index(columns[k])].name}; give each axis its own"
+            out.append(("problem.field", f"axes.{k}.external_axis", message))
         if arm.data.family != "KUKA":
             continue
         if axis.unit.lower() != axes[0].unit.lower():
-            what = (
+            message = (
                 "unit: a KUKA controller has all axes under an arm in one kinematic (#ERSYS) with one name; "
             )
-            what += f"got {axes[0].unit} and {axis.unit}; give all of them the same"
-            out.append(("problem.field", f"axes.{k}.unit", what))
+            message += f"got {axes[0].unit} and {axis.unit}; give all of them the same"
+            out.append(("problem.field", f"axes.{k}.unit", message))
         if len(f"{axis.unit} {axis.name}") > MAX_KRL_LABEL_LENGTH:
-            what = f"name: {axis.unit} and {axis.name} are too long for a KUKA controller's "
-            what += "messages; give names "
-            what += f"of {MAX_KRL_LABEL_LENGTH - 1} characters together at most"
-            out.append(("problem.field", f"axes.{k}.name", what))
+            message = f"name: {axis.unit} and {axis.name} are too long for a KUKA controller's "
+            message += f"messages; give names of {MAX_KRL_LABEL_LENGTH - 1} characters together at most"
+            out.append(("problem.field", f"axes.{k}.name", message))
     return out
 
 
@@ -264,19 +270,19 @@ def _dependent_axis_faults(axes: Sequence[GantryAxisFile]) -> list[tuple[str, st
     for j, k in itertools.combinations(range(len(axes)), 2):
         angle = float(np.arcsin(min(1.0, float(np.linalg.norm(np.cross(directions[j], directions[k]))))))
         if angle < MIN_AXIS_ANGLE_RAD:
-            what = f"axis: {axes[k].name} is nearly parallel to {axes[j].name}, {np.rad2deg(angle):.3g} "
-            what += "degrees off; allowed "
-            what += f"are {np.rad2deg(MIN_AXIS_ANGLE_RAD):g} at least; state two such axes as one"
-            return [("problem.field", f"axes.{k}.axis", what)]
+            text = (
+                f"axis: {axes[k].name} is nearly parallel to {axes[j].name}, {np.rad2deg(angle):.3g} degrees "
+                f"off; allowed are {np.rad2deg(MIN_AXIS_ANGLE_RAD):g} at least; state two such axes as one"
+            )
+            return [("problem.field", f"axes.{k}.axis", text)]
     if len(directions) == 3:
         normal = np.cross(directions[0], directions[1])
         angle = float(np.arcsin(abs(directions[2] @ normal) / float(np.linalg.norm(normal))))
         if angle < MIN_AXIS_ANGLE_RAD:
-            what = f"axis: {axes[2].name} is nearly in the plane of {axes[0].name} and {axes[1].name}, "
-            what += f"{np.rad2deg(angle):.3g} degrees off; allowed are {np.rad2deg(MIN_AXIS_ANGLE_RAD):g} at "
-            what += "least; leave "
-            what += "one of them out"
-            return [("problem.field", "axes.2.axis", what)]
+            text = f"axis: {axes[2].name} is nearly in the plane of {axes[0].name} and {axes[1].name}, "
+            text += f"{np.rad2deg(angle):.3g} degrees off; allowed are {np.rad2deg(MIN_AXIS_ANGLE_RAD):g} at "
+            text += "least; leave one of them out"
+            return [("problem.field", "axes.2.axis", text)]
     return []
 
 
@@ -287,34 +293,37 @@ def check_units(arms: Sequence[Arm], controller: Controller) -> None:
         TandemError: ``problem.duplicate_name``, ``problem.field``.
     """
     robots = {name.lower(): f"the robot {name}" for name in controller.units[: len(arms)]}
-    taken, carrying_axis = dict(robots), dict[str, str]()
+    owner_by_unit = dict(robots)
+    carrying_axis: dict[str, str] = {}
     for number, arm in enumerate(arms):
         kind = "track" if arm.track is not None else "gantry"
         if controller.sync == "handshake":  # each arm has its own controller
             name = controller.units[number]
-            taken = {name.lower(): robots[name.lower()]}
+            owner_by_unit = {name.lower(): robots[name.lower()]}
         arm_units: dict[str, str] = {}
         for axis_index, rail in enumerate(arm.linear_axes):
             field = f"arms.{number}.{'track' if arm.track is not None else f'axes.{axis_index}'}"
-            if rail.unit.lower() in taken:
-                what = f"the unit {rail.unit} is also that of {taken[rail.unit.lower()]}; give each "
-                what += f"{kind} its own"
-                raise issue_error("problem.duplicate_name", what, field=f"{field}.unit", arm=arm.name)
+            if rail.unit.lower() in owner_by_unit:
+                text = f"the unit {rail.unit} is also that of {owner_by_unit[rail.unit.lower()]}; give each "
+                text += f"{kind} its own"
+                raise issue_error("problem.duplicate_name", text, field=f"{field}.unit", arm=arm.name)
             arm_units[rail.unit.lower()] = f"arm {arm.name}"
             for body in rail.carries:
                 if body in carrying_axis:
-                    what = (
+                    text = (
                         f"carries: {body} is mounted on {carrying_axis[body]} and on {rail.label}; name it "
                     )
-                    what += "at one axis, because axes above an axis move with it"
-                    raise issue_error("problem.field", what, field=f"{field}.carries", arm=arm.name)
+                    text += "at one axis, because axes above an axis move with it"
+                    raise issue_error("problem.field", text, field=f"{field}.carries", arm=arm.name)
                 carrying_axis[body] = rail.label
-        taken |= arm_units
+        owner_by_unit |= arm_units
 
 
 def carrying_faults(problem: Problem) -> list[Issue]:
     """Return faults of axes that would move the support of the block (``problem.track``)."""
-    carrying_axis = {body: on for arm in problem.cell.arms for on in arm.linear_axes for body in on.carries}
+    carrying_axis = {
+        body: axis for arm in problem.cell.arms for axis in arm.linear_axes for body in axis.carries
+    }
     if not carrying_axis:
         return []
     from planner.cell import support  # lazy: other problems are read without the cell model
@@ -325,9 +334,9 @@ def carrying_faults(problem: Problem) -> list[Issue]:
             continue
         gap, name = support.bearing_body(setup.cell, stock, stock.place)
         if name in carrying_axis and abs(gap) <= support.MAX_FOOT_HEIGHT_M:
-            what = f"the block stands on {name}, which {carrying_axis[name].label} carries; put the block on "
-            what += "a body that stands still, or remove the body from carries"
-            return [Issue("problem.track", what, field=f"operations.{setup.operations[0]}")]
+            text = f"the block stands on {name}, which {carrying_axis[name].label} carries; put the block on "
+            text += "a body that stands still, or remove the body from carries"
+            return [Issue("problem.track", text, field=f"operations.{setup.operations[0]}")]
     return []
 
 
@@ -341,25 +350,24 @@ def coordinated_track_faults(problem: Problem) -> list[Issue]:
     }
     for name, field in coordinated_arms.items():
         if any(setup.stock.held_by == name for setup in problem.setups):
-            what = f"arm {name} holds the block, so its track cannot move while it works; remove follow"
-            out.append(Issue("problem.track", what, field=field, arm=name))
+            text = f"arm {name} holds the block, so its track cannot move while it works; remove follow"
+            out.append(Issue("problem.track", text, field=field, arm=name))
     for index, operation in enumerate(problem.operations if coordinated_arms else ()):
         arms = [name for name in operation.arms if name in coordinated_arms]
         if not arms:
             continue
         if not allows_moving_base(operation):
-            what = f"{operation.process} does not support a coordinated track; milling and targets do; "
-            what += "remove follow from the track for other operations"
+            text = f"{operation.process} does not support a coordinated track; milling and targets do; "
+            text += "remove follow from the track for other operations"
         elif len(operation.arms) > 1 and problem.cell.controller.sync == "handshake":
-            what = "with two controllers (handshake) one arm may be a step ahead of the other, and the "
-            what += f"proof requires fixed bases then, but {arms[0]} has a coordinated track; remove follow, "
-            what += "use one controller (sync: multimove), or give each arm its own "
-            what += "its own"
+            text = "with two controllers (handshake) one arm may be a step ahead of the other, and the "
+            text += f"proof requires fixed bases then, but {arms[0]} has a coordinated track; remove follow, "
+            text += "use one controller (sync: multimove), or give each arm its own operation"
         elif len(arms) > 1:
-            what = f"the tracks of {' and '.join(arms)} move while the arms work, which is not supported for "
-            what += "two bases yet; remove follow from one of them, or give each arm its own operation"
+            text = f"the tracks of {' and '.join(arms)} move while the arms work, which is not supported for "
+            text += "two bases yet; remove follow from one of them, or give each arm its own operation"
         else:
             continue
-        what = f"operation {operation.name}: {what}"
-        out.append(Issue("problem.track", what, field=f"operations.{index}", arm=arms[0]))
+        text = f"operation {operation.name}: {text}"
+        out.append(Issue("problem.track", text, field=f"operations.{index}", arm=arms[0]))
     return out

@@ -132,17 +132,17 @@ def read_curves(spec: RhinoFile, folder: Path, field: str) -> tuple[list[FileCur
     """
     selection = _select(spec, folder, field, ("curve",))
     if len(selection.objects) > MAX_CURVES:
-        what = (
+        text = (
             f"has {len(selection.objects)} curves{spec.selection_text()}, allowed {MAX_CURVES}; name a "
-            "layer, or join "
+            "layer, or join them (_Join)"
         )
-        raise file_error("part.rhino", selection.path, field, what + "them (_Join)")
+        raise file_error("part.rhino", selection.path, field, text)
     nurbs = [_to_nurbs(item, selection, field) for item in selection.objects]
     points = np.concatenate([item.control[:, :3] / item.control[:, 3:] for item in nurbs])
     extent = float(np.ptp(points, axis=0).max())
     if extent > MAX_EXTENT_M:  # it would have too many points
-        what = f"is {extent:.4g} m across, allowed {MAX_EXTENT_M:g} m; check the unit, or remove stray curves"
-        raise file_error("part.rhino", selection.path, field, what)
+        text = f"is {extent:.4g} m across, allowed {MAX_EXTENT_M:g} m; check the unit, or remove stray curves"
+        raise file_error("part.rhino", selection.path, field, text)
     pieces = [item.chords(CURVE_CHORD_TOLERANCE_M) for item in nurbs]
     return join_curves([piece for piece in pieces if len(piece) > 1]), list(selection.notes)
 
@@ -191,6 +191,7 @@ def read_face(spec: RhinoFaceFile, folder: Path, field: str) -> CadFace:
 
 
 def _select(spec: RhinoFile, folder: Path, field: str, kinds: Sequence[Kind]) -> _RhinoSelection:
+    """Return the visible objects of a file of some kinds that match the selection, at least one."""
     path = folder / spec.file
     if not is_file(path):
         raise file_error("problem.missing_file", path, field, f"{missing_file_reason(path)}; check the path")
@@ -204,40 +205,41 @@ def _select(spec: RhinoFile, folder: Path, field: str, kinds: Sequence[Kind]) ->
         ) from error
     model = rhino3dm.File3dm.Read(str(path))
     if model is None:
-        what = "cannot be read: it is not a complete 3DM file, or of a newer Rhino; save it for Rhino 8"
-        raise file_error("part.rhino", path, field, what)
+        text = "cannot be read: it is not a complete 3DM file, or of a newer Rhino; save it for Rhino 8"
+        raise file_error("part.rhino", path, field, text)
     metres, notes = _file_unit(model, spec, path, field)
     layers = {layer.Index: layer for layer in model.Layers}
     if spec.layer is not None and not any(_is_layer(layer, spec.layer) for layer in layers.values()):
         names = sorted({layer.FullPath for layer in layers.values()})
-        more = f" and {len(names) - MAX_LISTED_LAYERS} more" if len(names) > MAX_LISTED_LAYERS else ""
-        what = f"has no layer {spec.layer}; its layers are {', '.join(names[:MAX_LISTED_LAYERS])}{more}"
-        raise file_error("part.rhino", path, field, what)
-    geometries, hidden = [], 0
+        more_text = f" and {len(names) - MAX_LISTED_LAYERS} more" if len(names) > MAX_LISTED_LAYERS else ""
+        text = f"has no layer {spec.layer}; its layers are {', '.join(names[:MAX_LISTED_LAYERS])}{more_text}"
+        raise file_error("part.rhino", path, field, text)
+    geometries = []
+    hidden_count = 0
     for item in model.Objects:
         if item.Attributes.IsInstanceDefinitionObject or not _is_selected(item, spec, layers, model):
             continue
         if _is_hidden(item, layers):
-            hidden += 1
+            hidden_count += 1
         else:
             geometries.append(item.Geometry)
-    mine = [part for item in geometries if _kind(item) in kinds for part in _parts(item)]
-    others = Counter(
+    parts = [part for item in geometries if _kind(item) in kinds for part in _parts(item)]
+    other_kinds = Counter(
         str(item.ObjectType).rpartition(".")[2] for item in geometries if _kind(item) not in kinds
     )
-    left = [f"{count} {kind}" for kind, count in sorted(others.items())]
-    left += [f"{hidden} hidden"] if hidden else []
-    if not mine:
-        what = f"has no {' and no '.join(kinds)}{spec.selection_text()}"
-        what += f", but {', '.join(left)}; " if left else "; "
-        raise file_error("part.rhino", path, field, what + _left_out_hint(others, hidden))
-    if left:
-        what = (
-            f"{path.name}: left out {', '.join(left)}{spec.selection_text()}; "
-            f"{_left_out_hint(others, hidden)}"
+    left_out = [f"{count} {kind}" for kind, count in sorted(other_kinds.items())]
+    left_out += [f"{hidden_count} hidden"] if hidden_count else []
+    if not parts:
+        text = f"has no {' and no '.join(kinds)}{spec.selection_text()}"
+        text += f", but {', '.join(left_out)}; " if left_out else "; "
+        raise file_error("part.rhino", path, field, text + _left_out_hint(other_kinds, hidden_count))
+    if left_out:
+        text = (
+            f"{path.name}: left out {', '.join(left_out)}{spec.selection_text()}; "
+            f"{_left_out_hint(other_kinds, hidden_count)}"
         )
-        notes.append(Issue("part.rhino_left_out", what, Severity.NOTE, file=str(path), field=field))
-    return _RhinoSelection(path, tuple(mine), metres, tuple(notes))
+        notes.append(Issue("part.rhino_left_out", text, Severity.NOTE, file=str(path), field=field))
+    return _RhinoSelection(path, tuple(parts), metres, tuple(notes))
 
 
 _CONVERSION_HINTS: Final = {
@@ -247,11 +249,11 @@ _CONVERSION_HINTS: Final = {
 """Remedies in Rhino for objects of these kinds."""
 
 
-def _left_out_hint(others: Mapping[str, int], hidden: int) -> str:
-    """Return the remedy for left-out objects of these kinds or hidden; all remedies if there are none."""
-    known = [what for kind, what in _CONVERSION_HINTS.items() if kind in others]
-    known += ["show hidden objects (_Show, layers)"] if hidden else []
-    return ", ".join(known or [*_CONVERSION_HINTS.values(), "show hidden objects (_Show, layers)"])
+def _left_out_hint(other_kinds: Mapping[str, int], hidden_count: int) -> str:
+    """Return remedies for left-out objects, all remedies if none is known for their kinds."""
+    hints = [hint for kind, hint in _CONVERSION_HINTS.items() if kind in other_kinds]
+    hints += ["show hidden objects (_Show, layers)"] if hidden_count else []
+    return ", ".join(hints or [*_CONVERSION_HINTS.values(), "show hidden objects (_Show, layers)"])
 
 
 def _file_unit(model: Any, spec: RhinoFile, path: Path, field: str) -> tuple[float, list[Issue]]:
@@ -260,21 +262,21 @@ def _file_unit(model: Any, spec: RhinoFile, path: Path, field: str) -> tuple[flo
     file_metres = UNITS.get(unit_name)
     stated = None if spec.unit is None else LENGTH_UNITS[spec.unit]
     if file_metres is None and unit_name not in UNITLESS:
-        what = f"is in {unit_name.lower()}, which is not supported; change it in Rhino (_Units)"
-        raise file_error("part.rhino", path, field, what)
+        text = f"is in {unit_name.lower()}, which is not supported; change it in Rhino (_Units)"
+        raise file_error("part.rhino", path, field, text)
     if file_metres is None and stated is None:
-        what = f"states no known unit ({unit_name}); state it (unit: mm), or set it in Rhino (_Units)"
-        raise file_error("part.rhino", path, field, what)
+        text = f"states no known unit ({unit_name}); state it (unit: mm), or set it in Rhino (_Units)"
+        raise file_error("part.rhino", path, field, text)
     if (
         file_metres is not None
         and stated is not None
         and abs(file_metres - stated) > UNIT_TOLERANCE * file_metres
     ):
-        what = f"is in {unit_name.lower()}, but the problem states {spec.unit}; remove unit, or change it in "
-        what += "Rhino (_Units)"
-        raise file_error("part.rhino", path, field, what)
-    what = f"{path.name} is in {unit_name.lower() if file_metres is not None else spec.unit}"
-    note = Issue("part.rhino_unit", what, Severity.NOTE, file=str(path), field=field)
+        text = f"is in {unit_name.lower()}, but the problem states {spec.unit}; remove unit, or change it in "
+        text += "Rhino (_Units)"
+        raise file_error("part.rhino", path, field, text)
+    text = f"{path.name} is in {unit_name.lower() if file_metres is not None else spec.unit}"
+    note = Issue("part.rhino_unit", text, Severity.NOTE, file=str(path), field=field)
     return float(file_metres or stated or 0.0), [note]
 
 
@@ -283,6 +285,7 @@ def _is_layer(layer: Any, name: str) -> bool:
 
 
 def _is_selected(item: Any, spec: RhinoFile, layers: dict[int, Any], model: Any) -> bool:
+    """Return whether an object has the layer, name and colour of the selection, as far as it states them."""
     attributes = item.Attributes
     layer = layers.get(attributes.LayerIndex)
     if spec.layer is not None and (layer is None or not _is_layer(layer, spec.layer)):
@@ -291,24 +294,26 @@ def _is_selected(item: Any, spec: RhinoFile, layers: dict[int, Any], model: Any)
         return False
     if spec.colour is None:
         return True
-    shown = "#" + "".join(f"{value:02x}" for value in attributes.DrawColor(model)[:3])
-    return shown == spec.colour.lower()
+    colour = "#" + "".join(f"{value:02x}" for value in attributes.DrawColor(model)[:3])
+    return colour == spec.colour.lower()
 
 
 def _is_hidden(item: Any, layers: dict[int, Any]) -> bool:
+    """Return whether an object, its layer or a layer above that one is not visible."""
     if not item.Attributes.Visible:
         return True
     layer = layers.get(item.Attributes.LayerIndex)
     if layer is None:
         return False
-    around = [other for other in layers.values() if layer.FullPath.startswith(other.FullPath + "::")]
-    return any(not other.Visible for other in (layer, *around))
+    parents = [other for other in layers.values() if layer.FullPath.startswith(other.FullPath + "::")]
+    return any(not other.Visible for other in (layer, *parents))
 
 
 def _kind(geometry: Any) -> Kind | None:
+    """Return the kind of a geometry, None if it is not one that can be read."""
     kind = str(geometry.ObjectType).rpartition(".")[2]
-    known: dict[str, Kind] = {"Curve": "curve", "Mesh": "mesh"}
-    return "face" if kind in ("Brep", "Extrusion", "Surface") else known.get(kind)
+    other_kinds: dict[str, Kind] = {"Curve": "curve", "Mesh": "mesh"}
+    return "face" if kind in ("Brep", "Extrusion", "Surface") else other_kinds.get(kind)
 
 
 def _parts(geometry: Any) -> list[Any]:
@@ -321,6 +326,7 @@ def _parts(geometry: Any) -> list[Any]:
 
 
 def _to_nurbs(geometry: Any, selection: _RhinoSelection, field: str) -> NurbsCurve:
+    """Return a curve or an edge as a NURBS curve in metres. Raises ``part.rhino`` if it has no valid form."""
     nurbs = geometry.ToNurbsCurve()
     if nurbs is None:
         raise file_error(
@@ -340,25 +346,26 @@ def _knots(knots: Sequence[float]) -> FloatArray:
 
 
 def _scale(control: FloatArray, selection: _RhinoSelection) -> FloatArray:
+    """Return homogeneous control points (..., 4) in metres. Weights are not scaled."""
     return np.asarray(control * np.array([selection.metres] * 3 + [1.0]))
 
 
 def _require_finite(control: FloatArray, selection: _RhinoSelection, field: str) -> FloatArray:
+    """Return the control points (..., 4) if they are finite with positive weights, else raise."""
     if not np.isfinite(control).all() or (control[..., 3] <= 0.0).any():
-        what = "has numbers that are not finite, or weights that are not positive; rebuild it (_Rebuild)"
-        raise file_error("part.rhino", selection.path, field, what)
+        message = "has numbers that are not finite, or weights that are not positive; rebuild it (_Rebuild)"
+        raise file_error("part.rhino", selection.path, field, message)
     return control
 
 
 def _selected_face(selection: _RhinoSelection, spec: RhinoFile, field: str) -> tuple[NurbsSurface, bool]:
     """Return the one selected face, trimmed to its region, and whether its normal is reversed."""
     if len(selection.objects) != 1:
-        what = (
+        message = (
             f"has {len(selection.objects)} faces and meshes{spec.selection_text()}, expected 1; explode "
-            "solids "
         )
-        what += "(_Explode) and give the face its own layer or name"
-        raise file_error("part.rhino", selection.path, field, what)
+        message += "solids (_Explode) and give the face its own layer or name"
+        raise file_error("part.rhino", selection.path, field, message)
     face, brep = selection.objects[0]
     nurbs = face.UnderlyingSurface()
     nurbs = None if nurbs is None else nurbs.ToNurbsSurface()
@@ -366,21 +373,21 @@ def _selected_face(selection: _RhinoSelection, spec: RhinoFile, field: str) -> t
         raise file_error(
             "part.rhino", selection.path, field, "the face has no NURBS form; rebuild it (_Rebuild)"
         )
-    rows = [
+    points = [
         [nurbs.Points.GetControlPoint(i, j) for j in range(nurbs.Points.CountV)]
         for i in range(nurbs.Points.CountU)
     ]
-    control = np.array([[(p.X, p.Y, p.Z, p.W) for p in row] for row in rows], dtype=np.float64)
+    control = np.array([[(p.X, p.Y, p.Z, p.W) for p in row] for row in points], dtype=np.float64)
     knots = _knots(nurbs.KnotsU.ToList()), _knots(nurbs.KnotsV.ToList())
     degree = nurbs.OrderU - 1, nurbs.OrderV - 1
     control = _require_finite(_scale(control, selection), selection, field)
     surface = NurbsSurface(degree, knots, control, ((0.0, 0.0), (0.0, 0.0)))
     surface = dataclasses.replace(surface, region=surface.whole())
     if len(face.Loops) != 1:
-        what = (
+        message = (
             f"the face{spec.selection_text()} has holes; untrim it (_Untrim), or cut it so that it has none"
         )
-        raise file_error("part.rhino", selection.path, field, what)
+        raise file_error("part.rhino", selection.path, field, message)
     return _face_region(surface, face, brep, selection, spec, field), bool(face.OrientationIsReversed)
 
 
@@ -389,60 +396,61 @@ def _face_region(
 ) -> NurbsSurface:
     """Return the region of a surface that the edges of the face enclose."""
     whole = np.array(surface.whole())
-    size = whole[:, 1] - whole[:, 0]
+    ranges = whole[:, 1] - whole[:, 0]
     edge_parameters, seams = [], []
-    indices = [trim.EdgeIndex for trim in face.Loops[0].Trims if trim.EdgeIndex >= 0]  # below: at a pole
+    indices = [
+        trim.EdgeIndex for trim in face.Loops[0].Trims if trim.EdgeIndex >= 0
+    ]  # negative at a pole, which has no edge
     for index in indices:
         edge = _to_nurbs(brep.Edges[index], selection, field)
-        where, distance = surface.nearest_parameters(edge.points(_sample_spans(edge.spans())))
+        parameters, distance = surface.nearest_parameters(edge.points(_sample_spans(edge.spans())))
         if distance.max() > EDGE_TOLERANCE_M:
-            what = (
+            text = (
                 f"an edge of the face{spec.selection_text()} is {distance.max() / MM:.3g} mm off it; rebuild "
                 "it (_Rebuild)"
             )
-            raise file_error("part.rhino", selection.path, field, what)
-        edge_parameters += list(where.reshape(-1, EDGE_SAMPLES, 2))
-        seams += [indices.count(index) > 1] * (len(where) // EDGE_SAMPLES)
+            raise file_error("part.rhino", selection.path, field, text)
+        edge_parameters += list(parameters.reshape(-1, EDGE_SAMPLES, 2))
+        seams += [indices.count(index) > 1] * (len(parameters) // EDGE_SAMPLES)
     for k in (0, 1):
         if surface.is_closed(k):
             edge_parameters = _unroll_parameters(
-                edge_parameters, seams, k, whole[k], LINE_TOLERANCE_FRACTION * size[k]
+                edge_parameters, seams, k, whole[k], LINE_TOLERANCE_FRACTION * ranges[k]
             )
-    box = bounding_rectangle(edge_parameters, LINE_TOLERANCE_FRACTION * size) if edge_parameters else None
+    box = bounding_rectangle(edge_parameters, LINE_TOLERANCE_FRACTION * ranges) if edge_parameters else None
     if box is None:
-        what = (
+        text = (
             f"the face{spec.selection_text()} is not trimmed along its parameter lines; untrim it (_Untrim), "
-            "or "
         )
-        what += "create it again from its edges (_EdgeSrf, _Loft)"
-        raise file_error("part.rhino", selection.path, field, what)
+        text += "or create it again from its edges (_EdgeSrf, _Loft)"
+        raise file_error("part.rhino", selection.path, field, text)
     low, high = box
-    low = np.where(low - whole[:, 0] <= LINE_TOLERANCE_FRACTION * size, whole[:, 0], low)
-    high = np.where(whole[:, 1] - high <= LINE_TOLERANCE_FRACTION * size, whole[:, 1], high)
+    low = np.where(low - whole[:, 0] <= LINE_TOLERANCE_FRACTION * ranges, whole[:, 0], low)
+    high = np.where(whole[:, 1] - high <= LINE_TOLERANCE_FRACTION * ranges, whole[:, 1], high)
     region = (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
     return dataclasses.replace(surface, region=region)
 
 
 def _unroll_parameters(
-    edges: Sequence[FloatArray], seams: Sequence[bool], k: int, ends: FloatArray, tolerance: float
+    edges: Sequence[FloatArray], are_seams: Sequence[bool], k: int, ends: FloatArray, tolerance: float
 ) -> list[FloatArray]:
     """Return parameters (N, 2) of edges on a surface that is closed in parameter ``k``.
 
-    The lines at ``ends[0]`` and ``ends[1]`` coincide. Of a face with seams, one seam edge is put at each end;
-    otherwise edges on that line are put at the end next to the face.
+    The lines at ``ends[0]`` and ``ends[1]`` coincide. If the face has seams, which are edges that occur
+    twice, one occurrence is put at each end. Otherwise edges on that line are put at the end near the face.
     """
     out = [edge.copy() for edge in edges]
     values = np.concatenate([edge[:, k] for edge in out])
     inner = values[(values > ends[0] + tolerance) & (values < ends[1] - tolerance)]
     if not len(inner):
         return out
-    nearer = ends[0] if inner.min() - ends[0] <= ends[1] - inner.max() else ends[1]
-    for number, (edge, seam) in enumerate(zip(out, seams, strict=True)):
+    near_end = ends[0] if inner.min() - ends[0] <= ends[1] - inner.max() else ends[1]
+    for number, (edge, is_seam) in enumerate(zip(out, are_seams, strict=True)):
         on_seam = (edge[:, k] <= ends[0] + tolerance) | (edge[:, k] >= ends[1] - tolerance)
-        if on_seam.all() and seam:
-            edge[:, k] = ends[sum(seams[:number]) % 2]
-        elif not any(seams):
-            edge[on_seam, k] = nearer
+        if on_seam.all() and is_seam:
+            edge[:, k] = ends[sum(are_seams[:number]) % 2]
+        elif not any(are_seams):
+            edge[on_seam, k] = near_end
     return out
 
 

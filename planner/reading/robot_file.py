@@ -117,24 +117,22 @@ def build_robot(spec: OwnRobotFile, folder: Path) -> RobotData:
             :func:`planner.reading.arm_identification.fit_arm`; ``robot.bodies`` for unknown collision shapes;
             ``problem.field`` for contradictory keys.
     """
-    from planner.reading.arm_identification import (
-        fit_arm,
-        read_custom_chain,
-    )  # lazy: loads kinematics, which other problems do not need
+    # lazy: loads kinematics, which other problems do not need
+    from planner.reading.arm_identification import fit_arm, read_custom_chain
 
     path = folder / spec.urdf
     text = read_urdf(path)
     chain = read_custom_chain(text, spec.base, spec.tip)
     arm_fit = fit_arm(chain)
     issues = [*_key_faults(spec, chain, arm_fit.form)]
-    if spec.home_deg is not None and (short := posture_fault(spec.home_deg, arm_fit.form.count)):
-        issues.append(Issue("problem.field", f"home_deg: {short}", field="home_deg"))
+    if spec.home_deg is not None and (fault := posture_fault(spec.home_deg, arm_fit.form.count)):
+        issues.append(Issue("problem.field", f"home_deg: {fault}", field="home_deg"))
     shapes = _collision_shapes(spec, chain, path, folder, issues)
     if issues:
         raise TandemError(issues)
     visuals, missing_visuals = link_visuals(chain, shapes, _visual_files(spec, chain, path, folder))
     coupling = None if spec.coupled_deg is None else RodCoupling(*(v * DEG for v in spec.coupled_deg))
-    rise = spec.full_speed_after_s or DEFAULT_FULL_SPEED_TIME_S
+    full_speed_time = spec.full_speed_after_s or DEFAULT_FULL_SPEED_TIME_S
     family, controller = FAMILIES[spec.family]
     form = arm_fit.form
     home = _default_home(form, chain) if spec.home_deg is None else np.array(spec.home_deg) * DEG
@@ -147,7 +145,7 @@ def build_robot(spec: OwnRobotFile, folder: Path) -> RobotData:
         lower=chain.lower,
         upper=chain.upper,
         velocity=chain.velocity,
-        acceleration=chain.velocity / rise,
+        acceleration=chain.velocity / full_speed_time,
         payload=spec.payload_kg,
         reach=float(np.hypot(form.stretched, form.b)),
         coupling=coupling,
@@ -168,9 +166,9 @@ def build_robot(spec: OwnRobotFile, folder: Path) -> RobotData:
     )
     read_only(data)
     if not float(data.limit_margin(home)) >= 0.0:
-        got = ", ".join(f"{v:g}" for v in np.round(home / DEG, 3))
-        what = f"home_deg: [{got}] is beyond the limits of the URDF or of coupled_deg; correct them"
-        raise issue_error("problem.field", what, field="home_deg")
+        home_text = ", ".join(f"{v:g}" for v in np.round(home / DEG, 3))
+        message = f"home_deg: [{home_text}] is beyond the limits of the URDF or of coupled_deg; correct them"
+        raise issue_error("problem.field", message, field="home_deg")
     return data
 
 
@@ -185,59 +183,61 @@ def read_urdf(path: Path) -> str:
     """Read the text of a file.
 
     Raises:
-        TandemError: ``problem.missing_file``, ``problem.too_large``, or ``robot.urdf`` if it is not UTF-8.
+        TandemError: ``problem.missing_file``; ``problem.too_large``; ``robot.urdf`` if it is not UTF-8.
     """
     if not is_file(path):
-        what = f"no file {path}; check the path"
-        raise issue_error("problem.missing_file", what, field="urdf")
+        message = f"no file {path}; check the path"
+        raise issue_error("problem.missing_file", message, field="urdf")
     size = path.stat().st_size
     if size > MAX_URDF_BYTES:
-        what = f"{size / 1e6:.0f} MB, allowed {MAX_URDF_BYTES / 1e6:.0f} MB"
-        raise issue_error("problem.too_large", what, field="urdf", hint="give the URDF of one arm")
+        message = f"{size / 1e6:.0f} MB, allowed {MAX_URDF_BYTES / 1e6:.0f} MB"
+        raise issue_error("problem.too_large", message, field="urdf", hint="give the URDF of one arm")
     try:
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
-        what = f"the file is not UTF-8 ({error})"
-        raise issue_error("robot.urdf", what, field="urdf", hint="save it as UTF-8") from None
+        message = f"the file is not UTF-8 ({error})"
+        raise issue_error("robot.urdf", message, field="urdf", hint="save it as UTF-8") from None
 
 
 def _key_faults(spec: OwnRobotFile, chain: UrdfChain, form: ArmForm) -> Iterator[Issue]:
-    kinds = {"abb": OpwParameters | OffsetParameters, "kuka": OpwParameters}
-    if spec.family in kinds and not isinstance(form, kinds[spec.family]):
-        what = f"family: got {spec.family}, whose programs require arms with a spherical wrist; this "
-        what += (
+    """Yield faults of keys that contradict the URDF or each other."""
+    supported_forms = {"abb": OpwParameters | OffsetParameters, "kuka": OpwParameters}
+    if spec.family in supported_forms and not isinstance(form, supported_forms[spec.family]):
+        text = f"family: got {spec.family}, whose programs require arms with a spherical wrist; this "
+        text += (
             "arm has none; write generic"
             if isinstance(form, SevenParameters)
             else "arm has none; write ur or generic"
         )
-        yield Issue("problem.field", what, field="family")
+        yield Issue("problem.field", text, field="family")
     if spec.family == "ur" and isinstance(form, SevenParameters):
-        what = "family: got ur, whose arms have six axes; this one has seven: write generic"
-        yield Issue("problem.field", what, field="family")
+        text = "family: got ur, whose arms have six axes; this one has seven: write generic"
+        yield Issue("problem.field", text, field="family")
     if spec.coupled_deg is not None and isinstance(form, OffsetParameters | SevenParameters):
         kind = "an offset wrist" if isinstance(form, OffsetParameters) else "seven axes"
-        what = f"coupled_deg: no arm with {kind} has a parallel rod; remove it"
-        yield Issue("problem.field", what, field="coupled_deg")
+        text = f"coupled_deg: no arm with {kind} has a parallel rod; remove it"
+        yield Issue("problem.field", text, field="coupled_deg")
     other_joints = [name for name in chain.other_joints if name not in spec.left_out]
     if other_joints:
         names = ", ".join(repr(name) for name in other_joints)
-        what = (
+        text = (
             f"{len(other_joints)} moving joints are not on the chain from {spec.base!r} to the tip: {names}"
         )
         hint = "make them fixed, name the base of this arm alone, or list rods and pistons under left_out"
-        yield Issue("robot.chain", what, field="urdf", hint=hint)
+        yield Issue("robot.chain", text, field="urdf", hint=hint)
     if spec.coupled_deg is not None:
         low, high = spec.coupled_deg
         sums = (chain.lower[1:3].sum() / DEG, chain.upper[1:3].sum() / DEG)
         if not (low < high and low < sums[1] and high > sums[0]):
-            what = f"coupled_deg: got {low:g} to {high:g}, but the limits of axes 2 and 3 give a sum within "
-            what += f"{sums[0]:g} to {sums[1]:g} deg; correct one of them"
-            yield Issue("problem.field", what, field="coupled_deg")
+            text = f"coupled_deg: got {low:g} to {high:g}, but the limits of axes 2 and 3 give a sum within "
+            text += f"{sums[0]:g} to {sums[1]:g} deg; correct one of them"
+            yield Issue("problem.field", text, field="coupled_deg")
     for key in sorted(set(spec.sources) - set(OwnRobotFile.model_fields)):
         yield Issue("problem.field", f"sources: {key!r} is not a key of a robot; correct it", field="sources")
 
 
 def _assumptions(spec: OwnRobotFile, chain: UrdfChain, arm_fit: ArmFit) -> Iterator[str]:
+    """Yield what is assumed about a robot, or stated without a source, in words."""
     if spec.full_speed_after_s is None:
         yield (
             f"acceleration: assumed, every axis reaches its full speed in {DEFAULT_FULL_SPEED_TIME_S:g} s "
@@ -284,13 +284,13 @@ def _default_home(form: ArmForm, chain: UrdfChain) -> FloatArray:
         q[-1] = 0.5 * (chain.lower[-1] + chain.upper[-1])
         return np.clip(q, chain.lower, chain.upper)
     q = np.zeros(form.count)
-    hand: tuple[tuple[int, float], ...] = ((3, 0.0), (4, -0.5 * np.pi))
+    wrist_angles: tuple[tuple[int, float], ...] = ((3, 0.0), (4, -0.5 * np.pi))
     if isinstance(form, OpwParameters):
-        hand = ()
+        wrist_angles = ()
     if isinstance(form, OffsetParameters):
-        hand = ((3, 0.0), (4, 0.5 * np.pi))
-    for axis, angle_value in ((1, 0.0), (2, 0.5 * np.pi), *hand):
-        angle = form.signs[axis] * (angle_value + form.offsets[axis])
+        wrist_angles = ((3, 0.0), (4, 0.5 * np.pi))
+    for axis, form_angle in ((1, 0.0), (2, 0.5 * np.pi), *wrist_angles):
+        angle = form.signs[axis] * (form_angle + form.offsets[axis])
         q[axis] = np.arctan2(np.sin(angle), np.cos(angle)) + 0.0
     return np.clip(q, chain.lower, chain.upper)
 
@@ -299,37 +299,41 @@ def _collision_shapes(
     spec: OwnRobotFile, chain: UrdfChain, path: Path, folder: Path, issues: list[Issue]
 ) -> tuple[tuple[Shape, ...], ...]:
     """Return the collision shapes of the base and of each link; append faults to ``issues``."""
-    out: dict[str, list[Shape]] = {link: [] for link in chain.links}
-    lost, unread = [], []
+    shapes_by_link: dict[str, list[Shape]] = {link: [] for link in chain.links}
+    missing_files, unsupported_files = [], []
     for shape in chain.shapes:
         if shape.kind != "mesh":
-            out[shape.link].append(Shape(shape.kind, shape.size, shape.pose))  # type: ignore[arg-type]
+            shapes_by_link[shape.link].append(Shape(shape.kind, shape.size, shape.pose))  # type: ignore[arg-type]
             continue
         file = find_mesh_file(shape.file, spec.meshes, path, folder)
         if file is None:
-            lost.append(shape.file)
+            missing_files.append(shape.file)
         elif file.suffix.lower() not in PLAIN_SUFFIXES:
-            unread.append(shape.file)
+            unsupported_files.append(shape.file)
         else:
-            out[shape.link].append(_hull(shape, file))
-    if lost:
-        what = f"{len(lost)} meshes of the URDF are missing: {', '.join(sorted(set(lost))[:7])}"
+            shapes_by_link[shape.link].append(_hull(shape, file))
+    if missing_files:
+        text = (
+            f"{len(missing_files)} meshes of the URDF are missing: "
+            f"{', '.join(sorted(set(missing_files))[:7])}"
+        )
         hint = "put them next to the URDF as in its package, or state their locations under meshes; "
         hint += "tandem robots add URDF --meshes FOLDER writes them"
-        issues.append(Issue("robot.bodies", what, field="urdf", hint=hint))
-    if unread:
-        what = (
-            f"{len(unread)} meshes of the URDF are not OBJ, STL or PLY: {', '.join(sorted(set(unread))[:7])}"
+        issues.append(Issue("robot.bodies", text, field="urdf", hint=hint))
+    if unsupported_files:
+        text = (
+            f"{len(unsupported_files)} meshes of the URDF are not OBJ, STL or PLY: "
+            f"{', '.join(sorted(set(unsupported_files))[:7])}"
         )
         hint = "convert them, in metres, and state under meshes the file for each, as "
         hint += "tandem robots add URDF --meshes FOLDER writes it"
-        issues.append(Issue("robot.bodies", what, field="urdf", hint=hint))
-    bare = [link for link in chain.links if not out[link]]
-    if bare and not lost and not unread:
-        what = f"the links {', '.join(bare)} have no <collision> geometry, so they cannot be checked"
+        issues.append(Issue("robot.bodies", text, field="urdf", hint=hint))
+    bare_links = [link for link in chain.links if not shapes_by_link[link]]
+    if bare_links and not missing_files and not unsupported_files:
+        text = f"the links {', '.join(bare_links)} have no <collision> geometry, so they cannot be checked"
         hint = "give each one a <collision>: a box, cylinder, sphere or mesh"
-        issues.append(Issue("robot.bodies", what, field="urdf", hint=hint))
-    return tuple(tuple(shapes) for shapes in out.values())
+        issues.append(Issue("robot.bodies", text, field="urdf", hint=hint))
+    return tuple(tuple(shapes) for shapes in shapes_by_link.values())
 
 
 def _hull(shape: UrdfShape, file: Path) -> Shape:
@@ -339,9 +343,9 @@ def _hull(shape: UrdfShape, file: Path) -> Shape:
     try:
         hull = ConvexHull(vertices)
     except QhullError:
-        what = f"the mesh {shape.file} is flat and encloses no volume"
+        message = f"the mesh {shape.file} is flat and encloses no volume"
         raise issue_error(
-            "robot.bodies", what, field="urdf", hint="export it as a solid, or state a box"
+            "robot.bodies", message, field="urdf", hint="export it as a solid, or state a box"
         ) from None
     points = vertices[hull.vertices]
     faces = np.searchsorted(hull.vertices, hull.simplices)
@@ -354,10 +358,10 @@ def _hull(shape: UrdfShape, file: Path) -> Shape:
 
 def _visual_files(spec: OwnRobotFile, chain: UrdfChain, urdf: Path, folder: Path) -> dict[str, Path | None]:
     """Return the files of visual meshes by name; None for missing ones."""
-    named = dict.fromkeys(
+    names = dict.fromkeys(
         visual.file for visual in chain.visuals if visual.kind == "mesh" and len(visual.file) <= 1000
     )
-    return {name: find_mesh_file(name, (*spec.visuals, *spec.meshes), urdf, folder) for name in named}
+    return {name: find_mesh_file(name, (*spec.visuals, *spec.meshes), urdf, folder) for name in names}
 
 
 def find_mesh_file(name: str, stated: Sequence[LinkMeshFile], urdf: Path, folder: Path) -> Path | None:
@@ -375,18 +379,22 @@ def find_mesh_file(name: str, stated: Sequence[LinkMeshFile], urdf: Path, folder
     """
     for location in stated:
         if location.name == name:
-            named = Path(location.file)
-            candidates = [urdf.parent / named, folder / named]
-            if named.is_relative_to(folder):
-                candidates[1:] = [urdf.parent / named.relative_to(folder), folder / named, named]
+            stated_file = Path(location.file)
+            candidates = [urdf.parent / stated_file, folder / stated_file]
+            if stated_file.is_relative_to(folder):
+                candidates[1:] = [
+                    urdf.parent / stated_file.relative_to(folder),
+                    folder / stated_file,
+                    stated_file,
+                ]
             return next((path for path in candidates if is_file(path)), None)
-    rest = Path(name.partition("://")[2] or name)
-    if rest.is_absolute() or ".." in rest.parts or not rest.parts:
+    relative = Path(name.partition("://")[2] or name)
+    if relative.is_absolute() or ".." in relative.parts or not relative.parts:
         return None
-    package = name.startswith("package://")
-    for folder in (urdf.parent, *urdf.parent.parents) if package else (urdf.parent,):
-        inside = folder.joinpath(*rest.parts[1:]) if package and folder.name == rest.parts[0] else None
-        for file in (folder / rest, inside):
+    is_package = name.startswith("package://")
+    for root in (urdf.parent, *urdf.parent.parents) if is_package else (urdf.parent,):
+        inside = root.joinpath(*relative.parts[1:]) if is_package and root.name == relative.parts[0] else None
+        for file in (root / relative, inside):
             if file is not None and is_file(file):
                 return file
     return None
@@ -408,12 +416,16 @@ def with_meshes(robot: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         return dict(robot)
     path = Path(spec.urdf)
     chain = read_chain(read_urdf(path), spec.base, spec.tip)
-    named = dict.fromkeys(shape.file for shape in chain.shapes if shape.kind == "mesh")
-    files = [(name, find_mesh_file(name, spec.meshes, path, folder)) for name in named]
+    names = dict.fromkeys(shape.file for shape in chain.shapes if shape.kind == "mesh")
+    files = [(name, find_mesh_file(name, spec.meshes, path, folder)) for name in names]
     meshes = [{"name": name, "file": str(file)} for name, file in files if file is not None]
     visuals = [
         {"name": name, "file": str(file)}
         for name, file in visual_meshes_to_bundle(_visual_files(spec, chain, path, folder)).items()
     ]
-    stated = {key: value for key, value in robot.items() if key != "visuals"}
-    return {**stated, **({"meshes": meshes} if meshes else {}), **({"visuals": visuals} if visuals else {})}
+    other_keys = {key: value for key, value in robot.items() if key != "visuals"}
+    return {
+        **other_keys,
+        **({"meshes": meshes} if meshes else {}),
+        **({"visuals": visuals} if visuals else {}),
+    }

@@ -112,7 +112,7 @@ class PositionerFile(TurntableFile):
 
 
 MAX_ROTATION_DEG: Final = 3600.0
-"""Maximum value of a turntable [deg], ten turns. Chosen: larger figures are taken for a mistake."""
+"""Maximum value of a turntable [deg], ten turns. Chosen: larger values are considered mistakes."""
 MIN_TILT_AXIS_SINE: Final = np.sin(5.0 * DEG)
 """Sine of the minimum angle between a tilt axis and the vertical."""
 
@@ -122,8 +122,8 @@ def _range_faults(spec: TurntableFile | TiltFile) -> list[tuple[str, str]]:
     low, high = spec.range_deg
     out = []
     if not low < high:
-        what = f"got {low:g} to {high:g}; give the lower value first, then a larger one"
-        out.append(("range_deg", what))
+        message = f"got {low:g} to {high:g}; give the lower value first, then a larger one"
+        out.append(("range_deg", message))
     elif not low <= spec.home_deg <= high:
         out.append(("home_deg", f"{spec.home_deg:g} is outside the range of {low:g} to {high:g}"))
     if not max(abs(low), abs(high)) <= MAX_ROTATION_DEG:
@@ -140,26 +140,26 @@ def _tilt_faults(spec: PositionerFile, bodies: Sequence[str]) -> list[tuple[str,
     if not length > MIN_AXIS_LENGTH:
         out.append(("axis", "its length is 0; give its direction, such as [0, 1, 0]"))
     elif float(np.hypot(tilt.axis[0], tilt.axis[1])) < MIN_TILT_AXIS_SINE * length:
-        what = "it is vertical within 5 degrees, as the turn axis; give the axis that tilts the plate, such "
-        out.append(("axis", what + "as [0, 1, 0]"))
+        text = "it is vertical within 5 degrees, as the turn axis; give the axis that tilts the plate, such "
+        out.append(("axis", text + "as [0, 1, 0]"))
     if low < high and not low <= 0.0 <= high:
-        what = f"0, where the plate is level, is outside {low:g} to {high:g}; count the values from there"
-        out.append(("range_deg", what))
+        text = f"0, where the plate is level, is outside {low:g} to {high:g}; count the values from there"
+        out.append(("range_deg", text))
     elif low <= tilt.home_deg <= high and tilt.home_deg != 0.0:
-        what = f"got {tilt.home_deg:g}; the block is clamped and removed there, so the plate must be level: 0"
-        out.append(("home_deg", what))
+        text = f"got {tilt.home_deg:g}; the block is clamped and removed there, so the plate must be level: 0"
+        out.append(("home_deg", text))
     if max(abs(low), abs(high)) > 180.0:
         out.append(("range_deg", f"got {low:g} to {high:g}; allowed: up to 180 either way"))
     if tilt.external_axis == spec.external_axis:
         letter = "abcdef"[tilt.external_axis - 1]
-        what = f"it is {tilt.external_axis} (eax_{letter}, E{tilt.external_axis}), as for the turn axis; "
-        what += "give each axis its own"
-        out.append(("external_axis", what))
+        text = f"it is {tilt.external_axis} (eax_{letter}, E{tilt.external_axis}), as for the turn axis; "
+        text += "give each axis its own"
+        out.append(("external_axis", text))
     for name in tilt.bracket:
         if name not in bodies:
-            what = f"{name!r} is not an obstacle of the cell; obstacles are {', '.join(bodies) or 'none'}"
-            out.append(("bracket", what))
-    return [(f"tilt.{name}", what) for name, what in out]
+            text = f"{name!r} is not an obstacle of the cell; obstacles are {', '.join(bodies) or 'none'}"
+            out.append(("bracket", text))
+    return [(f"tilt.{name}", text) for name, text in out]
 
 
 def build_turntable(
@@ -182,8 +182,8 @@ def build_turntable(
     issues = list[Issue]()
     kind = "positioner" if isinstance(spec, PositionerFile) else "turntable"
 
-    def report(name: str, what: str, code: str = "problem.field") -> None:
-        issues.append(Issue(code, f"{name}: {what}", field=f"{kind}.{name}"))
+    def report(name: str, text: str, code: str = "problem.field") -> None:
+        issues.append(Issue(code, f"{name}: {text}", field=f"{kind}.{name}"))
 
     # faults of the axis itself
     low, high = spec.range_deg
@@ -192,38 +192,38 @@ def build_turntable(
     if not length > MIN_AXIS_LENGTH:
         report("axis", "its length is 0; give [0, 0, 1], or [0, 0, -1] if values grow in the other direction")
     elif float(np.hypot(axis[0], axis[1])) > VERTICAL_TOLERANCE:
-        what = "it is not vertical; allowed: [0, 0, 1] and [0, 0, -1]"
+        text = "it is not vertical; allowed: [0, 0, 1] and [0, 0, -1]"
         if kind == "turntable":
-            what += "; for a device that also tilts the block, state a positioner (positioner: tilt)"
-        report("axis", what, "problem.turntable")
+            text += "; for a device that also tilts the block, state a positioner (positioner: tilt)"
+        report("axis", text, "problem.turntable")
     faults = _range_faults(spec)
     if isinstance(spec, PositionerFile):
         faults += _tilt_faults(spec, bodies)
-    for name, what in faults:
-        report(name, what)
+    for name, text in faults:
+        report(name, text)
     # the controller that moves it
-    names = {arm.name: arm for arm in arms}
-    moving_arm = names.get(arms[0].name if spec.arm is None else spec.arm)
+    arms_by_name = {arm.name: arm for arm in arms}
+    moving_arm = arms_by_name.get(arms[0].name if spec.arm is None else spec.arm)
     if moving_arm is None:
-        what = f"{spec.arm!r} is not an arm of the cell; it has {', '.join(names)}"
-        report("arm", what, "problem.unknown_arm")
+        text = f"{spec.arm!r} is not an arm of the cell; it has {', '.join(arms_by_name)}"
+        report("arm", text, "problem.unknown_arm")
     elif any(arm.data.family not in EXTERNAL_AXIS_FAMILIES for arm in arms):
         other = next(arm for arm in arms if arm.data.family not in EXTERNAL_AXIS_FAMILIES)
-        what = f"arm {other.name} is of {other.data.family}; {kind}s are only supported for "
-        what += f"{' and '.join(EXTERNAL_AXIS_FAMILIES)} controllers; remove the {kind}, or use such arms"
-        report("arm", what, "problem.turntable")
+        text = f"arm {other.name} is of {other.data.family}; {kind}s are only supported for "
+        text += f"{' and '.join(EXTERNAL_AXIS_FAMILIES)} controllers; remove the {kind}, or use such arms"
+        report("arm", text, "problem.turntable")
     elif moving_arm.data.family == "KUKA" and low < high and max(-low, high) > MAX_KRL_ROTATION_DEG:
-        what = f"got {low:g} to {high:g}; software limits of rotary axes of a KUKA controller are up to "
-        report("range_deg", f"{what}{MAX_KRL_ROTATION_DEG:g} either way; give a range such as [-180, 180]")
+        text = f"got {low:g} to {high:g}; software limits of rotary axes of a KUKA controller are up to "
+        report("range_deg", f"{text}{MAX_KRL_ROTATION_DEG:g} either way; give a range such as [-180, 180]")
     if controller.sync == "handshake" and len(arms) > 1:
-        what = f"with two controllers (handshake) a {kind} is not supported yet; use one (sync: multimove)"
-        report("unit", what, "problem.turntable")
+        text = f"with two controllers (handshake) a {kind} is not supported yet; use one (sync: multimove)"
+        report("unit", text, "problem.turntable")
     if any(arm.linear_axes for arm in arms):
-        what = f"a {kind} together with an arm on a track or gantry is not supported yet; state one of them"
-        report("unit", what, "problem.turntable")
+        text = f"a {kind} together with an arm on a track or gantry is not supported yet; state one of them"
+        report("unit", text, "problem.turntable")
     if spec.unit.lower() in {unit.lower() for unit in controller.units[: len(arms)]}:
-        what = f"the unit {spec.unit} is also that of a robot; give the {kind} its own"
-        report("unit", what, "problem.duplicate_name")
+        text = f"the unit {spec.unit} is also that of a robot; give the {kind} its own"
+        report("unit", text, "problem.duplicate_name")
     if issues or moving_arm is None:
         raise TandemError(issues)
     # the plate hangs below its centre
@@ -278,8 +278,8 @@ def turntable_faults(problem: Problem) -> list[Issue]:
     out = []
     kind = table.kind
 
-    def report(what: str, field: str) -> None:
-        out.append(Issue("problem.turntable", what, field=field))
+    def report(text: str, field: str) -> None:
+        out.append(Issue("problem.turntable", text, field=field))
 
     if all(table.arm not in operation.arms for operation in problem.operations):
         report(
@@ -289,25 +289,27 @@ def turntable_faults(problem: Problem) -> list[Issue]:
         )
     for number, operation in enumerate(problem.operations if table.tilt is not None else ()):
         if not allows_any_attitude(operation):
-            what = f"operation {operation.name}: {operation.process} depends on the direction of "
-            what += "gravity in the block, which a positioner changes; milling and targets allow it; use a "
-            what += "turntable "
-            report(f"{what}(cell: turntable) for the others", f"operations.{number}")
+            text = (
+                f"operation {operation.name}: {operation.process} depends on the direction of gravity in the "
+                "block, which a positioner changes; milling and targets allow it; use a turntable "
+            )
+            report(f"{text}(cell: turntable) for the others", f"operations.{number}")
     for number, change in problem.changes.items() if table.tilt is not None else ():
         if set(change.stock) & {"place", "support"}:
-            what = "the block would be clamped again on a plate that may be tilted then; make it two "
+            text = "the block would be clamped again on a plate that may be tilted then; make it two "
             report(
-                f"{what}problems, each of which begins and ends with the plate level",
+                f"{text}problems, each of which begins and ends with the plate level",
                 f"operations.{number}.setup",
             )
     floor = support.SupportGround.of(problem.cell).floor
     (plate,) = next(body.shapes for body in problem.cell.obstacles if body.name == TURNTABLE_BODY)
     low = float(plate.pose[2, 3]) - 0.5 * plate.size[1]
     if low < floor - MM:
-        above, high = (table.centre[2] - floor) / MM, plate.size[1] / MM
-        what = f"the plate's top is {above:g} mm above the floor and the plate {high:g} mm high, so it "
-        what += f"extends {(floor - low) / MM:g} mm into the floor; make it lower, or centre_mm higher"
-        report(what, f"cell.{kind}.plate.height_mm")
+        top_mm, height_mm = (table.centre[2] - floor) / MM, plate.size[1] / MM
+        text = f"the plate's top is {top_mm:g} mm above the floor and the plate {height_mm:g} mm high, so it "
+        text += f"extends {(floor - low) / MM:g} mm into the floor; make it lower, or centre_mm higher"
+        report(text, f"cell.{kind}.plate.height_mm")
+    # only the first setup with a fault is reported
     for setup in (original.with_zero_tilt for original in problem.setups):
         stock, first = setup.stock, setup.operations[0]
         field = "stock" if first == 0 else f"operations.{first}.setup"
@@ -316,28 +318,31 @@ def turntable_faults(problem: Problem) -> list[Issue]:
         elif stock.held_by is not None:
             report(f"a block that an arm holds does not turn; remove the {kind} from the cell", field)
         elif stock.place is None:
-            what = f"the block is on a {kind} and its place is searched; both together are not supported "
-            report(f"{what}yet; state stock.place", f"{field}.place")
+            text = f"the block is on a {kind} and its place is searched; both together are not supported "
+            report(f"{text}yet; state stock.place", f"{field}.place")
         elif stock.pedestal is not None:
-            what = f"a {stock.pedestal.kind} that Tandem designs reaches to the floor and does not turn; "
-            report(f"{what}state the shapes on the plate as support, or none", f"{field}.support")
+            text = f"a {stock.pedestal.kind} that Tandem designs reaches to the floor and does not turn; "
+            report(f"{text}state the shapes on the plate as support, or none", f"{field}.support")
         else:
             gap, name = support.bearing_body(setup.cell, stock, stock.place)
             if name == TURNTABLE_BODY and abs(gap) <= support.MAX_FOOT_HEIGHT_M:
                 continue
-            under = "the plate" if name == TURNTABLE_BODY else f"{name or 'the floor'}, which does not turn"
-            what = f"the block is not on the {kind}: its lowest point, or that of its support, is "
-            what += (
-                f"{gap / MM:.0f} mm above {under}; allowed: {support.MAX_FOOT_HEIGHT_M / MM:g} mm above the "
+            body_text = (
+                "the plate" if name == TURNTABLE_BODY else f"{name or 'the floor'}, which does not turn"
             )
-            at = ", ".join(f"{v / MM:g}" for v in table.centre)
-            report(f"{what}plate, whose top is at [{at}] mm; put the block on it", f"{field}.place")
+            text = f"the block is not on the {kind}: its lowest point, or that of its support, is "
+            text += (
+                f"{gap / MM:.0f} mm above {body_text}; allowed: {support.MAX_FOOT_HEIGHT_M / MM:g} mm "
+                "above the "
+            )
+            centre_text = ", ".join(f"{v / MM:g}" for v in table.centre)
+            report(f"{text}plate, whose top is at [{centre_text}] mm; put the block on it", f"{field}.place")
         break
     for setup in problem.setups:
         mass = setup.stock.mass
         if mass is not None and table.load is not None and mass > table.load:
-            what = f"the block weighs {mass:.1f} kg, but the {kind} {table.unit} carries {table.load:g} kg; "
-            report(f"{what}use a smaller block or a larger {kind}", f"cell.{kind}.load_kg")
+            text = f"the block weighs {mass:.1f} kg, but the {kind} {table.unit} carries {table.load:g} kg; "
+            report(f"{text}use a smaller block or a larger {kind}", f"cell.{kind}.load_kg")
             break
     moving_arm = next(arm for arm in problem.cell.arms if arm.name == table.arm)
     if not out and moving_arm.data.family == "KUKA":
@@ -355,31 +360,28 @@ def _min_speed_issues(problem: Problem, table: Turntable) -> list[Issue]:
     count = int(np.ceil((table.high - table.low) / ROTATION_STEP_RAD)) + 1
     out = []
     for name, axis in table.axes.items():
-        radius, tilts = 0.0, axis is table.tilt
+        radius = 0.0
+        is_tilt = axis is table.tilt
         for setup in (original.with_zero_tilt for original in problem.setups):
             axis_values = setup.stock.axis_values
             for rotation in (
-                np.linspace(table.low, table.high, count) if tilts else (axis_values.get(STOCK_AXIS, 0.0),)
+                np.linspace(table.low, table.high, count) if is_tilt else (axis_values.get(STOCK_AXIS, 0.0),)
             ):
                 if setup.stock.place is not None:
                     pose = table.move_pose(
                         setup.stock.place, {**axis_values, STOCK_AXIS: float(rotation)}, axis_values
                     )
                     radius = max(radius, external_axis_motion.carried_radius(setup, pose, table, name))
-        radius *= SAMPLING_FACTOR if tilts else 1.0
+        radius *= SAMPLING_FACTOR if is_tilt else 1.0
         if MIN_KRL_SPEED_FRACTION * axis.speed * radius <= MAX_BLIND_SPEED_M_S:
             continue
         max_speed = np.floor(MAX_BLIND_SPEED_M_S / (MIN_KRL_SPEED_FRACTION * radius) / DEG)
-        what = f"the load of {axis.label} extends {radius / MM:.0f} mm from its axis. A KUKA "
-        what += (
+        message = f"the load of {axis.label} extends {radius / MM:.0f} mm from its axis. A KUKA "
+        message += (
             f"controller turns it at {MIN_KRL_SPEED_FRACTION * axis.speed / DEG:g} deg/s at least, one "
-            "percent of "
+            f"percent of its maximum, which exceeds {MAX_BLIND_SPEED_M_S / MM:g} mm/s there; set its speed "
+            f"to {max_speed:.0f} deg/s or less in "
         )
-        what += (
-            f"its maximum, which exceeds {MAX_BLIND_SPEED_M_S / MM:g} mm/s there; set its speed to "
-            f"{max_speed:.0f} "
-        )
-        what += "deg/s or less in "
-        field = f"cell.{table.kind}.{'tilt.' if tilts else ''}speed_deg_s"
-        out.append(Issue("problem.turntable", f"{what}the machine data", field=field))
+        field = f"cell.{table.kind}.{'tilt.' if is_tilt else ''}speed_deg_s"
+        out.append(Issue("problem.turntable", f"{message}the machine data", field=field))
     return out

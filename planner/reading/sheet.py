@@ -125,12 +125,12 @@ def build_sheet_stock(spec: SheetFile) -> Stock:
 
 
 def _opening_outline(spec: float | tuple[float, float], corners: int = OPENING_CORNERS) -> FloatArray:
-    """Return the outline (K, 2) [m], counter-clockwise."""
+    """Return the outline (K, 2) [m], counter-clockwise, of a rectangle or a circle by diameter [mm]."""
     if isinstance(spec, tuple):
         x, y = 0.5 * np.array(spec) * MM
         return np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
-    around = np.linspace(0.0, 2.0 * np.pi, corners, endpoint=False)
-    return np.asarray(0.5 * spec * MM * np.stack([np.cos(around), np.sin(around)], axis=1))
+    angles = np.linspace(0.0, 2.0 * np.pi, corners, endpoint=False)
+    return np.asarray(0.5 * spec * MM * np.stack([np.cos(angles), np.sin(angles)], axis=1))
 
 
 def _border_stiffness(clamp: ClampFile) -> float:
@@ -141,18 +141,20 @@ def _border_stiffness(clamp: ClampFile) -> float:
 
 def _clamp_bars(spec: SheetFile, size: FloatArray) -> tuple[Shape, ...]:
     """Return the bars of the clamp on both sides of the sheet, around the opening, in the sheet frame."""
-    outline, c = _opening_outline(spec.opening_mm, CLAMP_BARS), spec.clamp
+    outline, clamp = _opening_outline(spec.opening_mm, CLAMP_BARS), spec.clamp
     ends = np.roll(outline, -1, axis=0)
     out = []
-    for low, high in ((float(size[2]), size[2] + c.above_mm * MM), (-c.below_mm * MM, 0.0)):
+    for low, high in ((float(size[2]), size[2] + clamp.above_mm * MM), (-clamp.below_mm * MM, 0.0)):
         for a, b in zip(outline, ends, strict=True):
             along = (b - a) / np.linalg.norm(b - a)
             outward = np.array([along[1], -along[0]])
-            middle = 0.5 * (a + b) + 0.5 * c.width_mm * MM * outward
-            turn = np.stack([np.append(along, 0), np.append(-outward, 0), [0.0, 0.0, 1.0]], axis=1)
-            over = 2.0 * c.width_mm * MM * float(np.tan(np.pi / len(outline)))  # so that outer edges meet
-            bar = (float(np.linalg.norm(b - a)) + over, c.width_mm * MM, float(high - low))
-            out.append(Shape("box", bar, from_parts(turn, np.append(middle, 0.5 * (low + high)))))
+            centre = 0.5 * (a + b) + 0.5 * clamp.width_mm * MM * outward
+            rotation = np.stack([np.append(along, 0), np.append(-outward, 0), [0.0, 0.0, 1.0]], axis=1)
+            overlap = (
+                2.0 * clamp.width_mm * MM * float(np.tan(np.pi / len(outline)))
+            )  # so that outer edges meet
+            bar = (float(np.linalg.norm(b - a)) + overlap, clamp.width_mm * MM, float(high - low))
+            out.append(Shape("box", bar, from_parts(rotation, np.append(centre, 0.5 * (low + high)))))
     return tuple(out)
 
 
@@ -208,8 +210,8 @@ def build_formed_part(spec: SheetMeshFile, folder: Path, stock: Stock, pose: Flo
     """
     sheet = stock.sheet
     if sheet is None:
-        what = "part.sheet_mesh: the stock is a block, not a sheet; give sheet: instead of stock:"
-        raise issue_error("problem.field", what, field="part.sheet_mesh")
+        message = "part.sheet_mesh: the stock is a block, not a sheet; give sheet: instead of stock:"
+        raise issue_error("problem.field", message, field="part.sheet_mesh")
     path = folder / spec.file
     mesh = sew_cracks(read_mesh(path, None if spec.unit is None else LENGTH_UNITS[spec.unit]))
     issues = check_surface(mesh, "part.sheet_mesh.file", str(path))
@@ -218,8 +220,8 @@ def build_formed_part(spec: SheetMeshFile, folder: Path, stock: Stock, pose: Flo
         raise TandemError(issues)
     rim = border_edges(mesh.faces)
     if not len(rim):
-        what = f"{path}: the mesh is closed; give one face of the sheet as an open surface"
-        raise issue_error("forming.closed_mesh", what, file=str(path), field="part.sheet_mesh.file")
+        message = f"{path}: the mesh is closed; give one face of the sheet as an open surface"
+        raise issue_error("forming.closed_mesh", message, file=str(path), field="part.sheet_mesh.file")
     if spec.frame == "find":
         mesh = _level_mesh(mesh, rim, spec.down)
     mesh = _orient_up(mesh, path)
@@ -298,26 +300,24 @@ def _require_no_ridge(mesh: TriangleMesh, face: TriangleMesh, tolerance: float, 
     group = largest_one_sided_group(mesh, distance, tolerance + MIN_RIDGE_HEIGHT_M)
     if len(group) <= MAX_RIDGE_VERTICES:
         return
-    max_distance, kind = (
-        float(np.abs(distance[group]).max()),
-        "ridge" if distance[group].sum() > 0.0 else "groove",
-    )
+    max_distance = float(np.abs(distance[group]).max())
+    kind = "ridge" if distance[group].sum() > 0.0 else "groove"
     x, y, _ = mesh.vertices[group].mean(axis=0) / MM
     field = "part.sheet_mesh.tolerance_mm"
-    what = (
+    message = (
         f"{path.name}: about ({x:.1f}, {y:.1f}) mm a {kind} of {max_distance / MM:.3g} mm would be smoothed "
     )
-    what += f"as noise, which is {tolerance / MM:.3g} mm at most; it has {len(group)} vertices"
+    message += f"as noise, which is {tolerance / MM:.3g} mm at most; it has {len(group)} vertices"
     hint = "remove it from the mesh, scan it more finely, or, if it need not be formed, state tolerance_mm: "
     hint += f"{np.ceil(max_distance / MM * 100.0) / 100.0:g}"
     value, limit = max_distance / MM, tolerance / MM
     raise issue_error(
-        "part.mesh_tolerance", what, field=field, value=value, limit=limit, unit="mm", hint=hint
+        "part.mesh_tolerance", message, field=field, value=value, limit=limit, unit="mm", hint=hint
     )
 
 
 def with_formed_solids(stock: Stock, part: Part) -> Stock:
-    """Return the sheet with the solids of what will stand out of it, for clearance."""
+    """Return the sheet with convex hulls of the formed part above and below it, for clearance checks."""
     if stock.sheet is None or part.formed is None:
         return stock
     solids = tuple(_formed_solids(part.formed.mesh, float(stock.size[2])))
@@ -349,55 +349,53 @@ def _orient_up(mesh: TriangleMesh, path: Path) -> TriangleMesh:
     corners = mesh.vertices[mesh.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(normal, axis=1)
-    up = float(area[normal[:, 2] > 0.0].sum() / area.sum())
-    if up >= 1.0 - MAX_REVERSED_AREA_FRACTION:
+    up_fraction = float(area[normal[:, 2] > 0.0].sum() / area.sum())
+    if up_fraction >= 1.0 - MAX_REVERSED_AREA_FRACTION:
         return mesh
     directed = np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], axis=2).reshape(-1, 2)
-    is_consistent = len(np.unique(directed, axis=0)) == len(
-        directed
-    )  # each edge is used once in each direction
-    if up <= MAX_REVERSED_AREA_FRACTION or (is_consistent and up < 0.5):
+    # each edge is used at most once in each direction
+    is_consistent = len(np.unique(directed, axis=0)) == len(directed)
+    if up_fraction <= MAX_REVERSED_AREA_FRACTION or (is_consistent and up_fraction < 0.5):
         return TriangleMesh(mesh.vertices, mesh.faces[:, ::-1])
     if is_consistent:
         return mesh
-    what = format_message(
+    message = format_message(
         "forming.inside_out",
         file=path,
-        reversed_percent=100 * min(up, 1 - up),
+        reversed_percent=100 * min(up_fraction, 1 - up_fraction),
         max_reversed_percent=100 * MAX_REVERSED_AREA_FRACTION,
     )
     hint = "orient the faces consistently (normals to one side), or check frame and unit"
-    raise issue_error("forming.inside_out", what, file=str(path), hint=hint)
+    raise issue_error("forming.inside_out", message, file=str(path), hint=hint)
 
 
 def _require_tolerance(
     mesh: TriangleMesh, tolerance: float, stated: float | None, level: float, path: Path
 ) -> None:
     """Refuse a tolerance that is large relative to the depth of the part."""
-    deep = float(np.abs(mesh.vertices[:, 2] - level).max())
+    depth = float(np.abs(mesh.vertices[:, 2] - level).max())
     if stated is not None and not (np.isfinite(stated) and stated > 0.0):
-        what = f"part.sheet_mesh.tolerance_mm: got {stated / MM:g}, allowed: a positive length"
+        text = f"part.sheet_mesh.tolerance_mm: got {stated / MM:g}, allowed: a positive length"
         hint = "state the distance of the vertices from the intended face, or auto to estimate it"
-        raise issue_error("part.mesh_tolerance", what, field="part.sheet_mesh.tolerance_mm", hint=hint)
-    if tolerance <= MAX_TOLERANCE_FRACTION * deep:
+        raise issue_error("part.mesh_tolerance", text, field="part.sheet_mesh.tolerance_mm", hint=hint)
+    if tolerance <= MAX_TOLERANCE_FRACTION * depth:
         return
-    max_tolerance = MAX_TOLERANCE_FRACTION * deep / MM
+    max_tolerance = MAX_TOLERANCE_FRACTION * depth / MM
     if stated is not None:
-        what = (
+        text = (
             f"part.sheet_mesh.tolerance_mm: got {tolerance / MM:g}, allowed is up to {max_tolerance:.3g} for "
-            "a "
+            f"a part that is {depth / MM:.3g} mm deep (a fifth of that); state a smaller one, or auto, or "
+            "check the unit"
         )
-        what += f"part that is {deep / MM:.3g} mm deep (a fifth of that); state a smaller one, or auto, or "
-        what += "check the unit"
         hint = "state the distance of the vertices from the intended face, or auto to estimate it"
     else:
-        what = f"{path}: the vertices are off any smooth face by {tolerance / MM:.3g} mm, allowed is up to "
-        what += f"{max_tolerance:.3g} mm, a fifth of the depth of the part, {deep / MM:.3g} mm"
+        text = f"{path}: the vertices are off any smooth face by {tolerance / MM:.3g} mm, allowed is up to "
+        text += f"{max_tolerance:.3g} mm, a fifth of the depth of the part, {depth / MM:.3g} mm"
         hint = "smooth the mesh, scan the part more finely, or check the unit"
     field = "part.sheet_mesh.tolerance_mm"
     raise issue_error(
         "part.mesh_tolerance",
-        what,
+        text,
         file=str(path),
         field=field,
         **measurement(tolerance / MM, max_tolerance, "mm"),
@@ -414,90 +412,93 @@ def _noise_notes(
     field = "part.sheet_mesh.tolerance_mm"
     distance = np.linalg.norm(face.vertices - mesh.vertices, axis=1)
     typical_distance, max_distance = float(np.quantile(distance, 0.95)) / MM, float(distance.max()) / MM
-    whose = "as estimated from it" if stated is None else "as stated"
-    what = (
-        f"{path.name}: the mesh is accurate within {tolerance / MM:.3g} mm, {whose}; its vertices deviate "
+    source = "as estimated from it" if stated is None else "as stated"
+    message = (
+        f"{path.name}: the mesh is accurate within {tolerance / MM:.3g} mm, {source}; its vertices deviate "
         f"from a smooth face by {noise / MM:.2g} mm (standard deviation), and the face to form deviates "
         f"from them by {typical_distance:.2g} mm at 95 % and {max_distance:.2g} mm at most"
     )
-    note = Issue("part.mesh_noise", what, Severity.NOTE, field=field, value=tolerance / MM, unit="mm")
+    note = Issue("part.mesh_noise", message, Severity.NOTE, field=field, value=tolerance / MM, unit="mm")
     if stated is None or NOISE_BOUND_DEVIATIONS * noise <= NOISE_WARNING_FACTOR * stated:
         return (note,)
     bound = NOISE_BOUND_DEVIATIONS * noise / MM
-    what = (
+    message = (
         f"{path.name}: the vertices are off any smooth face by {bound:.3g} mm, the stated tolerance of the "
         f"mesh is {stated / MM:.3g} mm: the rest remains in the face to form"
     )
     hint = f"state tolerance_mm: {bound:.3g}, or auto"
-    rough = Issue(
+    warning = Issue(
         "part.mesh_noise",
-        what,
+        message,
         Severity.WARNING,
         field=field,
         **measurement(bound, stated / MM, "mm"),
         hint=hint,
     )
-    return note, rough
+    return note, warning
 
 
-def _require_flat_rim(mesh: TriangleMesh, rim: IntArray, flat: float, path: Path) -> None:
+def _require_flat_rim(mesh: TriangleMesh, rim: IntArray, max_distance: float, path: Path) -> None:
+    """Raise ``forming.border`` if a rim vertex is farther than ``max_distance`` [m] from the plane z = 0."""
     distance = np.abs(mesh.vertices[np.unique(rim), 2])
-    if distance.max() <= flat:
+    if distance.max() <= max_distance:
         return
-    where = mesh.vertices[np.unique(rim)][int(np.argmax(distance))] / MM
-    what = (
-        f"{path}: the mesh ends {distance.max() / MM:.2f} mm off the flat sheet, at x {where[0]:.1f}, "
-        f"y {where[1]:.1f} mm; allowed are {flat / MM:.3g} mm, since the rest of the sheet is flat"
+    position_mm = mesh.vertices[np.unique(rim)][int(np.argmax(distance))] / MM
+    text = (
+        f"{path}: the mesh ends {distance.max() / MM:.2f} mm off the flat sheet, at x {position_mm[0]:.1f}, "
+        f"y {position_mm[1]:.1f} mm; allowed are {max_distance / MM:.3g} mm, since the rest of the "
+        "sheet is flat"
     )
     hint = (
         "let the part run out into the sheet's plane (frame: find looks for it), or fill a hole in the mesh"
     )
-    raise issue_error("forming.border", what, file=str(path), hint=hint)
+    raise issue_error("forming.border", text, file=str(path), hint=hint)
 
 
 def _require_fits(mesh: TriangleMesh, sheet: Sheet, path: Path) -> None:
+    """Raise ``forming.flat`` for a flat mesh, ``part.stock_too_small`` for one larger than the opening."""
     formed = mesh.vertices[np.abs(mesh.vertices[:, 2]) > RIM_FLATNESS_M][:, :2]
     if not len(formed):
-        what = f"{path}: the mesh is flat; nothing is to be formed"
-        raise issue_error("forming.flat", what, file=str(path), hint="check its unit and its frame")
+        message = f"{path}: the mesh is flat; nothing is to be formed"
+        raise issue_error("forming.flat", message, file=str(path), hint="check its unit and its frame")
     opening = shapely.Polygon(sheet.opening)
     shapely.prepare(opening)
     formed = formed[~shapely.contains_xy(opening, formed)]
     if not len(formed):
         return
-    out = shapely.distance(opening, shapely.points(formed))
-    if out.max() > 1e-6:
-        where = formed[int(np.argmax(out))] / MM
-        what = (
-            f"{path}: the part extends {out.max() / MM:.1f} mm beyond the opening of the clamp, at "
-            f"x {where[0]:.1f}, y {where[1]:.1f} mm"
+    excess = shapely.distance(opening, shapely.points(formed))
+    if excess.max() > 1e-6:
+        position_mm = formed[int(np.argmax(excess))] / MM
+        message = (
+            f"{path}: the part extends {excess.max() / MM:.1f} mm beyond the opening of the clamp, at "
+            f"x {position_mm[0]:.1f}, y {position_mm[1]:.1f} mm"
         )
-        more = np.ceil(2.0 * out.max() / MM)
+        added_mm = np.ceil(2.0 * excess.max() / MM)
         hint = (
-            f"use a larger sheet and opening (the part needs {more:.0f} mm more, plus space for its tools), "
-            "or move the part (in_stock), or check its unit"
+            f"use a larger sheet and opening (the part needs {added_mm:.0f} mm more, plus space for its "
+            "tools), or move the part (in_stock), or check its unit"
         )
         raise issue_error(
             "part.stock_too_small",
-            what,
+            message,
             field="sheet.opening_mm",
-            **measurement(float(out.max() / MM), 0.0, "mm"),
+            **measurement(float(excess.max() / MM), 0.0, "mm"),
             hint=hint,
         )
 
 
 @memoized
 def _formed_solids(mesh: Mesh, thickness: float) -> list[Shape]:
-    """Return hulls (stock frame) of what stands out below and above the flat sheet."""
+    """Return the convex hulls of the formed regions below and above the flat sheet, in the stock frame."""
     out = []
     rise = np.array([0.0, 0.0, thickness])
     for side in (-1.0, 1.0):
         is_formed = side * mesh.vertices[:, 2] > RIM_FLATNESS_M
         if is_formed.sum() < 3:
             continue
-        used = is_formed[mesh.faces].any(axis=1)
-        points = mesh.vertices[np.unique(mesh.faces[used])]
-        both = np.concatenate([points, points + rise])
-        hull = outer_hull(both)
+        is_used = is_formed[mesh.faces].any(axis=1)
+        points = mesh.vertices[np.unique(mesh.faces[is_used])]
+        both_sides = np.concatenate([points, points + rise])
+        hull = outer_hull(both_sides)
         out.append(Shape("mesh", (), np.eye(4), hull.vertices, hull.faces))
     return out

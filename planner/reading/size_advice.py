@@ -66,10 +66,10 @@ def add_size_advice(
             found_issues = error.issues
         return [issue for issue in found_issues if issue.severity is Severity.ERROR]
 
-    blocked = data.get("sheet") is None
+    is_block = data.get("sheet") is None
     advice = (
         _advise_block(data, errors[0], find_errors)
-        if blocked
+        if is_block
         else _advise_sheet(data, errors[0], find_errors, required_widening)
     )
     return [advice if issue is errors[0] else issue for issue in issues]
@@ -79,31 +79,31 @@ def _advise_block(data: Data, issue: Issue, find_errors: ErrorCheck) -> Issue:
     """Add the smallest block in which the work is feasible, else the one with the fewest remaining faults."""
     if issue.remedy is None or issue.remedy.size_mm is None:
         return issue
-    stock, old = data["stock"], data["stock"]["size_mm"]
+    stock, given_size = data["stock"], data["stock"]["size_mm"]
     stock["size_mm"] = size = list(issue.remedy.size_mm)
-    if any(new > MAX_SIZE_FACTOR * was for new, was in zip(size, old, strict=True)):
+    if any(new > MAX_SIZE_FACTOR * given for new, given in zip(size, given_size, strict=True)):
         return issue
     remaining = find_errors(True)
     if _precedes_motion(remaining) and data["part"].get("in_stock", "auto") == "auto":
         # work stated in the block's frame may be for a part with x and y exchanged
-        stock["size_mm"] = other = [max(old[0], size[1]), max(old[1], size[0]), size[2]]
+        stock["size_mm"] = trial_size = [max(given_size[0], size[1]), max(given_size[1], size[0]), size[2]]
         errors = find_errors(True)
-        size, remaining = (size, remaining) if _precedes_motion(errors) else (other, errors)
-    for more in ADDED_HEIGHTS_MM:
+        size, remaining = (size, remaining) if _precedes_motion(errors) else (trial_size, errors)
+    for added_height in ADDED_HEIGHTS_MM:
         if not remaining or _precedes_motion(remaining):
             break
-        stock["size_mm"] = other = [*size[:2], round(size[2] + more, 1)]
+        stock["size_mm"] = trial_size = [*size[:2], round(size[2] + added_height, 1)]
         errors = find_errors(True)
-        size, remaining = (size, remaining) if errors else (other, errors)
+        size, remaining = (size, remaining) if errors else (trial_size, errors)
     remedy = dataclasses.replace(issue.remedy, size_mm=tuple(size))
     return dataclasses.replace(
         issue, hint=f"set size_mm: {_format_list(size)}{_remaining_text(remaining)}", remedy=remedy
     )
 
 
-def _precedes_motion(left: Sequence[Issue]) -> bool:
+def _precedes_motion(remaining: Sequence[Issue]) -> bool:
     """Whether there is a fault that is found before motion is checked."""
-    return any(not issue.code.startswith("motion.") for issue in left)
+    return any(not issue.code.startswith("motion.") for issue in remaining)
 
 
 def _advise_sheet(
@@ -111,44 +111,42 @@ def _advise_sheet(
 ) -> Issue:
     """Add an opening that fits the part and the tools that form it (forming.clamp)."""
     sheet, settings = data["sheet"], data.get("settings") or {}
-    clear = settings.get("clearance_mm", SettingsFile().clearance_mm)
-    more = 2.0 * (issue.value or 0.0)
-    old, rim = sheet["opening_mm"], 2.0 * (sheet.get("clamp") or {}).get("width_mm", ClampFile().width_mm)
-    if more > (MAX_SIZE_FACTOR - 1.0) * (min(old) if isinstance(old, list) else old):
+    clearance = settings.get("clearance_mm", SettingsFile().clearance_mm)
+    widening = 2.0 * (issue.value or 0.0)
+    given, rim = (sheet["opening_mm"], 2.0 * (sheet.get("clamp") or {}).get("width_mm", ClampFile().width_mm))
+    if widening > (MAX_SIZE_FACTOR - 1.0) * (min(given) if isinstance(given, list) else given):
         return issue
 
     def widened() -> list[float] | float:
-        """Widen the opening by ``more``, rounded up to whole millimetres."""
-        added = math.ceil(more - 1e-6)
-        opening = [value + added for value in old] if isinstance(old, list) else old + added
-        wide = opening if isinstance(opening, list) else [opening] * 2
+        """Widen the opening by ``widening``, rounded up to whole millimetres."""
+        added = math.ceil(widening - 1e-6)
+        opening = [value + added for value in given] if isinstance(given, list) else given + added
+        sides = opening if isinstance(opening, list) else [opening] * 2
         sheet["opening_mm"] = opening
-        sheet["size_mm"] = [max(a, b + rim) for a, b in zip(sheet["size_mm"], wide, strict=True)]
+        sheet["size_mm"] = [max(a, b + rim) for a, b in zip(sheet["size_mm"], sides, strict=True)]
         return opening
 
     widened()
     tool_depth = max(
-        (
-            issue_found.value or 0.0
-            for issue_found in find_errors(False)
-            if issue_found.code == CLAMP_TOO_SMALL
-        ),
-        default=0.0,
+        (fault.value or 0.0 for fault in find_errors(False) if fault.code == CLAMP_TOO_SMALL), default=0.0
     )
-    more += 2.0 * clear + required_widening(tool_depth, not isinstance(old, list))
-    opening, left = widened(), find_errors(False)
-    shown = _format_list(opening) if isinstance(opening, list) else f"{opening:g}"
-    hint = f"set opening_mm: {shown} and size_mm: {_format_list(sheet['size_mm'])}, with space for the tools"
-    text = f"{hint}{_remaining_text(left)}; or move the part (in_stock), or check its unit"
+    widening += 2.0 * clearance + required_widening(tool_depth, not isinstance(given, list))
+    opening, remaining = widened(), find_errors(False)
+    opening_text = _format_list(opening) if isinstance(opening, list) else f"{opening:g}"
+    hint = (
+        f"set opening_mm: {opening_text} and size_mm: {_format_list(sheet['size_mm'])}, with space for the "
+        "tools"
+    )
+    text = f"{hint}{_remaining_text(remaining)}; or move the part (in_stock), or check its unit"
     return dataclasses.replace(issue, hint=text)
 
 
-def _remaining_text(left: Sequence[Issue]) -> str:
+def _remaining_text(remaining: Sequence[Issue]) -> str:
     """Describe the remaining faults of a tried size."""
-    if not left:
+    if not remaining:
         return " (tried)"
-    codes = list(dict.fromkeys(issue.code for issue in left))[:MAX_NAMED_FAULTS]
-    first = [next(issue for issue in left if issue.code == code) for code in codes]
+    codes = list(dict.fromkeys(issue.code for issue in remaining))[:MAX_NAMED_FAULTS]
+    first = [next(issue for issue in remaining if issue.code == code) for code in codes]
     texts = (f"{issue.message}; {issue.hint}" if issue.hint else issue.message for issue in first)
     return f"; then remains: {'; and '.join(texts)}"
 

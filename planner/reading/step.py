@@ -120,18 +120,18 @@ def _selected_face(spec: StepFile, folder: Path, field: str) -> tuple[NurbsSurfa
     answer = _query_file(spec, path, field)
     if answer.get("fault"):
         raise file_error("part.step", path, field, f"cannot be read: {answer['fault']}; export it again")
-    size, note = _file_unit(answer["units"], spec, path, field)
+    metres_per_unit, note = _file_unit(answer["units"], spec, path, field)
     if answer["count"] != 1:
-        shown = "; ".join(_describe_face(listed) for listed in answer["faces"][:12])
-        what = (
+        face_list = "; ".join(_describe_face(listed) for listed in answer["faces"][:12])
+        message = (
             f"has {answer['count']} faces{spec.selection_text()} in {answer['bodies']} bodies, expected 1; "
         )
-        what += (
-            f"give the number of one (face: 3), its name or colour: {shown}"
-            if shown
+        message += (
+            f"give the number of one (face: 3), its name or colour: {face_list}"
+            if face_list
             else ("only surfaces and solids are read; save the face with the file, or select another")
         )
-        raise file_error("part.step", path, field, what)
+        raise file_error("part.step", path, field, message)
     errors = FaceErrors("part.step", "part.step_facets", path, field, f"the face{spec.selection_text()}")
     spline = answer["surface"]
     if spline.get("fault"):
@@ -139,9 +139,9 @@ def _selected_face(spec: StepFile, folder: Path, field: str) -> tuple[NurbsSurfa
     region = np.array(spline["region"])
     edges = [np.array(edge) for edge in spline["edges"]]
     if bounding_rectangle(edges, LINE_TOLERANCE_FRACTION * np.ptp(region, axis=1)) is None:
-        what = "is not trimmed along its parameter lines; untrim it, or create it again from its edges"
-        raise errors.error(what)
-    control = np.array(spline["control"]) * np.array([size, size, size, 1.0])
+        message = "is not trimmed along its parameter lines; untrim it, or create it again from its edges"
+        raise errors.error(message)
+    control = np.array(spline["control"]) * np.array([metres_per_unit, metres_per_unit, metres_per_unit, 1.0])
     if not np.isfinite(control).all() or (control[..., 3] <= 0.0).any():
         raise errors.error(
             "has numbers that are not finite, or weights that are not positive; create it again"
@@ -159,20 +159,24 @@ def _describe_face(face: dict[str, Any]) -> str:
 
 
 def _query_file(spec: StepFile, path: Path, field: str) -> dict[str, Any]:
-    """Query the file with Open CASCADE in a separate process."""
+    """Return the answer of Open CASCADE, which reads the file in a separate process.
+
+    Raises:
+        TandemError: As :func:`read_ruled`; ``part.step`` if the process fails or takes too long.
+    """
     if not is_file(path):
         raise file_error("problem.missing_file", path, field, f"{missing_file_reason(path)}; check the path")
     if path.suffix.lower() not in STEP_SUFFIXES:
-        what = f"got '{path.suffix}', allowed STEP (.step, .stp) and IGES (.igs, .iges); convert it"
-        raise file_error("part.step", path, field, what)
+        text = f"got '{path.suffix}', allowed STEP (.step, .stp) and IGES (.igs, .iges); convert it"
+        raise file_error("part.step", path, field, text)
     if path.stat().st_size > MAX_BYTES:
         raise file_error("problem.too_large", path, field, "more than 50 MB; export only what is needed")
     if importlib.util.find_spec("OCP") is None:
-        what = f"STEP and IGES files need Open CASCADE; {STEP_INSTALL}"
-        raise file_error("part.extra_missing", path, field, what)
+        text = f"STEP and IGES files need Open CASCADE; {STEP_INSTALL}"
+        raise file_error("part.extra_missing", path, field, text)
     request = {"file": str(path.absolute()), "face": spec.face, "name": spec.name, "colour": spec.colour}
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             [sys.executable, "-m", "planner.reading.occt"],
             input=json.dumps(request).encode(),
             capture_output=True,
@@ -181,26 +185,31 @@ def _query_file(spec: StepFile, path: Path, field: str) -> dict[str, Any]:
             cwd=Path(__file__).parents[2],  # modules are found here first, not in the user's folder
         )
     except subprocess.TimeoutExpired as error:
-        what = f"was not read after {READ_TIMEOUT_S:g} s; export only the face that is needed"
-        raise file_error("part.step", path, field, what) from error
-    if done.returncode != 0:
-        last = (done.stderr.decode(errors="replace").strip().splitlines() or ["it crashed"])[-1][:160]
-        what = f"cannot be read by Open CASCADE ({last}); export it again, or only the face that is needed"
-        raise file_error("part.step", path, field, what)
-    out: dict[str, Any] = json.loads(done.stdout)
+        text = f"was not read after {READ_TIMEOUT_S:g} s; export only the face that is needed"
+        raise file_error("part.step", path, field, text) from error
+    if process.returncode != 0:
+        last_line = (process.stderr.decode(errors="replace").strip().splitlines() or ["it crashed"])[-1][:160]
+        text = (
+            f"cannot be read by Open CASCADE ({last_line}); export it again, or only the face that is needed"
+        )
+        raise file_error("part.step", path, field, text)
+    out: dict[str, Any] = json.loads(process.stdout)
     return out
 
 
 def _file_unit(units: list[str], spec: StepFile, path: Path, field: str) -> tuple[float, Issue]:
-    """Return the metres of a length that was read as a millimetre, and a note on the unit."""
+    """Return the length [m] of one unit of the read coordinates, and a note on the file's unit.
+
+    Open CASCADE converts coordinates to millimetres by the file's unit. Without one it leaves them unchanged.
+    """
     stated = None if spec.unit is None else LENGTH_UNITS[spec.unit]
     if not units and stated is None:
         raise file_error("part.step", path, field, "states no unit of length; state it (unit: mm)")
     if units and stated is not None:
         file_units = {UNITS.get(name.lower()) for name in units}
         if file_units != {stated}:
-            what = f"is in {' and '.join(units).lower()}, but the problem states {spec.unit}; remove unit"
-            raise file_error("part.step", path, field, what)
-    what = f"{path.name} is in {' and '.join(units).lower() if units else spec.unit}"
-    note = Issue("part.step_unit", what, Severity.NOTE, file=str(path), field=field)
+            message = f"is in {' and '.join(units).lower()}, but the problem states {spec.unit}; remove unit"
+            raise file_error("part.step", path, field, message)
+    message = f"{path.name} is in {' and '.join(units).lower() if units else spec.unit}"
+    note = Issue("part.step_unit", message, Severity.NOTE, file=str(path), field=field)
     return MM if units or stated is None else stated, note

@@ -128,13 +128,13 @@ def mount_gripper(cell: Cell, spec: StockFile) -> Cell:
         return cell
     gripper = next((tool for tool in cell.grippers if tool.name == spec.gripper), None)
     if gripper is None or spec.held_by not in [arm.name for arm in cell.arms]:
-        known = ", ".join(tool.name for tool in cell.grippers) or "none"
-        what = (
-            f"stock.gripper: got {spec.gripper}; the cell's grippers are {known}"
+        gripper_names = ", ".join(tool.name for tool in cell.grippers) or "none"
+        message = (
+            f"stock.gripper: got {spec.gripper}; the cell's grippers are {gripper_names}"
             if gripper is None
             else "stock.gripper: a gripper is stated, but no arm holds the block; give held_by"
         )
-        raise issue_error("problem.field", what, field="stock.gripper")
+        raise issue_error("problem.field", message, field="stock.gripper")
     arms = tuple(
         dataclasses.replace(arm, tool=gripper) if arm.name == spec.held_by else arm for arm in cell.arms
     )
@@ -154,14 +154,14 @@ def build_change(spec: SetupFile, arms: tuple[Arm, ...], folder: Path, number: i
         TandemError: For tools and mesh files.
     """
     field = f"operations.{number}.setup"
-    known = {arm.name: arm for arm in arms}
+    arms_by_name = {arm.name: arm for arm in arms}
     tools, steps, issues = {}, [], []
     for name, tool_spec in spec.tools.items():
-        if name not in known:
-            issues.append(_unknown_arm_issue(f"{field}.tools", name, known))
+        if name not in arms_by_name:
+            issues.append(_unknown_arm_issue(f"{field}.tools", name, arms_by_name))
             continue
         tools[name] = cell_file.build_tool(tool_spec, folder)
-        data = known[name].data
+        data = arms_by_name[name].data
         if tools[name].mass > data.payload:
             issues.append(cell_file.tool_too_heavy_issue(name, f"{field}.tools.{name}", tools[name], data))
         steps.append(f"Mount the tool {tools[name].name} on arm {name}.")
@@ -193,15 +193,15 @@ def build_change(spec: SetupFile, arms: tuple[Arm, ...], folder: Path, number: i
 def first_instructions(problem: Problem) -> tuple[str, ...]:
     """Return the instructions before the first operation, if something is changed or held."""
     steps = []
-    first, several = problem.setups[0], len(problem.setups) > 1
-    if several:
+    first, has_changes = problem.setups[0], len(problem.setups) > 1
+    if has_changes:
         steps += [f"Mount the tool {arm.tool.name} on arm {arm.name}." for arm in first.cell.arms]
     if first.stock.held_by is not None:
         tool = first.cell.arm(first.stock.held_by).tool
-        if not several and tool in first.cell.grippers:
+        if not has_changes and tool in first.cell.grippers:
             steps.append(f"Mount the tool {tool.name} on arm {first.stock.held_by}.")
         steps.append(f"Fix the block to the gripper of arm {first.stock.held_by} as the setup sheet says.")
-    elif several:
+    elif has_changes:
         steps.append("Clamp the block as the setup sheet says.")
     return tuple(steps)
 
@@ -216,27 +216,28 @@ def check_setups(problem: Problem) -> Iterator[Issue]:
 
 
 def _held_block_issues(setup: Setup, field: str) -> Iterator[Issue]:
+    """Yield issues of a block that an arm holds in a setup; ``field`` states the block."""
     block, name = setup.stock, setup.stock.held_by
-    known = {arm.name: arm for arm in setup.cell.arms}
-    if name not in known:
-        yield _unknown_arm_issue(f"{field}.held_by", str(name), known)
+    arms_by_name = {arm.name: arm for arm in setup.cell.arms}
+    if name not in arms_by_name:
+        yield _unknown_arm_issue(f"{field}.held_by", str(name), arms_by_name)
         return
-    arm = known[name]
+    arm = arms_by_name[name]
     tool = arm.tool
     if not isinstance(tool, Gripper):
-        what = f"{field}.held_by: arm {name} carries the tool {tool.name}, which holds no block; give it "
-        what += "a gripper_plate or a vacuum_cup"
-        yield Issue("stock.gripper", what, field=f"{field}.held_by", arm=name)
+        text = f"{field}.held_by: arm {name} carries the tool {tool.name}, which holds no block; give it "
+        text += "a gripper_plate or a vacuum_cup"
+        yield Issue("stock.gripper", text, field=f"{field}.held_by", arm=name)
         return
     if block.mass is None:
-        what = f"{field}: the block is held by arm {name}, but its weight is unknown; state its foam"
-        yield Issue("stock.foam_missing", what, field="stock.foam")
+        text = f"{field}: the block is held by arm {name}, but its weight is unknown; state its foam"
+        yield Issue("stock.foam_missing", text, field="stock.foam")
         return
     if block.support or block.pedestal:
-        what = f"{field}.support: a block that arm {name} holds has no support; give support: [], and list "
-        what += "other bodies of the cell among its obstacles"
-        yield Issue("problem.field", what, field=f"{field}.support")
-    payload, needed = arm.data.payload, GRIP_FORCE_FACTOR * block.mass * GRAVITY
+        text = f"{field}.support: a block that arm {name} holds has no support; give support: [], and list "
+        text += "other bodies of the cell among its obstacles"
+        yield Issue("problem.field", text, field=f"{field}.support")
+    payload, required_force = arm.data.payload, GRIP_FORCE_FACTOR * block.mass * GRAVITY
     if tool.mass + block.mass > payload:
         yield Issue(
             "stock.too_heavy",
@@ -253,7 +254,7 @@ def _held_block_issues(setup: Setup, field: str) -> Iterator[Issue]:
             arm=name,
             **measurement(block.mass + tool.mass, payload, "kg"),
         )
-    elif needed > tool.holding_force:
+    elif required_force > tool.holding_force:
         yield Issue(
             "stock.grip_force",
             format_message(
@@ -262,12 +263,12 @@ def _held_block_issues(setup: Setup, field: str) -> Iterator[Issue]:
                 gripper=tool.name,
                 holding_force_n=tool.holding_force,
                 block_kg=block.mass,
-                required_force_n=needed,
+                required_force_n=required_force,
                 force_factor=GRIP_FORCE_FACTOR,
             ),
             field=f"{field}.held_by",
             arm=arm.name,
-            **measurement(needed, tool.holding_force, "N"),
+            **measurement(required_force, tool.holding_force, "N"),
         )
     yield from _footprint_issues(block, arm.name, tool, field)
 
@@ -277,16 +278,16 @@ def _footprint_issues(block: Stock, arm: str, tool: Gripper, field: str) -> Iter
     angle = float(np.arccos(np.clip(block.grip[2, 2], -1.0, 1.0)))
     gap = float(block.grip[2, 3] + block.lower[2])
     if angle > MAX_GRIP_ANGLE_RAD or abs(gap) > MAX_GRIP_GAP_M:
-        how = (
+        deviation_text = (
             f"{angle / DEG:.1f} degrees off it" if angle > MAX_GRIP_ANGLE_RAD else f"{gap / MM:.1f} mm off it"
         )
-        what = f"{field}.grip: the block's bottom face must lie on {tool.name}, whose z points into the "
-        what += (
-            f"block, but is {how}; allowed are {MAX_GRIP_ANGLE_RAD / DEG:g} degrees and "
-            f"{MAX_GRIP_GAP_M / MM:g} mm: "
+        message = (
+            f"{field}.grip: the block's bottom face must lie on {tool.name}, whose z points into the block, "
+            f"but is {deviation_text}; allowed are {MAX_GRIP_ANGLE_RAD / DEG:g} degrees and "
+            f"{MAX_GRIP_GAP_M / MM:g} mm: turn the grip about z only, with {abs(block.lower[2]) / MM:g} as "
+            "its z (the oversize below)"
         )
-        what += f"turn the grip about z only, with {abs(block.lower[2]) / MM:g} as its z (the oversize below)"
-        yield Issue("stock.footprint", what, field=f"{field}.grip", arm=arm)
+        yield Issue("stock.footprint", message, field=f"{field}.grip", arm=arm)
         return
     half = 0.5 * np.array(tool.footprint)
     corners = np.array([[x, y, 0.0, 1.0] for x in (-half[0], half[0]) for y in (-half[1], half[1])])
@@ -304,23 +305,27 @@ def _footprint_issues(block: Stock, arm: str, tool: Gripper, field: str) -> Iter
 
 
 def _pose_fields(placement: Literal["auto"] | PoseFile, tilt: tuple[float, float] | None) -> dict[str, Any]:
+    """Return the fields of a stock that follow from its place, or from roll and pitch [deg] without one."""
     pose = None if isinstance(placement, str) else placement.to_matrix()
     roll, pitch = np.array(tilt or (0.0, 0.0)) * DEG
     attitude = from_rpy((0, 0, 0), (roll, pitch, 0))[:3, :3] if pose is None else pose[:3, :3]
     return {"place": pose, "attitude": attitude, "any_attitude": pose is None and tilt is None}
 
 
-def _support_fields(given: SupportFile, folder: Path) -> dict[str, Any]:
-    if isinstance(given, str):
-        return {"support": (), "pedestal": TABLE if given == "table" else PEDESTAL}
-    return {"support": tuple(cell_file.build_shape(s, folder) for s in given), "pedestal": None}
+def _support_fields(support: SupportFile, folder: Path) -> dict[str, Any]:
+    """Return the fields of a stock for a kind of support that Tandem designs, or for given shapes."""
+    if isinstance(support, str):
+        return {"support": (), "pedestal": TABLE if support == "table" else PEDESTAL}
+    return {"support": tuple(cell_file.build_shape(s, folder) for s in support), "pedestal": None}
 
 
 def _oversize_array(sides: tuple[Sides, Sides, Sides]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return the oversize (2, 3) [m]: below and above, along x, y and z."""
     return np.array(sides, dtype=np.float64).T * MM
 
 
 def _read_foam(spec: str | FoamReference | None, folder: Path) -> FoamMaterial | None:
+    """Return the foam of a file, or of the table by its name; None if none is stated."""
     if isinstance(spec, FoamReference):
         return material_file.read_foam(folder / spec.file)
     if spec is None:
@@ -331,6 +336,6 @@ def _read_foam(spec: str | FoamReference | None, folder: Path) -> FoamMaterial |
         raise TandemError([dataclasses.replace(i, field="stock.foam") for i in error.issues]) from None
 
 
-def _unknown_arm_issue(field: str, name: str, known: Mapping[str, Arm]) -> Issue:
-    what = f"{field}: '{name}' is not an arm of the cell; it has {', '.join(known)}"
-    return Issue("problem.unknown_arm", what, field=field)
+def _unknown_arm_issue(field: str, name: str, arms_by_name: Mapping[str, Arm]) -> Issue:
+    message = f"{field}: '{name}' is not an arm of the cell; it has {', '.join(arms_by_name)}"
+    return Issue("problem.unknown_arm", message, field=field)

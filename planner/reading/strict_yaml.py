@@ -65,12 +65,12 @@ class _Dumper(_SafeDumper):
         return True
 
 
-for _one in (_Loader, _Dumper):
-    _one.yaml_implicit_resolvers = {
-        first: [(tag, pattern) for tag, pattern in known if not tag.endswith(":timestamp")]
-        for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
+for _yaml_class in (_Loader, _Dumper):
+    _yaml_class.yaml_implicit_resolvers = {
+        first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith(":timestamp")]
+        for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
-    _one.add_implicit_resolver(
+    _yaml_class.add_implicit_resolver(
         "tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+0123456789.")
     )
 
@@ -135,10 +135,10 @@ def read(path: Path) -> Document:
         )
     size = path.stat().st_size
     if size > MAX_YAML_BYTES:
-        what = f"{name}: {size / 1e6:.1f} MB, allowed {MAX_YAML_BYTES / 1e6:.0f} MB for YAML; put "
-        what += "meshes and point lists into separate files"
+        message = f"{name}: {size / 1e6:.1f} MB, allowed {MAX_YAML_BYTES / 1e6:.0f} MB for YAML; put "
+        message += "meshes and point lists into separate files"
         raise issue_error(
-            "problem.too_large", what, file=name, **measurement(size / 1e6, MAX_YAML_BYTES / 1e6, "MB")
+            "problem.too_large", message, file=name, **measurement(size / 1e6, MAX_YAML_BYTES / 1e6, "MB")
         )
     try:
         raw = path.read_bytes()
@@ -171,25 +171,23 @@ def parse(raw: bytes, name: str) -> tuple[dict[str, Any], yaml.Node | None]:
         data = yaml.load(text, Loader=_Loader)  # a SafeLoader
     except RecursionError as error:
         raise _yaml_error(name, _TOO_DEEPLY_NESTED) from error
-    except (
-        yaml.YAMLError,
-        ValueError,
-        KeyError,
-        AttributeError,
-    ) as error:  # values that do not fit their tag
+    # other than YAMLError: values that do not fit their tag
+    except (yaml.YAMLError, ValueError, KeyError, AttributeError) as error:
         if "nesting depth" in str(error):  # PyYAML counts too, from 6.0.4 on
             raise _yaml_error(name, _TOO_DEEPLY_NESTED) from error
         mark = getattr(error, "problem_mark", None)
         detail = getattr(error, "problem", None) or str(error).splitlines()[0]
         line = mark.line + 1 if mark else None
-        tabs = line is not None and "\t" in (text.splitlines()[line - 1 : line] or [""])[0]
-        remedy = "indent with spaces, not tabs" if tabs else "write a mapping, one name and value per line"
-        what = f"is not YAML: {detail}; {remedy}"
-        raise _yaml_error(name, what, line) from error
+        has_tabs = line is not None and "\t" in (text.splitlines()[line - 1 : line] or [""])[0]
+        remedy = (
+            "indent with spaces, not tabs" if has_tabs else "write a mapping, one name and value per line"
+        )
+        message = f"is not YAML: {detail}; {remedy}"
+        raise _yaml_error(name, message, line) from error
     if not isinstance(data, dict):
-        got = type(data).__name__ if data is not None else "nothing"
-        what = f"has {got} at its top level; write a mapping, one name and value per line"
-        raise _yaml_error(name, what, 1)
+        type_name = type(data).__name__ if data is not None else "nothing"
+        message = f"has {type_name} at its top level; write a mapping, one name and value per line"
+        raise _yaml_error(name, message, 1)
     return data, root
 
 
@@ -221,7 +219,11 @@ def set_field(data: dict[str, Any], path: str, value: Any, folder: Path) -> None
 
 
 def _key(node: Any, step: str, path: str) -> str | int:
-    """Return the key of a step in a mapping or list."""
+    """Return the key of a step in a mapping, or its index in a list by number or by an entry's name.
+
+    Raises:
+        ValueError: If a list has no such entry, or the node is a single value.
+    """
     if isinstance(node, dict):
         return step
     if not isinstance(node, list):
@@ -230,14 +232,17 @@ def _key(node: Any, step: str, path: str) -> str | int:
         if int(step) >= len(node):
             raise ValueError(f"{path}: the list has {len(node)} entries, counted from 0; choose one of them")
         return int(step)
-    named = [i for i, entry in enumerate(node) if isinstance(entry, dict) and entry.get("name") == step]
-    if len(named) != 1:
-        known = ", ".join(str(e["name"]) for e in node if isinstance(e, dict) and "name" in e) or "none"
-        raise ValueError(f"{path}: {len(named)} entries have that name, known are {known}; choose one")
-    return named[0]
+    matches = [i for i, entry in enumerate(node) if isinstance(entry, dict) and entry.get("name") == step]
+    if len(matches) != 1:
+        known_names = ", ".join(str(e["name"]) for e in node if isinstance(e, dict) and "name" in e) or "none"
+        raise ValueError(
+            f"{path}: {len(matches)} entries have that name, known are {known_names}; choose one"
+        )
+    return matches[0]
 
 
 def _with_absolute_files(value: Any, folder: Path, key: str) -> Any:
+    """Return the value of a key with all file names in it relative to ``folder`` made absolute."""
     if key in FILE_KEYS and isinstance(value, str):
         return str((folder / value).resolve())
     if isinstance(value, dict):
@@ -248,6 +253,7 @@ def _with_absolute_files(value: Any, folder: Path, key: str) -> Any:
 
 
 def _child_node(node: yaml.Node | None, step: str | int) -> tuple[yaml.Node, int] | None:
+    """Return the node of a key or index below a node, and its line from 1; None if there is none."""
     if isinstance(node, yaml.MappingNode):
         for key, value in node.value:
             if key.value == str(step):
@@ -258,8 +264,8 @@ def _child_node(node: yaml.Node | None, step: str | int) -> tuple[yaml.Node, int
     return None
 
 
-def _yaml_error(name: str, what: str, line: int | None = None) -> TandemError:
-    return issue_error("problem.not_yaml", f"{name} {what}", file=name, line=line)
+def _yaml_error(name: str, message: str, line: int | None = None) -> TandemError:
+    return issue_error("problem.not_yaml", f"{name} {message}", file=name, line=line)
 
 
 def _refuse_too_large(text: str, name: str) -> None:
@@ -302,10 +308,10 @@ def _require_plain(root: yaml.Node, name: str) -> None:
         if isinstance(node, yaml.MappingNode):
             for key, _ in node.value:
                 if key.tag not in ("tag:yaml.org,2002:str", "tag:yaml.org,2002:merge"):
-                    what = f"has the key {key.value!r}, which is not text; write it as a name"
+                    message = f"has the key {key.value!r}, which is not text; write it as a name"
                     raise _yaml_error(
                         name,
-                        what
+                        message
                         if isinstance(key, yaml.ScalarNode)
                         else "has a key that is not text; write a name",
                         key.start_mark.line + 1,
@@ -335,10 +341,10 @@ def _refuse_duplicate_keys(node: yaml.Node, name: str) -> None:
             seen: set[str] = set()
             for key, value in current.value:
                 if key.value in seen:
-                    what = f"key '{key.value}' occurs twice in one mapping; keep one"
+                    message = f"key '{key.value}' occurs twice in one mapping; keep one"
                     raise issue_error(
                         "problem.duplicate_name",
-                        what,
+                        message,
                         file=name,
                         line=key.start_mark.line + 1,
                         field=str(key.value),
@@ -405,10 +411,10 @@ def read_file(model: type[_Schema], path: Path, code: str) -> _Schema:
     """
     document = read(path)
 
-    def fault_issue(what: str, got: object, path_in_file: tuple[str | int, ...]) -> Issue:
+    def fault_issue(message: str, value: object, path_in_file: tuple[str | int, ...]) -> Issue:
         return Issue(
             code,
-            f"{what}; got {got!r:.80}",
+            f"{message}; got {value!r:.80}",
             file=str(document.path),
             line=document.line(path_in_file),
             field=".".join(map(str, path_in_file)),

@@ -115,9 +115,9 @@ class UrdfChain:
         # exp([S_i] q_i) is a rotation R about an axis through p: x -> R x + (p - R p)
         pose = zero[-1]
         for i in reversed(range(len(axis))):
-            turn = exp_rotation(np.asarray(q)[..., i, None] * axis[i])
+            rotation = exp_rotation(np.asarray(q)[..., i, None] * axis[i])
             point = zero[i + 1, :3, 3]
-            pose = from_parts(turn, point - turn @ point) @ pose
+            pose = from_parts(rotation, point - rotation @ point) @ pose
         return np.asarray(pose)
 
 
@@ -142,19 +142,19 @@ def read_chain(text: str, base: str, tip: str | None) -> UrdfChain:
         tip: Name of the tip link; None for the first of :data:`DEFAULT_TIPS`.
 
     Raises:
-        TandemError: With all faults: ``robot.urdf`` for a text that is no URDF, ``robot.chain`` for an
+        TandemError: With all faults: ``robot.urdf`` for a text that is not a URDF, ``robot.chain`` for an
             unsupported chain (:class:`CoupledError` for mimic joints), ``robot.limits`` for joints without a
             range or a speed.
     """
     root = _parse_root(text)
     links = _links_by_name(root)
-    above = _joints_by_child(root, links)
-    tip = _find_tip(links, above, base, tip)
-    for word, name in (("base", base), ("tip", tip)):
+    joint_by_child = _joints_by_child(root, links)
+    tip = _find_tip(links, joint_by_child, base, tip)
+    for role, name in (("base", base), ("tip", tip)):
         if name not in links:
-            what = f"{word}: the URDF has no link {name!r}, it has {_list_names(sorted(links))}"
-            raise issue_error("robot.chain", what, field=word, hint=f"name one of these as {word}")
-    joints = _joints_between(above, base, tip)
+            message = f"{role}: the URDF has no link {name!r}, it has {_list_names(sorted(links))}"
+            raise issue_error("robot.chain", message, field=role, hint=f"name one of these as {role}")
+    joints = _joints_between(joint_by_child, base, tip)
     issues = list(_joint_faults(joints))
     if issues:
         mimic_joints = [joint for joint in joints if joint.find("mimic") is not None]
@@ -162,8 +162,8 @@ def read_chain(text: str, base: str, tip: str | None) -> UrdfChain:
             raise TandemError(issues)
         for joint in mimic_joints:
             joint.set("type", "fixed")
-        raise CoupledError(issues, _build_chain(root, joints, above, base, tip))
-    return _build_chain(root, joints, above, base, tip)
+        raise CoupledError(issues, _build_chain(root, joints, joint_by_child, base, tip))
+    return _build_chain(root, joints, joint_by_child, base, tip)
 
 
 def limit_faults(chain: UrdfChain) -> list[Issue]:
@@ -171,16 +171,17 @@ def limit_faults(chain: UrdfChain) -> list[Issue]:
     return [
         Issue(
             "robot.limits",
-            format_message("robot.limits", joint=name, fault=what, remedy=hint),
+            format_message("robot.limits", joint=name, fault=fault, remedy=hint),
             field="urdf",
             bodies=(name,),
         )
         for i, name in enumerate(chain.joints)
-        for what, hint in _limit_faults(chain, i)
+        for fault, hint in _limit_faults(chain, i)
     ]
 
 
 def _limit_faults(chain: UrdfChain, i: int) -> Iterator[tuple[str, str]]:
+    """Yield faults and remedies of the range and the speed of joint ``i``."""
     lower, upper, velocity = chain.lower[i], chain.upper[i], chain.velocity[i]
     if chain.kinds[i] == "continuous":
         yield (
@@ -193,23 +194,24 @@ def _limit_faults(chain: UrdfChain, i: int) -> Iterator[tuple[str, str]]:
             "add it in rad, from the manufacturer's data sheet",
         )
     elif not lower < upper:
-        got = f"got a range from {lower:g} to {upper:g} rad; lower has to be below upper"
-        yield got, "correct it by the manufacturer's data sheet"
+        fault = f"got a range from {lower:g} to {upper:g} rad; lower has to be below upper"
+        yield fault, "correct it by the manufacturer's data sheet"
     elif upper - lower > 100.0:
-        got = f"got a range of {upper - lower:g} rad; allowed are 100"
-        yield got, "a URDF is in rad: correct it"
+        fault = f"got a range of {upper - lower:g} rad; allowed are 100"
+        yield fault, "a URDF is in rad: correct it"
     if not velocity > 0.0:
-        got = "no speed" if np.isnan(velocity) else f"a speed of {velocity:g} rad/s"
+        fault = "no speed" if np.isnan(velocity) else f"a speed of {velocity:g} rad/s"
         yield (
-            f"got {got}; allowed: a positive speed",
+            f"got {fault}; allowed: a positive speed",
             "add velocity to its <limit>, from the manufacturer's data sheet",
         )
     elif velocity > 50.0:
-        got = f"got a speed of {velocity:g} rad/s; allowed are 50"
-        yield got, "a URDF is in rad/s: correct it"
+        fault = f"got a speed of {velocity:g} rad/s; allowed are 50"
+        yield fault, "a URDF is in rad/s: correct it"
 
 
 def _parse_root(text: str) -> ET.Element:
+    """Return the <robot> element. Raises ``robot.urdf`` for a text that is not a URDF."""
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise _urdf_error("has a <!DOCTYPE> or an <!ENTITY>, which is not allowed", "remove it")
     try:
@@ -230,11 +232,12 @@ def _is_xacro(element: ET.Element) -> bool:
     return any("${" in value or "$(" in value for value in element.attrib.values())
 
 
-def _urdf_error(what: str, hint: str) -> TandemError:
-    return issue_error("robot.urdf", f"the file {what}", field="urdf", hint=hint)
+def _urdf_error(message: str, hint: str) -> TandemError:
+    return issue_error("robot.urdf", f"the file {message}", field="urdf", hint=hint)
 
 
 def _links_by_name(root: ET.Element) -> dict[str, ET.Element]:
+    """Return all links by name. Raises ``robot.urdf`` for missing and repeated names, or too many links."""
     out: dict[str, ET.Element] = {}
     for link in root.findall("link"):
         name = link.get("name") or ""
@@ -251,7 +254,8 @@ def _links_by_name(root: ET.Element) -> dict[str, ET.Element]:
 
 
 def _joints_by_child(root: ET.Element, links: dict[str, ET.Element]) -> dict[str, ET.Element]:
-    above: dict[str, ET.Element] = {}
+    """Return the joint that carries each link, by the link's name. Raises ``robot.urdf`` for invalid ones."""
+    joint_by_child: dict[str, ET.Element] = {}
     names: set[str] = set()
     for joint in root.findall("joint"):
         joint_name = joint.get("name") or ""
@@ -265,14 +269,16 @@ def _joints_by_child(root: ET.Element, links: dict[str, ET.Element]) -> dict[str
         for name in ends:
             if name not in links:
                 raise _urdf_error(f"has a joint {joint.get('name')!r} at a missing link {name!r}", "add it")
-        if ends[1] in above:
-            what = f"attaches the link {ends[1]!r} to two joints, {above[ends[1]].get('name')!r} and "
-            raise _urdf_error(f"{what}{joint.get('name')!r}", "keep one of them")
+        if ends[1] in joint_by_child:
+            text = (
+                f"attaches the link {ends[1]!r} to two joints, {joint_by_child[ends[1]].get('name')!r} and "
+            )
+            raise _urdf_error(f"{text}{joint.get('name')!r}", "keep one of them")
         if joint.get("type") not in (*_MOVING, "fixed"):
-            what = f"has a joint {joint.get('name')!r} of the type {joint.get('type')!r}"
-            raise _urdf_error(f"{what}; allowed are revolute and fixed", "correct it")
-        above[ends[1]] = joint
-    return above
+            text = f"has a joint {joint.get('name')!r} of the type {joint.get('type')!r}"
+            raise _urdf_error(f"{text}; allowed are revolute and fixed", "correct it")
+        joint_by_child[ends[1]] = joint
+    return joint_by_child
 
 
 def _linked_name(joint: ET.Element, role: str) -> str:
@@ -283,55 +289,64 @@ def _linked_name(joint: ET.Element, role: str) -> str:
     return name
 
 
-def _find_tip(links: dict[str, ET.Element], above: dict[str, ET.Element], base: str, tip: str | None) -> str:
+def _find_tip(
+    links: dict[str, ET.Element], joint_by_child: dict[str, ET.Element], base: str, tip: str | None
+) -> str:
+    """Return the stated tip, else the first of `DEFAULT_TIPS` that exists, else raise ``robot.chain``."""
     if tip is not None:
         return tip
     for name in DEFAULT_TIPS:
         if name in links:
             return name
-    what = (
+    text = (
         f"tip: not stated, and the URDF has no link {' or '.join(DEFAULT_TIPS)}; it has "
         f"{_list_names(sorted(links))}"
     )
-    carried = {_linked_name(joint, "parent") for joint in above.values()}
+    carried = {_linked_name(joint, "parent") for joint in joint_by_child.values()}
     moving_counts = {
-        name: sum(joint.get("type") in _MOVING for joint in _joints_between(above, base, name))
-        for name in _descendants(above, base)
+        name: sum(joint.get("type") in _MOVING for joint in _joints_between(joint_by_child, base, name))
+        for name in _descendants(joint_by_child, base)
         if name not in carried
     }
     ends = [name for name, count in moving_counts.items() if count == max(moving_counts.values()) > 0]
     hint = "name the flange's link as tip"
     hint += f"; the longest chain from {base} ends at {_list_names(sorted(ends))}" if ends else ""
-    raise issue_error("robot.chain", what, field="tip", hint=hint)
+    raise issue_error("robot.chain", text, field="tip", hint=hint)
 
 
-def _joints_between(above: dict[str, ET.Element], base: str, tip: str) -> list[ET.Element]:
+def _joints_between(joint_by_child: dict[str, ET.Element], base: str, tip: str) -> list[ET.Element]:
+    """Return the joints from base to tip in order. Raises ``robot.chain`` if they are not connected."""
     joints: list[ET.Element] = []
     link = tip
     while link != base:
-        if link not in above or len(joints) > len(above):
-            seen = _list_names([tip, *(_linked_name(joint, "parent") for joint in joints)])
-            what = f"tip: the link {tip!r} is not connected to the base {base!r}: the chain from it is {seen}"
-            raise issue_error(
-                "robot.chain", what, field="tip", hint="name a base and a tip that are on one chain"
+        if link not in joint_by_child or len(joints) > len(joint_by_child):
+            chain_text = _list_names([tip, *(_linked_name(joint, "parent") for joint in joints)])
+            text = (
+                f"tip: the link {tip!r} is not connected to the base {base!r}: the chain from it is "
+                f"{chain_text}"
             )
-        joints.append(above[link])
-        link = _linked_name(above[link], "parent")
+            raise issue_error(
+                "robot.chain", text, field="tip", hint="name a base and a tip that are on one chain"
+            )
+        joints.append(joint_by_child[link])
+        link = _linked_name(joint_by_child[link], "parent")
     return joints[::-1]
 
 
 def _joint_faults(joints: list[ET.Element]) -> Iterator[Issue]:
-    def fault(joint: ET.Element, what: str, hint: str) -> Issue:
+    """Yield issues of joints that follow others (mimic), or are of unsupported types."""
+
+    def fault(joint: ET.Element, message: str, hint: str) -> Issue:
         name = joint.get("name") or ""
-        return Issue("robot.chain", f"joint {name!r}: {what}; {hint}", field="urdf", bodies=(name,))
+        return Issue("robot.chain", f"joint {name!r}: {message}; {hint}", field="urdf", bodies=(name,))
 
     for joint in joints:
         kind = joint.get("type")
         if joint.find("mimic") is not None:
-            follows = joint.find("mimic").get("joint")  # type: ignore[union-attr]
+            leader = joint.find("mimic").get("joint")  # type: ignore[union-attr]
             yield fault(
                 joint,
-                f"follows {follows!r} (mimic); allowed are joints with their own drive",
+                f"follows {leader!r} (mimic); allowed are joints with their own drive",
                 "fix it, or give the serial arm and its coupled_deg",
             )
         elif kind in ("prismatic", "planar", "floating"):
@@ -342,85 +357,93 @@ def _joint_faults(joints: list[ET.Element]) -> Iterator[Issue]:
             )
 
 
-def _descendants(above: dict[str, ET.Element], base: str) -> set[str]:
+def _descendants(joint_by_child: dict[str, ET.Element], base: str) -> set[str]:
     """Return the links attached to the base by any joints, without the base itself."""
     carried: dict[str, list[str]] = {}
-    for link, joint in above.items():
+    for link, joint in joint_by_child.items():
         carried.setdefault(_linked_name(joint, "parent"), []).append(link)
     descendants: set[str] = set()
-    open_ = [base]
-    while open_:
-        new = [link for link in carried.get(open_.pop(), ()) if link not in descendants and link != base]
-        descendants.update(new)
-        open_ += new
+    queue = [base]
+    while queue:
+        new_links = [
+            link for link in carried.get(queue.pop(), ()) if link not in descendants and link != base
+        ]
+        descendants.update(new_links)
+        queue += new_links
     return descendants
 
 
 def _build_chain(
-    root: ET.Element, joints: list[ET.Element], above: dict[str, ET.Element], base: str, tip: str
+    root: ET.Element, joints: list[ET.Element], joint_by_child: dict[str, ET.Element], base: str, tip: str
 ) -> UrdfChain:
+    """Return the chain of the moving joints among ``joints``, which lead from base to tip."""
     poses, written = [np.eye(4)], [np.eye(4)]
-    axes, raw_axes, limits, names, kinds, links = [], [], [], [], [], [base]
-    pose, raw = np.eye(4), np.eye(4)
+    axes, written_axes, limits, names, kinds, links = [], [], [], [], [], [base]
+    pose, written_pose = np.eye(4), np.eye(4)
     for joint in joints:
-        pose, raw = pose @ _origin(joint, joint.get("name")), raw @ _origin(joint, joint.get("name"), False)
+        pose, written_pose = (
+            pose @ _origin(joint, joint.get("name")),
+            written_pose @ _origin(joint, joint.get("name"), False),
+        )
         if joint.get("type") == "fixed":
             continue
         axis = _axis(joint)
         axes.append(pose[:3, :3] @ axis)
-        raw_axes.append(raw[:3, :3] @ axis)
+        written_axes.append(written_pose[:3, :3] @ axis)
         poses.append(pose)
-        written.append(raw)
+        written.append(written_pose)
         limits.append(_limits(joint))
         names.append(joint.get("name") or "")
         kinds.append(joint.get("type") or "")
         links.append(_linked_name(joint, "child"))
     lower, upper, velocity = np.array(limits).reshape(-1, 3).T
-    descendants = _descendants(above, base)
-    shapes, notes = _collision_shapes(root, above, links)
-    visuals, unseen = _visual_shapes(root, above, links)
+    descendants = _descendants(joint_by_child, base)
+    shapes, notes = _collision_shapes(root, joint_by_child, links)
+    visuals, invalid_visuals = _visual_shapes(root, joint_by_child, links)
     return UrdfChain(
         joints=tuple(names),
         kinds=tuple(kinds),
         links=tuple(links),
         tip_link=tip,
         zero=np.array([*poses, pose]),
-        written=np.array([*written, raw]),
+        written=np.array([*written, written_pose]),
         axis=np.array(axes).reshape(-1, 3),
-        written_axis=np.array(raw_axes).reshape(-1, 3),
+        written_axis=np.array(written_axes).reshape(-1, 3),
         lower=lower,
         upper=upper,
         velocity=velocity,
         shapes=tuple(shapes),
         other_joints=tuple(
             joint.get("name") or ""
-            for link, joint in above.items()
+            for link, joint in joint_by_child.items()
             if link in descendants and joint not in joints and joint.get("type") in _MOVING
         ),
         notes=tuple(notes),
         visuals=tuple(visuals),
-        invalid_visuals=tuple(unseen),
-        has_joints_after_tip=any(above[link].get("type") in _MOVING for link in _descendants(above, tip)),
+        invalid_visuals=tuple(invalid_visuals),
+        has_joints_after_tip=any(
+            joint_by_child[link].get("type") in _MOVING for link in _descendants(joint_by_child, tip)
+        ),
     )
 
 
 def _collision_shapes(
-    root: ET.Element, above: dict[str, ET.Element], links: list[str]
+    root: ET.Element, joint_by_child: dict[str, ET.Element], links: list[str]
 ) -> tuple[list[UrdfShape], list[str]]:
     """Return collision geometries of the links of the chain and of all that is fixed to them, and notes."""
     shapes, notes = [], []
-    for link, name, carrier, pose in _rigidly_attached(root, above, links):
+    for link, name, carrier, pose in _rigidly_attached(root, joint_by_child, links):
         if _is_inertia_invalid(link):
             notes.append(f"inertia: that of the link {name} is invalid; it is not used")
         shapes += [_read_shape(collision, name, carrier, pose) for collision in link.findall("collision")]
         if len(shapes) > MAX_LINKS:
-            what = f"has more than {MAX_LINKS} <collision> geometries on one arm"
-            raise _urdf_error(what, "export fewer parts, or the hull of each link")
+            message = f"has more than {MAX_LINKS} <collision> geometries on one arm"
+            raise _urdf_error(message, "export fewer parts, or the hull of each link")
     return shapes, notes
 
 
 def _rigidly_attached(
-    root: ET.Element, above: dict[str, ET.Element], links: list[str]
+    root: ET.Element, joint_by_child: dict[str, ET.Element], links: list[str]
 ) -> Iterator[tuple[ET.Element, str, str, FloatArray]]:
     """Yield links that belong to the chain or are fixed to it.
 
@@ -432,33 +455,36 @@ def _rigidly_attached(
         ancestors = [name]
         while (
             ancestors[-1] not in placed
-            and ancestors[-1] in above
-            and above[ancestors[-1]].get("type") == "fixed"
+            and ancestors[-1] in joint_by_child
+            and joint_by_child[ancestors[-1]].get("type") == "fixed"
         ):
-            ancestors.append(_linked_name(above[ancestors[-1]], "parent"))
-            if len(ancestors) > len(above) + 1:
+            ancestors.append(_linked_name(joint_by_child[ancestors[-1]], "parent"))
+            if len(ancestors) > len(joint_by_child) + 1:
                 break  # a closed loop of links outside the arm
         if ancestors[-1] not in placed:
             continue
         for link_name in ancestors[-2::-1]:  # each pose is computed once, however long the chain
-            carrier, pose = placed[_linked_name(above[link_name], "parent")]
-            placed[link_name] = carrier, pose @ _origin(above[link_name], above[link_name].get("name"))
+            carrier, pose = placed[_linked_name(joint_by_child[link_name], "parent")]
+            placed[link_name] = (
+                carrier,
+                pose @ _origin(joint_by_child[link_name], joint_by_child[link_name].get("name")),
+            )
         yield link, name, *placed[name]
 
 
 def _visual_shapes(
-    root: ET.Element, above: dict[str, ET.Element], links: list[str]
+    root: ET.Element, joint_by_child: dict[str, ET.Element], links: list[str]
 ) -> tuple[list[UrdfShape], list[tuple[str, str]]]:
     """Return visuals of the chain and of all that is fixed to it, and links with invalid visuals.
 
     Invalid visuals never refuse a URDF.
     """
-    visuals, unseen = [], []
+    visuals, invalid = [], []
     colors = {
         material_element.get("name"): _color(material_element)
         for material_element in root.findall("material")
     }
-    for link, name, carrier, pose in _rigidly_attached(root, above, links):
+    for link, name, carrier, pose in _rigidly_attached(root, joint_by_child, links):
         for visual in link.findall("visual"):
             material = visual.find("material")
             color = None
@@ -467,10 +493,10 @@ def _visual_shapes(
             try:
                 shape = _read_shape(visual, name, carrier, pose)
             except TandemError as error:
-                unseen.append((name, error.issues[0].message))
+                invalid.append((name, error.issues[0].message))
             else:
                 visuals.append(dataclasses.replace(shape, color=color))
-    return visuals, unseen
+    return visuals, invalid
 
 
 def _color(material: ET.Element) -> tuple[float, ...] | None:
@@ -507,17 +533,18 @@ def _read_shape(element: ET.Element, name: str, carrier: str, pose: FloatArray) 
     elif kind == "mesh":
         size = tuple(_numbers(geometry_element, "scale", 3, name, [1.0, 1.0, 1.0]))
     else:
-        what = f"has a {element.tag} <{kind}> in the link {name!r}"
-        raise _urdf_error(f"{what}; allowed are box, cylinder, capsule, sphere and mesh", "use one of these")
+        text = f"has a {element.tag} <{kind}> in the link {name!r}"
+        raise _urdf_error(f"{text}; allowed are box, cylinder, capsule, sphere and mesh", "use one of these")
     if (kind != "mesh" and not min(size) > 0.0) or not all(size):
-        what = f"has a {kind} of the size {size} in the link {name!r}; all must be positive"
-        raise _urdf_error(what, "correct it")
+        text = f"has a {kind} of the size {size} in the link {name!r}; all must be positive"
+        raise _urdf_error(text, "correct it")
     if kind != "mesh":
         _require_metres(max(size), f"a {kind}", name)
     return UrdfShape(carrier, kind, size, placed, geometry_element.get("filename") or "", name)
 
 
 def _is_inertia_invalid(link: ET.Element) -> bool:
+    """Return whether the mass or a moment of inertia of a link is negative or not a number."""
     inertial = link.find("inertial")
     inertia = None if inertial is None else inertial.find("inertia")
     mass = None if inertial is None else inertial.find("mass")
@@ -544,14 +571,15 @@ def _origin(element: ET.Element, name: str | None, snap: bool = True) -> FloatAr
     return from_rpy(xyz, rpy)
 
 
-def _require_metres(length: float, what: str, name: str | None) -> None:
+def _require_metres(length: float, subject: str, name: str | None) -> None:
     """Raise ``robot.urdf`` for a length [m] larger than any arm."""
     if length > MAX_EXTENT_M:
-        got = f"has {what} of {length:g} m at {name!r}; allowed are {MAX_EXTENT_M:g} m"
-        raise _urdf_error(got, "a URDF is in metres: correct it")
+        fault = f"has {subject} of {length:g} m at {name!r}; allowed are {MAX_EXTENT_M:g} m"
+        raise _urdf_error(fault, "a URDF is in metres: correct it")
 
 
 def _axis(joint: ET.Element) -> FloatArray:
+    """Return the unit vector (3,) of a joint's axis in its own frame, x if none is stated."""
     element = joint.find("axis")
     axis = np.array([1.0, 0.0, 0.0] if element is None else _numbers(element, "xyz", 3, joint.get("name")))
     length = float(np.linalg.norm(axis))
@@ -563,6 +591,7 @@ def _axis(joint: ET.Element) -> FloatArray:
 
 
 def _limits(joint: ET.Element) -> list[float]:
+    """Return lower limit, upper limit [rad] and speed [rad/s] of a joint, NaN for those not stated."""
     limit = joint.find("limit")
     if limit is None:
         return [np.nan] * 3
@@ -581,8 +610,8 @@ def _numbers(
     except ValueError:
         values = []
     if len(values) != count or not np.isfinite(values).all():
-        what = f"has <{element.tag} {key}={text!r}> at {name!r}; {count} finite numbers are required"
-        raise _urdf_error(what, "correct it")
+        message = f"has <{element.tag} {key}={text!r}> at {name!r}; {count} finite numbers are required"
+        raise _urdf_error(message, "correct it")
     return values
 
 

@@ -29,8 +29,8 @@ MAX_INTEGER_BITS: Final = 1000
 """Maximum size of whole numbers [bits]. Larger ones exceed a float, and soon what Python prints."""
 
 
-def _value_error(where: str, what: str, code: str = "problem.field") -> TandemError:
-    return issue_error(code, f"{where}: {what}", field=where.partition(".")[2] or None)
+def _value_error(where: str, message: str, code: str = "problem.field") -> TandemError:
+    return issue_error(code, f"{where}: {message}", field=where.partition(".")[2] or None)
 
 
 def to_plain(value: Any, where: str, depth: int = 0) -> Any:
@@ -57,8 +57,9 @@ def to_plain(value: Any, where: str, depth: int = 0) -> Any:
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, Mapping):
-        if wrong := [key for key in value if not isinstance(key, str)]:
-            raise _value_error(where, f"has the key {wrong[0]!r}, which is not text; write it as a name")
+        others = [key for key in value if not isinstance(key, str)]
+        if others:
+            raise _value_error(where, f"has the key {others[0]!r}, which is not text; write it as a name")
         return {
             k: _to_file_name(v, f"{where}.{k}", "unit" in value)
             if k in FILE_KEYS
@@ -67,33 +68,41 @@ def to_plain(value: Any, where: str, depth: int = 0) -> Any:
         }
     if isinstance(value, list | tuple | range):
         return [to_plain(item, f"{where}.{i}", depth + 1) for i, item in enumerate(value)]
-    what = f"got a {type(value).__name__}, which no problem file can state"
-    raise _value_error(where, f"{what}; give numbers, text, lists, mappings, arrays or sections")
+    text = f"got a {type(value).__name__}, which no problem file can state"
+    raise _value_error(where, f"{text}; give numbers, text, lists, mappings, arrays or sections")
 
 
 def _to_plain_text(value: str, where: str) -> str:
+    """Return a text of the type ``str`` itself. Raises if UTF-8 cannot encode it."""
     if any("\ud800" <= letter <= "\udfff" for letter in value):
         raise _value_error(where, "has half a character (a lone surrogate); remove it")
     return str.__str__(value)
 
 
 def _to_plain_array(value: FloatArray, where: str) -> Any:
+    """Return an array of numbers or texts as nested lists. Raises for poses, whose unit is unknown."""
     if value.dtype.kind == "U" and not isinstance(value, np.ma.MaskedArray):
         return to_plain(value.tolist(), where)
     value = _to_numbers(value, where)
     if value.shape == (4, 4):
         raise _value_error(where, "a pose as an array has no unit; write spec.Pose(matrix=..., unit='m')")
-    bad = np.argwhere(~np.isfinite(value))
-    if len(bad):
-        at = ", ".join(str(i) for i in bad[0])
+    invalid = np.argwhere(~np.isfinite(value))
+    if len(invalid):
+        index_text = ", ".join(str(i) for i in invalid[0])
         raise _value_error(
-            where, f"has {value[tuple(bad[0])]} at [{at}]; give finite numbers", "problem.not_finite"
+            where,
+            f"has {value[tuple(invalid[0])]} at [{index_text}]; give finite numbers",
+            "problem.not_finite",
         )
     return value.astype(np.float64).tolist() if value.dtype.kind == "f" else value.tolist()
 
 
 def _to_numbers(value: Any, where: str) -> Any:
-    """Return a copied array of real numbers without mask. Raises ``ValueError`` for ragged lists."""
+    """Return a copied array of real numbers. Raises ``ValueError`` for ragged lists.
+
+    Raises:
+        TandemError: For masked arrays and arrays of other values.
+    """
     if isinstance(value, np.ma.MaskedArray):
         raise _value_error(where, "is a masked array; give one without holes")
     array = np.array(value)
@@ -121,7 +130,7 @@ def rigid_poses(value: Any, unit: str | None, where: str, shape: tuple[int, ...]
     except (TypeError, ValueError):
         raise _value_error(where, "is not an array of numbers; give lists of the same length") from None
     if pose.ndim != len(shape) or any(
-        want not in (-1, got) for want, got in zip(shape, pose.shape, strict=True)
+        required not in (-1, length) for required, length in zip(shape, pose.shape, strict=True)
     ):
         expected_shape = ", ".join("N" if n < 0 else str(n) for n in shape)
         raise _value_error(where, f"got an array of shape {pose.shape}, a pose is ({expected_shape})")
@@ -130,16 +139,16 @@ def rigid_poses(value: Any, unit: str | None, where: str, shape: tuple[int, ...]
     rotation = pose[..., :3, :3]
     deviation = np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max(axis=(-1, -2))
     bottom = np.abs(pose[..., 3, :] - np.array([0.0, 0.0, 0.0, 1.0])).max(axis=-1)
-    wrong = (
+    is_invalid = (
         (deviation > ORTHOGONALITY_TOLERANCE)
         | (np.linalg.det(rotation) < 0.0)
         | (bottom > ORTHOGONALITY_TOLERANCE)
     )
-    if wrong.any():
-        at = f" {int(np.argmax(wrong))}" if pose.ndim > 2 else ""
-        what = f"pose{at} is not a right-handed frame"
+    if is_invalid.any():
+        index_text = f" {int(np.argmax(is_invalid))}" if pose.ndim > 2 else ""
+        message = f"pose{index_text} is not a right-handed frame"
         raise _value_error(
-            where, f"{what}: columns of unit length at right angles, and 0 0 0 1 as its last row"
+            where, f"{message}: columns of unit length at right angles, and 0 0 0 1 as its last row"
         )
     pose[..., :3, 3] *= LENGTH_UNITS[unit]
     return pose
@@ -152,19 +161,19 @@ def _to_file_name(value: Any, where: str, meshes: bool) -> str:
             raise _value_error(where, f"got {str(value)!r}, which is not a file name; correct it")
         return str(Path(_to_plain_text(str(value), where)).absolute())
     if not meshes:
-        what = f"got a {type(value).__name__}; give a file name, or a mesh with its unit"
-        raise _value_error(where, what)
-    pair = (value.vertices, value.faces) if hasattr(value, "vertices") and hasattr(value, "faces") else value
+        text = f"got a {type(value).__name__}; give a file name, or a mesh with its unit"
+        raise _value_error(where, text)
+    mesh = (value.vertices, value.faces) if hasattr(value, "vertices") and hasattr(value, "faces") else value
     try:
-        if isinstance(pair, tuple | list) and len(pair) == 2:
-            vertices, faces = _to_numbers(pair[0], where).astype(np.float64), _to_numbers(pair[1], where)
-        elif isinstance(pair, np.ndarray | tuple | list) or hasattr(pair, "__array__"):
-            vertices, faces = _grid_mesh(_to_numbers(pair, where).astype(np.float64), where)
+        if isinstance(mesh, tuple | list) and len(mesh) == 2:
+            vertices, faces = (_to_numbers(mesh[0], where).astype(np.float64), _to_numbers(mesh[1], where))
+        elif isinstance(mesh, np.ndarray | tuple | list) or hasattr(mesh, "__array__"):
+            vertices, faces = _grid_mesh(_to_numbers(mesh, where).astype(np.float64), where)
         else:
             raise TypeError
     except (TypeError, ValueError):
-        what = f"got a {type(value).__name__}; give a file, a trimesh, (vertices, faces) or a grid (N, M, 3)"
-        raise _value_error(where, what) from None
+        text = f"got a {type(value).__name__}; give a file, a trimesh, (vertices, faces) or a grid (N, M, 3)"
+        raise _value_error(where, text) from None
     shapes = f"vertices {vertices.shape} and faces {faces.shape}"
     if vertices.ndim != 2 or faces.ndim != 2 or vertices.shape[1] != 3 or faces.shape[1] != 3:
         raise _value_error(where, f"got {shapes}, allowed are (V, 3) and (F, 3)")
@@ -174,9 +183,9 @@ def _to_file_name(value: Any, where: str, meshes: bool) -> str:
         faces.size and not (faces.min() >= 0 and faces.max() < len(vertices))
     ):
         raise _value_error(where, f"faces must be vertex indices from 0 to {len(vertices) - 1}")
-    rows = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
-    rows += [f"f {a} {b} {c}" for a, b, c in (faces.astype(np.int64) + 1).tolist()]
-    return _store("\n".join(rows) + "\n", ".obj")
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (faces.astype(np.int64) + 1).tolist()]
+    return _store("\n".join(lines) + "\n", ".obj")
 
 
 def _grid_mesh(points: FloatArray, where: str) -> tuple[FloatArray, Any]:
@@ -196,22 +205,22 @@ def write_pose_file(poses: Mapping[str, Any], unit: str | None, columns: Mapping
     """Write poses and columns as a CSV file of ``process: targets``, and return its name."""
     for field, value in (("poses", poses), ("columns", columns)):
         if not isinstance(value, Mapping):
-            what = f"got a {type(value).__name__}; give a mapping, such as {{'robot': poses (N, 4, 4)}}"
-            raise _value_error(f"Targets.{field}", what)
+            text = f"got a {type(value).__name__}; give a mapping, such as {{'robot': poses (N, 4, 4)}}"
+            raise _value_error(f"Targets.{field}", text)
     table: dict[str, Sequence[Any]] = {}
-    for arm, given in poses.items():
-        pose = rigid_poses(given, unit, f"Targets.poses.{arm}", (-1, 4, 4))
+    for arm, arm_poses in poses.items():
+        pose = rigid_poses(arm_poses, unit, f"Targets.poses.{arm}", (-1, 4, 4))
         numbers = np.concatenate([pose[:, :3, 3] / MM, to_quaternion(pose[:, :3, :3])], axis=1)
         table |= {f"{arm}.{name}": numbers[:, i].tolist() for i, name in enumerate(POSE_COLUMNS)}
-    for name, given in columns.items():
+    for name, column_values in columns.items():
         if name not in ROW_COLUMNS:
             raise _value_error("Targets.columns", f"got {name!r}, known are {', '.join(ROW_COLUMNS)}")
-        values = to_plain(given, f"Targets.columns.{name}")
+        values = to_plain(column_values, f"Targets.columns.{name}")
         table[name] = values if isinstance(values, list) else [values]
     counts = {name: len(column) for name, column in table.items()}
     if len(set(counts.values())) > 1:
-        shown = ", ".join(f"{name} {count}" for name, count in counts.items() if not name.endswith("y_mm"))
-        raise _value_error("Targets.poses", f"the columns differ in length ({shown}); give as many of each")
+        sizes = ", ".join(f"{name} {count}" for name, count in counts.items() if not name.endswith("y_mm"))
+        raise _value_error("Targets.poses", f"the columns differ in length ({sizes}); give as many of each")
     return _store(format_csv([table, *zip(*table.values(), strict=True)]), ".csv")
 
 
@@ -223,11 +232,11 @@ def _temporary_folder() -> Path:
     """
     path, owner = Path(tempfile.mkdtemp(prefix="tandem-")), os.getpid()
 
-    def end() -> None:
+    def remove_folder() -> None:
         if os.getpid() == owner:
             shutil.rmtree(path, ignore_errors=True)
 
-    atexit.register(end)
+    atexit.register(remove_folder)
     return path
 
 

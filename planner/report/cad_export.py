@@ -43,11 +43,11 @@ class CellState:
     """State of the cell at one instant.
 
     Attributes:
-        operation: Operation.
-        setup: Its setup.
+        operation: Operation in progress.
+        setup: Setup of the operation.
         q: Joint values {arm: (6,)} [rad].
-        block: Pose of the block (4, 4).
-        bases: Bases {arm: (4, 4)} of arms on coordinated tracks.
+        block: Pose of the stock in the world (4, 4).
+        bases: Bases in the world {arm: (4, 4)} of the arms on coordinated tracks.
     """
 
     operation: OperationPlan
@@ -60,25 +60,28 @@ class CellState:
 def cell_state(problem: Problem, plan: Plan, seconds: float) -> CellState:
     """Return the state of the cell at a time after the first target of the plan.
 
+    Arms that do not take part in the operation are at home.
+
     Args:
         problem: Problem.
         plan: Plan.
-        seconds: Time [s].
+        seconds: Time [s] on the clock of the plan, from 0 to its duration.
 
     Raises:
-        TandemError: ``problem.field``, the plan has no such time.
+        TandemError: ``problem.field``, the plan has no operation, or the time is outside its duration.
     """
     if not plan.operations or not 0.0 <= seconds <= plan.duration:
-        what = f"--time: out of range (got {seconds:g} s, allowed 0 to {plan.duration:.2f} s)"
-        raise issue_error("problem.field", what, field="time", value=seconds, limit=plan.duration, unit="s")
+        text = f"--time: out of range (got {seconds:g} s, allowed 0 to {plan.duration:.2f} s)"
+        raise issue_error("problem.field", text, field="time", value=seconds, limit=plan.duration, unit="s")
     frame = plan.frame(seconds)
     index = next(i for i, operation in enumerate(plan.operations) if operation.name == frame.operation)
     setup = problem.setup_of(index)
     q = {arm.name: np.asarray(frame.q.get(arm.name, arm.home)) for arm in setup.cell.arms}
-    rows = {name: value[None] for name, value in q.items()}
+    q_rows = {name: value[None] for name, value in q.items()}
     stock_pose = np.asarray(plan.stock_poses[setup.number - 1])
-    block = scene.block_pose(setup, stock_pose, plan.bases, rows)
+    block = scene.block_pose(setup, stock_pose, plan.bases, q_rows)
     operation = plan.operations[index]
+    # Time on the clock of the operation. The plan runs its operations one after the other without gaps.
     operation_time = (
         seconds
         - sum(float(previous.time[-1] - previous.time[0]) for previous in plan.operations[:index])
@@ -98,6 +101,8 @@ def shapes(
 ) -> Iterator[RhinoMesh]:
     """Yield robots, tools, fixed bodies, block and support, the nominal part and the simulated part.
 
+    All are in the world at the instant of the state, each on a layer of its own.
+
     Args:
         model: Cell model.
         problem: Problem.
@@ -105,11 +110,11 @@ def shapes(
         at: State of the cell.
         cut: Simulated part by name, in the stock frame.
     """
-    drawn = scene.extract_scene(model.with_bases({**scene.axis_bases(at.setup), **at.bases}))
+    visible = scene.extract_scene(model.with_bases({**scene.axis_bases(at.setup), **at.bases}))
     stock_pose = np.asarray(plan.stock_poses[at.setup.number - 1])
-    rows = {name: value[None] for name, value in at.q.items()}
-    poses = scene.scene_poses(drawn, at.setup, stock_pose, rows)
-    for piece in (*drawn.pieces, *scene.setup_pieces(at.setup, stock_pose)):
+    q_rows = {name: value[None] for name, value in at.q.items()}
+    poses = scene.scene_poses(visible, at.setup, stock_pose, q_rows)
+    for piece in (*visible.pieces, *scene.setup_pieces(at.setup, stock_pose)):
         pose = poses[piece.body][0] @ piece.pose
         solid = piece.solid
         yield RhinoMesh(
@@ -129,36 +134,39 @@ def shapes(
 
 
 def lines(problem: Problem, plan: Plan, at: CellState) -> Iterator[RhinoPolyline]:
-    """Yield the path of each TCP with approach and retreat, and positions of linear cutters.
+    """Yield the path of each TCP in the world, with approach and retreat, and positions of linear cutters.
+
+    Wires and cutter axes are drawn at about `MAX_WIRES` instants, in the block as it is in the state.
 
     Args:
         problem: Problem.
         plan: Plan.
         at: State of the cell.
     """
-    track = scene.sample_keyframes(problem, plan, MAX_WIRES)
+    keyframes = scene.sample_keyframes(problem, plan, MAX_WIRES)
     for index, operation in enumerate(plan.operations):
         setup = problem.setup_of(index)
         for name, q in operation.q.items():
             arm = setup.cell.arm(name)
+            # layer, joint values, and the targets whose base applies to them
             parts: tuple[tuple[str, Any, slice | int], ...] = (
                 ("in", [arm.home, *operation.approach.get(name, ()), q[0]], 0),
                 ("work", q, slice(None)),
                 ("out", [q[-1], *operation.retreat.get(name, ())], -1),
             )
-            for word, joints, at_rows in parts:
-                rows = np.asarray(joints) if word == "work" else _interpolated(np.asarray(joints))
-                bases = scene.bases_at_targets(setup, plan.bases, operation, at_rows)
-                path = (scene.flange_poses(arm, bases, rows) @ arm.tool.tcp)[:, :3, 3]
-                yield RhinoPolyline(f"ways::{operation.name}::{name}::{word}", path, PATH_COLOUR)
-    for sweep in track.sweeps:
+            for layer, joints, target_indices in parts:
+                joint_rows = np.asarray(joints) if layer == "work" else _interpolated(np.asarray(joints))
+                bases = scene.bases_at_targets(setup, plan.bases, operation, target_indices)
+                path = (scene.flange_poses(arm, bases, joint_rows) @ arm.tool.tcp)[:, :3, 3]
+                yield RhinoPolyline(f"ways::{operation.name}::{name}::{layer}", path, PATH_COLOUR)
+    for sweep in keyframes.sweeps:
         name = f"wire::setup {sweep.setup + 1}"
         for wire in sweep.points[:: max(1, len(sweep.points) // MAX_WIRES)]:
             yield RhinoPolyline(name, transform(at.block, wire), CUT_COLOUR)
 
 
 def targets(problem: Problem, plan: Plan) -> Iterator[RhinoTarget]:
-    """Yield the TCPs of all operations with name, time from the first target [s] and joints [deg]."""
+    """Yield TCPs of all operations with name, time in the operation [s], and serial joint angles [deg]."""
     for index, operation in enumerate(plan.operations):
         setup = problem.setup_of(index)
         for name, q in operation.q.items():
@@ -174,17 +182,17 @@ def targets(problem: Problem, plan: Plan) -> Iterator[RhinoTarget]:
                 yield RhinoTarget(f"targets::{operation.name}::{name}", tcp[k], text)
 
 
-def _interpolated(joints: FloatArray) -> FloatArray:
-    """Interpolate joints (N, J) linearly between waypoints (S, J)."""
+def _interpolated(waypoints: FloatArray) -> FloatArray:
+    """Return joint values (N, J) on each move between waypoints (S, J), or a single waypoint itself."""
     fraction = np.linspace(0.0, 1.0, JOINT_MOVE_POINTS)[:, None]
-    moves = [(1.0 - fraction) * a + fraction * b for a, b in itertools.pairwise(joints)]
-    return np.concatenate(moves) if moves else joints
+    moves = [(1.0 - fraction) * a + fraction * b for a, b in itertools.pairwise(waypoints)]
+    return np.concatenate(moves) if moves else waypoints
 
 
 def read_simulated_part(path: Path) -> dict[str, Mesh]:
     """Read the objects of a simulated part (`simulated_part.obj`) by name, in the stock frame.
 
-    Empty without a file.
+    Returns an empty mapping if there is no such file.
     """
     if not path.is_file():
         return {}
@@ -192,22 +200,22 @@ def read_simulated_part(path: Path) -> dict[str, Mesh]:
 
 
 def glb(shapes_to_write: Iterator[RhinoMesh]) -> bytes:
-    """Return shapes as a binary glTF file, with one node for each layer and colour."""
+    """Return shapes (z up) as a binary glTF file (y up), with one node for each pair of layer and colour."""
     import trimesh
 
     y_up = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # glTF has y up
-    by_layer: dict[tuple[str, Rgb], list[trimesh.Trimesh]] = {}
+    meshes_by_layer: dict[tuple[str, Rgb], list[trimesh.Trimesh]] = {}
     for shape in shapes_to_write:
         mesh = trimesh.Trimesh(shape.vertices, shape.faces, process=False)
-        by_layer.setdefault((shape.layer, shape.color), []).append(mesh)
-    out = trimesh.Scene()
-    for number, ((layer, color), meshes) in enumerate(by_layer.items()):
+        meshes_by_layer.setdefault((shape.layer, shape.color), []).append(mesh)
+    gltf_scene = trimesh.Scene()
+    for number, ((layer, color), meshes) in enumerate(meshes_by_layer.items()):
         joined = trimesh.util.concatenate(meshes)
-        paint = trimesh.visual.material.PBRMaterial(
+        material = trimesh.visual.material.PBRMaterial(
             baseColorFactor=[*color, 1.0], metallicFactor=0.0, doubleSided=True
         )
-        joined.visual = trimesh.visual.TextureVisuals(material=paint)
-        name = f"{layer} {number}"  # a geometry of the same name would be replaced
-        out.add_geometry(joined, node_name=name, geom_name=name)
-    out.apply_transform(y_up)
-    return bytes(out.export(file_type="glb"))
+        joined.visual = trimesh.visual.TextureVisuals(material=material)
+        name = f"{layer} {number}"  # unique: trimesh replaces a geometry of the same name
+        gltf_scene.add_geometry(joined, node_name=name, geom_name=name)
+    gltf_scene.apply_transform(y_up)
+    return bytes(gltf_scene.export(file_type="glb"))

@@ -35,17 +35,17 @@ CUT_COLOUR: Final = (1.0, 0.66, 0.36)
 
 @dataclasses.dataclass(frozen=True)
 class PictureState:
-    """State of the cell in a setup.
+    """State of the cell that a picture shows.
 
     Attributes:
         setup: Setup.
         stock_pose: Pose of the stock in the world (4, 4).
         q: Joint values {arm: (6,)} [rad].
         wire: Wire between the arms in the world (P, 3) [m], or None.
-        earlier: Earlier wires (P, 3) [m].
+        earlier: Earlier positions of that wire in the world, each (P, 3) [m].
         part: Nominal surfaces, in the stock frame.
         cut: Surfaces that have been cut, in the stock frame.
-        bases: Bases {arm: (4, 4)} of arms on coordinated tracks.
+        bases: Bases in the world {arm: (4, 4)} of arms on coordinated tracks.
     """
 
     setup: Setup
@@ -63,9 +63,9 @@ class Picture:
     """A rendered picture.
 
     Attributes:
-        pixels: Colours (h, w, 3) in 0..1, premultiplied.
+        pixels: Colours (h, w, 3) in 0..1, premultiplied with the opacity.
         alpha: Opacity (h, w) in 0..1.
-        labels: Name, x and y in 0..1.
+        labels: Names of the arms with x and y of their feet in 0..1, from the upper left corner.
     """
 
     pixels: FloatArray
@@ -74,7 +74,10 @@ class Picture:
 
 
 def picture(scene: VisibleScene, moment: PictureState, width: int = 900, height: int = 500) -> Picture:
-    """Render the cell from the side where the arms are apart, with transparent ground and a shadow.
+    """Render the cell from the side where the arms are apart, on a transparent ground with a shadow.
+
+    The scene is rendered at twice the size and averaged, against jagged edges. The rows above and below the
+    cell are removed, so that the picture is lower than ``height``.
 
     Args:
         scene: Visible shapes of robots and fixed bodies.
@@ -87,12 +90,12 @@ def picture(scene: VisibleScene, moment: PictureState, width: int = 900, height:
     solid = {id(piece): piece.solid.moved(poses[piece.body][0] @ piece.pose) for piece in pieces}
     opaque, block = [], []
     for piece in pieces:
-        hot = piece.body.endswith("/edge")
+        is_hot = piece.body.endswith("/edge")
         if piece.body == "stock":
             block.append(RenderItem(solid[id(piece)], BLOCK_COLOUR))
         else:
-            colour = HOT_WIRE_COLOUR if hot else piece.color[:3]
-            opaque.append(RenderItem(solid[id(piece)], colour, 1.0 if hot else 0.0, piece.closed))
+            colour = HOT_WIRE_COLOUR if is_hot else piece.color[:3]
+            opaque.append(RenderItem(solid[id(piece)], colour, 1.0 if is_hot else 0.0, piece.closed))
     for meshes, colour in ((moment.part, PART_COLOUR), (moment.cut, CUT_COLOUR)):
         for mesh in meshes:
             solid_to_draw = raster.mesh(mesh.vertices, mesh.faces, smooth=True).moved(poses["stock"][0])
@@ -102,10 +105,11 @@ def picture(scene: VisibleScene, moment: PictureState, width: int = 900, height:
     ]
     if moment.wire is not None:
         opaque.append(RenderItem(raster.tube(moment.wire, 0.0032), HOT_WIRE_COLOUR, 1.0))
+    # Obstacles, which may be far away, do not determine what the camera frames.
     fixed = {obstacle.name for obstacle in scene.model.cell.obstacles}
-    subject = [solid[id(piece)].vertices for piece in pieces if piece.body not in fixed]
+    framed_vertices = [solid[id(piece)].vertices for piece in pieces if piece.body not in fixed]
     camera = raster.frame_camera(
-        np.concatenate(subject), _view_direction(scene, moment.stock_pose), 2 * width, 2 * height
+        np.concatenate(framed_vertices), _view_direction(scene, moment.stock_pose), 2 * width, 2 * height
     )
     image = raster.render_items(camera, opaque)
     color, alpha = image.color, np.isfinite(image.depth).astype(np.float64)
@@ -115,9 +119,11 @@ def picture(scene: VisibleScene, moment: PictureState, width: int = 900, height:
     labels = []
     for arm in scene.model.arms:
         base = f"{arm}/base_link"
-        foot = [p.solid.moved(poses[base][0] @ p.pose).vertices for p in scene.pieces if p.body == base]
-        foot_position = foot[0] if foot else scene.model.bases[arm][None, :3, 3]
-        x, y, _ = camera.project(np.concatenate([foot_position, *foot])).T
+        foot_vertices = [
+            p.solid.moved(poses[base][0] @ p.pose).vertices for p in scene.pieces if p.body == base
+        ]
+        foot_position = foot_vertices[0] if foot_vertices else scene.model.bases[arm][None, :3, 3]
+        x, y, _ = camera.project(np.concatenate([foot_position, *foot_vertices])).T
         labels.append((arm, float(x.mean() / camera.width), float(y.max() / camera.height + 0.012)))
     return _crop(
         Picture(_downsample(color * alpha[..., None]), _downsample(alpha[..., None])[..., 0], tuple(labels))
@@ -125,7 +131,7 @@ def picture(scene: VisibleScene, moment: PictureState, width: int = 900, height:
 
 
 def _crop(picture: Picture, margin: int = 14) -> Picture:
-    """Remove empty rows above and below. Pixels are premultiplied."""
+    """Remove the transparent rows above and below the cell, except a margin [px], and shift the labels."""
     rows = np.flatnonzero((picture.alpha > 0.02).any(axis=1))
     h = len(picture.alpha)
     a, b = max(int(rows[0]) - margin, 0), min(int(rows[-1]) + margin + 18, h)
@@ -134,9 +140,9 @@ def _crop(picture: Picture, margin: int = 14) -> Picture:
 
 
 def _view_direction(scene: VisibleScene, stock_pose: FloatArray) -> FloatArray:
-    """Return a view direction from above, across the line from the first base to the last.
+    """Return a view direction (3,) from above, across the line from the first base to the last.
 
-    For a single arm it is across the line from the base to the block.
+    For a single arm it is across the line from the base to the block, which has the pose ``stock_pose``.
     """
     positions = [*(scene.model.bases[arm][:3, 3] for arm in scene.model.arms), stock_pose[:3, 3]]
     line = positions[max(1, len(positions) - 2)] - positions[0]
@@ -144,64 +150,74 @@ def _view_direction(scene: VisibleScene, stock_pose: FloatArray) -> FloatArray:
         line = scene.model.bases[scene.model.arms[0]][:3, 0]
     line = line[:2] / max(float(np.linalg.norm(line[:2])), 1e-9)
     across = np.array([-line[1], line[0]])
-    flat = across + 0.30 * line
-    return np.array([flat[0], flat[1], -0.42])
+    horizontal = across + 0.30 * line
+    return np.array([horizontal[0], horizontal[1], -0.42])
 
 
 def _blend_block(
     camera: Camera, block: list[RenderItem], depth: FloatArray, color: FloatArray, alpha: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Blend the block over the picture as a translucent body with its ink lines kept."""
+    """Blend the block over the picture as a translucent body, with its ink lines more opaque.
+
+    The picture's colours (h, w, 3) and opacity (h, w) are changed in place where its depth (h, w) [m] is
+    greater than that of the block.
+    """
     if not block:
         return color, alpha
     window = camera.window(np.concatenate([thing.solid.vertices for thing in block]))
     image = raster.render_items(window, block)
-    part = np.s_[window.top : window.top + window.height, window.left : window.left + window.width]
-    strength = np.where(image.color.sum(axis=-1) < 1.25, 0.75, 0.42) * (image.depth < depth[part])
-    color[part], alpha[part] = _composite(image.color, strength, color[part], alpha[part])
+    region = np.s_[window.top : window.top + window.height, window.left : window.left + window.width]
+    opacity = np.where(image.color.sum(axis=-1) < 1.25, 0.75, 0.42) * (image.depth < depth[region])
+    color[region], alpha[region] = _composite(image.color, opacity, color[region], alpha[region])
     return color, alpha
 
 
 def _composite(
     top: FloatArray, strength: FloatArray, color: FloatArray, alpha: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Composite one picture over another (Porter and Duff 1984), colours not premultiplied."""
+    """Composite a picture over another one (Porter and Duff 1984), colours not premultiplied.
+
+    The upper picture has colours ``top`` (h, w, 3) and opacity ``strength`` (h, w), the lower one ``color``
+    and ``alpha``. Returns colours and opacity.
+    """
     out = strength + alpha * (1.0 - strength)
     mixed = top * strength[..., None] + color * (alpha * (1.0 - strength))[..., None]
     return mixed / np.maximum(out, 1e-9)[..., None], out
 
 
 def _add_ground_shadow(
-    camera: Camera, things: list[RenderItem], color: FloatArray, alpha: FloatArray
+    camera: Camera, casters: list[RenderItem], color: FloatArray, alpha: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Add a soft shadow on the ground, darker below lower bodies, at a quarter of the resolution."""
-    points = np.concatenate([_ground_points(thing.solid) for thing in things])
+    """Add a soft shadow of bodies on the ground to a picture, darker below lower bodies."""
+    points = np.concatenate([_ground_points(thing.solid) for thing in casters])
     low, high = points.min(axis=0) - 0.35, points.max(axis=0) + 0.35
-    cell = float((high - low)[:2].max()) / 260.0
-    shape = np.ceil((high[:2] - low[:2]) / cell).astype(int) + 1
+    cell_size = float((high - low)[:2].max()) / 260.0
+    shape = np.ceil((high[:2] - low[:2]) / cell_size).astype(int) + 1
+    # cover of the ground by bodies, between 0 and 1: it decreases with their height above the floor
     weight = np.exp(-np.maximum(points[:, 2], 0.0) / 0.30)
-    index = ((points[:, :2] - low[:2]) / cell).astype(int)
+    index = ((points[:, :2] - low[:2]) / cell_size).astype(int)
     cover = np.zeros(shape)
     np.maximum.at(cover, (index[:, 0], index[:, 1]), weight)
     cover = ndimage.grey_closing(cover, size=(5, 5))
-    soft = 0.8 * ndimage.gaussian_filter(cover, 2.0) + 0.5 * ndimage.gaussian_filter(cover, 9.0)
+    blurred = 0.8 * ndimage.gaussian_filter(cover, 2.0) + 0.5 * ndimage.gaussian_filter(cover, 9.0)
+    # intersection of the ray of each coarse pixel with the ground
     step = 4
     x, y = np.meshgrid(np.arange(0, camera.width, step) + 2.0, np.arange(0, camera.height, step) + 2.0)
-    flat = np.stack([x - 0.5 * camera.full[0], y - 0.5 * camera.full[1], np.full_like(x, camera.focal)], -1)
-    ray = flat @ camera.pose[:3, :3].T
-    reach = (min(0.0, float(points[:, 2].min())) - camera.pose[2, 3]) / np.minimum(ray[..., 2], -1e-9)
-    hit = camera.pose[:2, 3] + reach[..., None] * ray[..., :2]
-    grid_position = np.moveaxis((hit - low[:2]) / cell, -1, 0)
-    coarse = np.clip(ndimage.map_coordinates(soft, grid_position, order=1, cval=0.0), 0.0, 1.0) * 0.45
+    local = np.stack([x - 0.5 * camera.full[0], y - 0.5 * camera.full[1], np.full_like(x, camera.focal)], -1)
+    ray = local @ camera.pose[:3, :3].T
+    ray_length = (min(0.0, float(points[:, 2].min())) - camera.pose[2, 3]) / np.minimum(ray[..., 2], -1e-9)
+    ground_point = camera.pose[:2, 3] + ray_length[..., None] * ray[..., :2]
+    grid_position = np.moveaxis((ground_point - low[:2]) / cell_size, -1, 0)
+    coarse = np.clip(ndimage.map_coordinates(blurred, grid_position, order=1, cval=0.0), 0.0, 1.0) * 0.45
     shade = ndimage.zoom(coarse, step, order=1)[: camera.height, : camera.width]
     tint = np.broadcast_to([0.17, 0.19, 0.24], color.shape)
     return _composite(color, alpha, np.asarray(tint), shade)
 
 
 def _ground_points(solid: RenderSolid) -> FloatArray:
-    """Return the vertices of a solid and random points on its larger faces.
+    """Return the vertices (P, 3) [m] of a solid with random points on its larger faces.
 
-    The points make it cover the ground below.
+    The vertices of a large face are too far apart to cover the ground below it.
     """
     corners = solid.vertices[solid.faces]
     area = 0.5 * np.linalg.norm(
@@ -210,14 +226,14 @@ def _ground_points(solid: RenderSolid) -> FloatArray:
     point_counts = np.minimum((area / 2e-4).astype(int), 2000)
     rng = np.random.default_rng(0)
     weights = rng.dirichlet(np.ones(3), int(point_counts.sum()))
-    inner = np.einsum("pk,pkc->pc", weights, np.repeat(corners, point_counts, axis=0))
-    return np.concatenate([solid.vertices, inner])
+    face_points = np.einsum("pk,pkc->pc", weights, np.repeat(corners, point_counts, axis=0))
+    return np.concatenate([solid.vertices, face_points])
 
 
 def _border_weight(camera: Camera) -> FloatArray:
     """Return a weight (h, w) that falls to 0 at the left, right and lower border.
 
-    Only obstacles reach these borders.
+    It fades out obstacles, which alone reach these borders.
     """
     x, y = np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5
     width = 0.028 * camera.width
@@ -236,7 +252,9 @@ SHOWN_CUT_FRACTION = 0.62
 
 
 def setup_pictures(model: CellModel, problem: Problem, plan: Plan | None) -> tuple[tuple[str, Picture], ...]:
-    """Render the setups. Without a plan only the first one is rendered, with all arms at home.
+    """Render each setup during its longest cut.
+
+    Without a plan only the first setup is rendered, with all arms at home.
 
     Args:
         model: Cell model, for its robots and fixed bodies. Without a plan its stock pose is that of the
@@ -245,7 +263,7 @@ def setup_pictures(model: CellModel, problem: Problem, plan: Plan | None) -> tup
         plan: Plan, or None.
 
     Returns:
-        Titles and pictures.
+        Titles and pictures, in the order of the setups. The title of a single picture is empty.
     """
     visible = scene.extract_scene(model)
     setups = problem.setups
@@ -264,6 +282,7 @@ def setup_pictures(model: CellModel, problem: Problem, plan: Plan | None) -> tup
 
 
 def _home_state(problem: Problem, setup: Setup, stock_pose: FloatArray) -> PictureState:
+    """Return the state with all arms of a setup at home, with the nominal part."""
     home = {arm.name: np.asarray(arm.home) for arm in setup.cell.arms}
     return PictureState(setup, stock_pose, home, part=[mesh for _, mesh in raster.part_meshes(problem.part)])
 
@@ -271,18 +290,19 @@ def _home_state(problem: Problem, setup: Setup, stock_pose: FloatArray) -> Pictu
 def _cutting_state(problem: Problem, plan: Plan, setup: Setup, stock_pose: FloatArray) -> PictureState:
     """Return the state during the longest cut of a setup, or all arms at home if nothing is cut."""
     home_state = _home_state(problem, setup, stock_pose)
-    cuts = [(len(rows), -i, rows) for i in setup.operations for rows in _cut_runs(plan.operations[i])]
+    cuts = [(len(run), -i, run) for i in setup.operations for run in _cut_runs(plan.operations[i])]
     if not cuts:
         return home_state
-    _, minus, rows = max(cuts, key=lambda cut: cut[:2])
-    operation = plan.operations[-minus]
-    target_index = int(rows[int(SHOWN_CUT_FRACTION * (len(rows) - 1))])
+    _, minus_index, run = max(cuts, key=lambda cut: cut[:2])
+    operation = plan.operations[-minus_index]
+    target_index = int(run[int(SHOWN_CUT_FRACTION * (len(run) - 1))])
     q = {**home_state.q, **{arm: operation.q[arm][target_index] for arm in operation.q}}
-    cut_surfaces = _cut_surfaces(problem, plan, -minus, target_index, setup)
-    edge, frame = operation.targets.flexible_tool, operation.targets.frame[operation.targets.arms[0]]
+    cut_surfaces = _cut_surfaces(problem, plan, -minus_index, target_index, setup)
+    edge = operation.targets.flexible_tool
+    frame = operation.targets.frame[operation.targets.arms[0]]
     wires: list[FloatArray] = []
     if edge is not None and frame in ("stock", "world"):
-        earlier_indices = [int(i) for i in rows if i < target_index][:: max(1, target_index // 9)]
+        earlier_indices = [int(i) for i in run if i < target_index][:: max(1, target_index // 9)]
         wires = [
             transform(stock_pose if frame == "stock" else np.eye(4), edge.points[i])
             for i in (*earlier_indices, target_index)
@@ -293,11 +313,11 @@ def _cutting_state(problem: Problem, plan: Plan, setup: Setup, stock_pose: Float
 
 
 def _cut_runs(operation: OperationPlan) -> list[IndexArray]:
-    """Return the rows of each run of one working segment."""
+    """Return the indices of the targets of each run of one working segment."""
     segments = operation.targets.segment
-    cut = np.array([segment.works for segment in segments])
+    works = np.array([segment.works for segment in segments])
     starts = np.flatnonzero(
-        cut & np.array([i == 0 or segments[i] != segments[i - 1] for i in range(len(segments))])
+        works & np.array([i == 0 or segments[i] != segments[i - 1] for i in range(len(segments))])
     )
     return [
         np.arange(a, next((i for i in range(a, len(segments)) if segments[i] != segments[a]), len(segments)))
@@ -306,7 +326,10 @@ def _cut_runs(operation: OperationPlan) -> list[IndexArray]:
 
 
 def _cut_surfaces(problem: Problem, plan: Plan, last: int, target_index: int, shown: Setup) -> list[Mesh]:
-    """Return the surfaces that straight wires have cut in the shown block, up to a target of ``last``."""
+    """Return the surfaces that straight wires cut in the block that is ``shown``.
+
+    They end at a target of the operation ``last``. Surfaces on the sides of a trimmed block are left out.
+    """
     out = []
     for index in range(last + 1):
         operation, setup = plan.operations[index], problem.setup_of(index)
@@ -315,14 +338,14 @@ def _cut_surfaces(problem: Problem, plan: Plan, last: int, target_index: int, sh
             continue
         margin = 0.0 if raster.have_same_size(setup.stock, shown.stock) else TRIMMED_DEPTH_M
         stock_pose = plan.stock_poses[setup.number - 1]
-        for rows in _cut_runs(operation):
-            rows = np.append(max(rows[0] - 1, 0), rows)
-            rows = rows if index < last else rows[rows <= target_index]
-            if len(rows) < 2:
+        for indices in _cut_runs(operation):
+            indices = np.append(max(indices[0] - 1, 0), indices)
+            indices = indices if index < last else indices[indices <= target_index]
+            if len(indices) < 2:
                 continue
-            q = {name: joints[rows] for name, joints in operation.q.items()}
+            q = {name: joints[indices] for name, joints in operation.q.items()}
             points = scene.wire_in_block(
-                setup, arm, stock_pose, scene.bases_at_targets(setup, plan.bases, operation, rows), q
+                setup, arm, stock_pose, scene.bases_at_targets(setup, plan.bases, operation, indices), q
             )
             mesh = raster.swept_surface(points, shown.stock.lower + margin, shown.stock.upper - margin)
             out += [] if mesh is None else [mesh]

@@ -90,7 +90,7 @@ class ChartAxes:
 
 @dataclasses.dataclass(frozen=True)
 class _PlotFrame:
-    """Ranges of both axes and the size of the picture."""
+    """Ranges of both axes, and width and height of the whole picture [px]."""
 
     x: tuple[float, float]
     y: tuple[float, float]
@@ -106,10 +106,12 @@ class _PlotFrame:
         return self.height - _BOTTOM
 
     def px(self, x: FloatArray | float) -> FloatArray:
+        """Return the horizontal positions [px] of abscissae."""
         fraction = (np.asarray(x) - self.x[0]) / (self.x[1] - self.x[0])
         return np.asarray(_LEFT + fraction * (self.right - _LEFT))
 
     def py(self, y: FloatArray | float) -> FloatArray:
+        """Return the vertical positions [px], from the top, of ordinates."""
         fraction = (self.y[1] - np.asarray(y)) / (self.y[1] - self.y[0])
         return np.asarray(_TOP + fraction * (self.bottom - _TOP))
 
@@ -132,12 +134,15 @@ def chart(
         levels: Limits.
         bands: Tinted intervals.
         size: Width and height [px].
+
+    Returns:
+        SVG with its legend, or a placeholder if no curve has a finite value.
     """
-    finite = [line for line in lines if np.isfinite(line.y).any()]
-    if not finite:
+    drawn_lines = [line for line in lines if np.isfinite(line.y).any()]
+    if not drawn_lines:
         return _NO_DATA
-    x_range = _value_range([line.x for line in finite])
-    values = [*(line.y for line in finite), np.array([v.value for v in levels])]
+    x_range = _value_range([line.x for line in drawn_lines])
+    values = [*(line.y for line in drawn_lines), np.array([v.value for v in levels])]
     frame = _PlotFrame(x_range, axes.y_range or padded_range(*_value_range(values)), *size)
     if axes.equal:
         frame = _with_equal_scales(frame)
@@ -150,17 +155,18 @@ def chart(
         *_bands(frame, bands),
         *_axes(frame, axes.x_label, axes.y_label),
         *_levels(frame, levels),
-        *_curves(frame, finite),
+        *_curves(frame, drawn_lines),
         '<line class="cursor" y1="10" y2="0"/></svg>',
     ]
-    keys = dict.fromkeys(
-        f'<span class="key c{line.color % 8}">{html.escape(line.name)}</span>' for line in finite
+    legend_entries = dict.fromkeys(
+        f'<span class="key c{line.color % 8}">{html.escape(line.name)}</span>' for line in drawn_lines
     )
-    legend = f'<div class="legend">{"".join(keys)}</div>' if len(finite) > 1 else ""
+    legend = f'<div class="legend">{"".join(legend_entries)}</div>' if len(drawn_lines) > 1 else ""
     return Drawing("".join(parts) + legend)
 
 
 def _bands(frame: _PlotFrame, bands: Sequence[ChartBand]) -> list[str]:
+    """Return a tinted rectangle for each band, clipped to the plot. Its name is shown at the pointer."""
     out = []
     for band in bands:
         a, b = np.clip(frame.px(np.array([band.start, band.end])), _LEFT, frame.right)
@@ -173,6 +179,7 @@ def _bands(frame: _PlotFrame, bands: Sequence[ChartBand]) -> list[str]:
 
 
 def _levels(frame: _PlotFrame, levels: Sequence[LimitLine]) -> list[str]:
+    """Return the limit lines within the plot, with their names."""
     out = []
     for level in levels:
         y = float(frame.py(level.value))
@@ -206,6 +213,7 @@ def _curves(frame: _PlotFrame, lines: Sequence[ChartLine]) -> list[str]:
 
 
 def _dots(frame: _PlotFrame, line: ChartLine) -> list[str]:
+    """Return a circle for each finite point of a curve."""
     known = np.isfinite(line.x) & np.isfinite(line.y)
     positions = zip(frame.px(line.x[known]), frame.py(line.y[known]), strict=True)
     name = html.escape(line.name)
@@ -217,7 +225,7 @@ def _dots(frame: _PlotFrame, line: ChartLine) -> list[str]:
 
 
 def padded_range(low: float, high: float) -> tuple[float, float]:
-    """Return a range with a margin. It is never empty."""
+    """Return a range with a margin of 6 % at its ends, except at a lower end of 0. It is never empty."""
     if high - low < 1e-12 * max(1.0, abs(high)):
         low, high = low - 0.5 * max(abs(low), 1e-3), high + 0.5 * max(abs(high), 1e-3)
     margin = 0.06 * (high - low)
@@ -232,15 +240,17 @@ def ticks(low: float, high: float, count: int = 5) -> FloatArray:
         high: Upper end.
         count: Approximate number of ticks.
     """
-    raw = (high - low) / max(count, 1)
-    power = 10.0 ** math.floor(math.log10(raw))
-    step = next(m * power for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= raw * 0.999)
+    min_step = (high - low) / max(count, 1)
+    power = 10.0 ** math.floor(math.log10(min_step))
+    # the factor 0.999 keeps a round step that rounding errors make slightly too small
+    step = next(m * power for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= min_step * 0.999)
     first = math.ceil(low / step - 1e-9)
     last = math.floor(high / step + 1e-9)
     return np.asarray(np.arange(first, last + 1) * step)
 
 
 def _axes(frame: _PlotFrame, x_label: str, y_label: str) -> list[str]:
+    """Return grid lines, ticks with their numbers, and the names of both axes."""
     right, bottom = frame.right, frame.bottom
     out = []
     for value in ticks(*frame.y, 4):
@@ -260,10 +270,11 @@ def _axes(frame: _PlotFrame, x_label: str, y_label: str) -> list[str]:
 
 
 def _number(value: float) -> str:
-    return f"{value + 0.0:.6g}".replace("-", "−")
+    return f"{value + 0.0:.6g}".replace("-", "−")  # the sum turns -0.0 into 0.0
 
 
 def _value_range(arrays: Sequence[FloatArray]) -> tuple[float, float]:
+    """Return the finite minimum and maximum of arrays, or a range of size 1 if they are equal."""
     values = np.concatenate([np.ravel(a) for a in arrays])
     values = values[np.isfinite(values)]
     low, high = float(values.min()), float(values.max())
@@ -271,6 +282,7 @@ def _value_range(arrays: Sequence[FloatArray]) -> tuple[float, float]:
 
 
 def _with_equal_scales(frame: _PlotFrame) -> _PlotFrame:
+    """Widen one of the ranges about its middle, so that both axes have the same scale."""
     aspect = (frame.right - _LEFT) / (frame.bottom - _TOP)
     scale = max((frame.x[1] - frame.x[0]) / aspect, frame.y[1] - frame.y[0])
     cx, cy = 0.5 * sum(frame.x), 0.5 * sum(frame.y)
@@ -280,14 +292,14 @@ def _with_equal_scales(frame: _PlotFrame) -> _PlotFrame:
 
 
 def _decimated(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Decimate a curve to at most two points per column, the minimum and the maximum, in order."""
+    """Decimate a long curve to its ends and to the minimum and maximum of each column, in order."""
     x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
     if len(x) <= 2 * _COLUMNS:
         return x, y
     width = -(-len(x) // _COLUMNS)
-    whole = np.full(width * _COLUMNS, np.nan)
-    whole[: len(y)] = y
-    columns = whole.reshape(_COLUMNS, width)
+    padded = np.full(width * _COLUMNS, np.nan)
+    padded[: len(y)] = y
+    columns = padded.reshape(_COLUMNS, width)
     missing = np.isnan(columns)
     minima = np.where(missing, np.inf, columns).argmin(axis=1)
     maxima = np.where(missing, -np.inf, columns).argmax(axis=1)
@@ -298,9 +310,9 @@ def _decimated(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _runs(y: FloatArray) -> list[slice]:
-    """Return runs of finite values that are at least two points long."""
-    good = np.concatenate([[False], np.isfinite(y), [False]])
-    edges = np.flatnonzero(good[1:] != good[:-1])
+    """Return the runs of finite values that are at least two points long, as slices of ``y`` (N,)."""
+    is_finite = np.concatenate([[False], np.isfinite(y), [False]])
+    edges = np.flatnonzero(is_finite[1:] != is_finite[:-1])
     return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2) if b - a > 1]
 
 
@@ -311,14 +323,14 @@ _ZERO_COLOUR = np.array([0.93, 0.94, 0.93])
 _POSITIVE_COLOUR = np.array([0.78, 0.18, 0.13])
 """Red, green, blue in 0..1 of a large positive deviation: material remains."""
 _UNROLLED_GRID = (1500, 41)
-"""Number of points along and across a ruled surface that is unrolled."""
+"""Number of points across and along the rulings of a ruled surface that is unrolled."""
 MISSED_COLOUR = np.array([0.35, 0.13, 0.45])
 """Red, green, blue in 0..1 of points that the tool did not pass."""
 
 
 @dataclasses.dataclass(frozen=True)
 class FaceWords:
-    """Words for a simulated face: what passes it, and its negative and positive deviations."""
+    """Words for a simulated face: the tool that passes it, and negative and positive deviations."""
 
     tool: str = "tool"
     negative: str = "too much cut"
@@ -348,7 +360,8 @@ class MapRulings:
 def plane_axes(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Fit a plane to points, and return its horizontal axis, vertical axis and normal (3,) each.
 
-    The vertical axis is the frame's z as far as the plane allows, or its y for a horizontal plane.
+    The vertical axis is the projection of the frame's z axis onto the plane, or of its y axis for a nearly
+    horizontal plane. The largest component of the normal is positive.
 
     Args:
         points: Points (M, 3).
@@ -364,7 +377,7 @@ def plane_axes(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 def diverging(value: FloatArray, span: float) -> FloatArray:
     """Map values to colours (..., 3): blue below zero, pale at zero, red above, saturated at ``span``."""
     t = np.clip(value / span, -1.0, 1.0)[..., None]
-    weight = np.abs(t) ** 0.8
+    weight = np.abs(t) ** 0.8  # an exponent below 1 makes small deviations visible
     return np.asarray(
         np.where(
             t < 0,
@@ -376,31 +389,34 @@ def diverging(value: FloatArray, span: float) -> FloatArray:
 
 def sequential(value: FloatArray) -> FloatArray:
     """Map values in 0..1 to colours (..., 3), dark blue over green to yellow (keys of the viridis map)."""
-    keys = np.array(
+    key_colours = np.array(
         [[0.27, 0.0, 0.33], [0.23, 0.32, 0.55], [0.13, 0.57, 0.55], [0.37, 0.79, 0.38], [0.99, 0.91, 0.15]]
     )
-    at = np.linspace(0.0, 1.0, len(keys))
-    return np.stack([np.interp(value, at, keys[:, c]) for c in range(3)], axis=-1)
+    key_values = np.linspace(0.0, 1.0, len(key_colours))
+    return np.stack([np.interp(value, key_values, key_colours[:, c]) for c in range(3)], axis=-1)
 
 
 def bin_values(uv: FloatArray, value: FloatArray) -> tuple[FloatArray, tuple[float, float, float, float]]:
-    """Bin values on a grid, with the largest magnitude in each cell.
+    """Bin values on a grid, with the value of the largest magnitude in each cell.
 
-    Empty cells take the value of the nearest cell if it is close, else they are infinite. NaN stays NaN.
+    A cell with a NaN is NaN. An empty cell takes the value of the nearest other cell if that is at most three
+    cells away, else it is infinite.
 
     Args:
         uv: Coordinates (M, 2) [m].
         value: Values (M,).
 
     Returns:
-        Grid with rows from the top, and its extent u0, u1, v0, v1.
+        Grid (h, w) with rows from the largest v down, and its extent u0, u1, v0, v1 [m].
     """
     low, high = uv.min(axis=0), uv.max(axis=0)
     size = np.maximum(high - low, 1e-6)
-    cell = max(float(np.sqrt(size[0] * size[1] / max(len(uv), 1))) * 2.0, float(size.max()) / 240.0)
-    shape = np.ceil(size / cell).astype(int) + 1
-    column, row = ((uv - low) / cell).astype(int).T
+    # twice the mean distance of the points, but at most 240 cells along the longer side
+    cell_size = max(float(np.sqrt(size[0] * size[1] / max(len(uv), 1))) * 2.0, float(size.max()) / 240.0)
+    shape = np.ceil(size / cell_size).astype(int) + 1
+    column, row = ((uv - low) / cell_size).astype(int).T
     flat = (shape[1] - 1 - row) * shape[0] + column
+    # in a cell the last assignment remains: that of NaN or of the largest magnitude
     order = np.argsort(np.where(np.isnan(value), np.inf, np.abs(value)), kind="stable")
     grid = np.full(shape[0] * shape[1], np.inf)
     grid[flat[order]] = value[order]
@@ -410,17 +426,17 @@ def bin_values(uv: FloatArray, value: FloatArray) -> tuple[FloatArray, tuple[flo
     filled = np.where(distance <= 3.0, grid[tuple(nearest)], np.inf)
     return filled, (
         float(low[0]),
-        float(low[0] + shape[0] * cell),
+        float(low[0] + shape[0] * cell_size),
         float(low[1]),
-        float(low[1] + shape[1] * cell),
+        float(low[1] + shape[1] * cell_size),
     )
 
 
 def project_to_plane(points: FloatArray) -> tuple[FloatArray, str]:
-    """Project points to their best-fit plane, with the longer side horizontal.
+    """Project points to their best-fit plane, with the clearly longer side horizontal.
 
     Args:
-        points: Points (M, 3) [m].
+        points: Points (M, 3) [m] in the stock frame.
 
     Returns:
         Coordinates (M, 2) [m], and a description of the view direction.
@@ -438,7 +454,7 @@ def project_to_plane(points: FloatArray) -> tuple[FloatArray, str]:
 
 
 def unroll(points: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
-    """Unroll a ruled surface: coordinates along its middle line, and along its rulings.
+    """Return the coordinates of points on an unrolled ruled surface.
 
     Each point takes the coordinates of the nearest point of a dense grid on the surface.
 
@@ -448,15 +464,14 @@ def unroll(points: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray
         end: Ends of the rulings (K, 3) [m].
 
     Returns:
-        Coordinates (M, 2) [m].
+        Coordinates (M, 2) [m]: along the line of the rulings' middles, and along the rulings, which all
+        have their mean length.
     """
     arc_length = np.concatenate(
         [[0.0], np.cumsum(np.linalg.norm(np.diff(0.5 * (start + end), axis=0), axis=1))]
     )
-    samples, fraction = (
-        np.linspace(0.0, arc_length[-1], _UNROLLED_GRID[0]),
-        np.linspace(0.0, 1.0, _UNROLLED_GRID[1]),
-    )
+    samples = np.linspace(0.0, arc_length[-1], _UNROLLED_GRID[0])
+    fraction = np.linspace(0.0, 1.0, _UNROLLED_GRID[1])
     low, high = (
         np.stack([np.interp(samples, arc_length, side[:, c]) for c in range(3)], axis=-1)
         for side in (start, end)
@@ -469,12 +484,12 @@ def unroll(points: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray
 
 
 def colour_span(deviation: FloatArray, tolerance: float) -> float:
-    """Return the end of the colour scale [m].
+    """Return the deviation [m] at which the colours of a face are saturated.
 
-    It covers nearly all deviations, so that small ones remain visible.
+    It covers all but the largest 0.5 % of the deviations, so that outliers do not make the others pale.
 
     Args:
-        deviation: Deviations (M,) [m].
+        deviation: Deviations (M,) [m], NaN where unknown.
         tolerance: Tolerance [m].
     """
     finite = np.abs(deviation[np.isfinite(deviation)])
@@ -519,12 +534,13 @@ def deviation_map(
 
 
 def _axis_name(direction: FloatArray) -> str:
+    """Return the name of the coordinate axis that is closest to a direction (3,), with its sign."""
     k = int(np.argmax(np.abs(direction)))
     return ("+" if direction[k] > 0 else "−") + "xyz"[k]
 
 
 def histogram(deviation: FloatArray, tolerance: float) -> Drawing | Paragraph:
-    """Draw the fraction of a face over the deviation [mm], with the tolerance marked.
+    """Draw a histogram of the deviations of a face [mm] in percent of its points, with the tolerance marked.
 
     Args:
         deviation: Deviations (M,) [m].
@@ -546,7 +562,7 @@ def histogram(deviation: FloatArray, tolerance: float) -> Drawing | Paragraph:
 
 
 def _heat_map(image: str, extent: tuple[float, float, float, float]) -> Drawing:
-    """Draw a picture with scales in mm, equal for both axes."""
+    """Draw an image, given as a data URL, over its extent u0, u1, v0, v1 [m] with scales in mm."""
     u0, u1, v0, v1 = (e * 1e3 for e in extent)
     width = 440.0
     scale = min((width - 60.0) / (u1 - u0), 330.0 / (v1 - v0))
@@ -570,6 +586,7 @@ def _heat_map(image: str, extent: tuple[float, float, float, float]) -> Drawing:
 
 
 def _scale_bar(span: float, tolerance: float, missed: bool, face: FaceWords) -> Drawing:
+    """Draw the colours from ``-span`` to ``span`` [m] with their words, and the tolerance as marks."""
     values = np.linspace(-span, span, 200)
     image = markup.png(np.tile(diverging(values, span)[None], (2, 1, 1)))
     left, width = 60.0, 320.0
@@ -580,32 +597,36 @@ def _scale_bar(span: float, tolerance: float, missed: bool, face: FaceWords) -> 
     marks = (-span, -tolerance, 0.0, tolerance, span) if tolerance <= span else (-span, 0.0, span)
     for value in marks:
         x = left + (value + span) / (2 * span) * width
+        # the number of a tolerance near an end of the scale would overlap the number of that end
         if abs(abs(value) - span) > 0.1 * span or abs(value) == span:
             parts.append(f'<text class="mid" x="{x:.1f}" y="24">{markup.number(value * 1e3, 2)}</text>')
         if abs(value) == tolerance:
             parts.append(f'<line class="axis" x1="{x:.1f}" x2="{x:.1f}" y1="0" y2="13"/>')
     parts.append("</svg>")
     words = [("#215cb2", face.negative), ("#c72e21", face.positive)]
-    words += [("#592173", face.missing)] if missed else []
-    words += [("transparent", f"tolerance ±{markup.number(tolerance * 1e3)} mm: beyond the scale")] * (
-        tolerance > span
-    )
+    if missed:
+        words.append(("#592173", face.missing))
+    if tolerance > span:
+        words.append(("transparent", f"tolerance ±{markup.number(tolerance * 1e3)} mm: beyond the scale"))
     keys = "".join(f'<span class="swatch" style="--s:{color}">{name}</span>' for color, name in words)
     return Drawing("".join(parts) + f'<div class="legend">{keys}</div>')
 
 
 def value_map(points: FloatArray, value: FloatArray, limit: float | None, unit: str) -> BlockGroup:
-    """Draw a heat map of any value, about 0 if there is a ``limit``, else from minimum to maximum.
+    """Draw a heat map of values at points, seen along the normal of the points' best-fit plane.
 
     Args:
-        points: Points (M, 3) [m].
+        points: Points (M, 3) [m] in the stock frame.
         value: Values (M,).
-        limit: End of the scale, or None.
+        limit: The colours diverge from 0 to at least this magnitude. None: from minimum to maximum.
         unit: Unit of the values.
+
+    Raises:
+        ValueError: The shapes of points and values do not match.
     """
     if points.shape != (len(value), 3):
         raise ValueError(f"points {points.shape} and value {value.shape} do not belong together")
-    uv, words = project_to_plane(points)
+    uv, view_words = project_to_plane(points)
     grid, extent = bin_values(uv, value)
     inside = np.isfinite(grid)
     low, high = float(np.nanmin(value)), float(np.nanmax(value))
@@ -613,15 +634,15 @@ def value_map(points: FloatArray, value: FloatArray, limit: float | None, unit: 
         span = max(float(limit), abs(low), abs(high))
         low, high = -span, span
         color = diverging(np.where(inside, grid, 0.0), span)
-        bar = diverging(np.linspace(-span, span, 200), span)
+        bar_colours = diverging(np.linspace(-span, span, 200), span)
     else:
         color = sequential((np.where(inside, grid, low) - low) / max(high - low, 1e-12))
-        bar = sequential(np.linspace(0.0, 1.0, 200))
-    image = markup.png(np.tile(bar[None], (2, 1, 1)))
+        bar_colours = sequential(np.linspace(0.0, 1.0, 200))
+    image = markup.png(np.tile(bar_colours[None], (2, 1, 1)))
     key = Drawing(
         f'<svg class="plot" viewBox="0 0 440 24"><image href="{image}" x="90" y="6" width="260" height="9" '
         f'preserveAspectRatio="none"/><text class="ytick" x="84" y="14">{markup.number(low, 3)}</text>'
         f'<text x="356" y="14">{markup.number(high, 3)} {markup.phrase_html(unit)}</text></svg>'
     )
     field = _heat_map(markup.png(color, inside.astype(np.float64)), extent)
-    return BlockGroup((field, key, Paragraph(words, "note")))
+    return BlockGroup((field, key, Paragraph(view_words, "note")))

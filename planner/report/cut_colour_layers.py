@@ -1,7 +1,7 @@
 """Colours of the replay along the cut, from the proof: deviation, clearance and speed.
 
-Figures and words are those of the report: clearance and speed of `motion_charts`, deviations of the
-simulated faces in the colours of their maps. Without a proof there are none.
+Values and words are those of the report: clearance and speed of `motion_charts`, deviations of the
+simulated faces in the colours of their maps. Without a proof there are no colours.
 """
 
 import dataclasses
@@ -32,16 +32,16 @@ _NO_COLOUR: Final = np.array([0.6, 0.63, 0.66])
 
 @dataclasses.dataclass(frozen=True)
 class ColourLayer:
-    """One quantity along the cut.
+    """One quantity along the cut, either as values over keyframes or as coloured points.
 
     Attributes:
-        name: Name.
-        title: Title.
-        unit: Unit of the values.
+        name: Name in the list of choices.
+        title: Title of the key.
+        unit: Unit of the values and of the scale.
         low: Lower end of the scale.
         high: Upper end of the scale.
-        key: Colours (SHADES, 3) from ``low`` to ``high``.
-        limits: Marks on the key with their words.
+        key: Colours (KEY_COLOURS, 3) in 0..1 from ``low`` to ``high``.
+        limits: Values that are marked on the key, with their words.
         words: Statement of the report about the quantity.
         values: Values {arm: (T,)} over keyframes, under the empty name for all arms together. NaN where
             there is none.
@@ -69,7 +69,7 @@ class ColourLayer:
 def colour_layers(
     problem: Problem, plan: Plan, proof: Proof | None, time: FloatArray
 ) -> tuple[ColourLayer, ...]:
-    """Return the quantities of a proof over keyframes.
+    """Return the quantities that colour the cut, those of a proof that are known. Empty without a proof.
 
     Args:
         problem: Problem.
@@ -89,33 +89,35 @@ def colour_layers(
 
 
 def interval_extremes(at: FloatArray, value: FloatArray, time: FloatArray, use_min: bool) -> FloatArray:
-    """Return the minimum or maximum of a curve since the previous one of some times, both ends included.
+    """Return the minimum or maximum of a curve in each interval between successive times, ends included.
 
     Args:
         at: Ascending abscissae of the curve (K,) [s].
-        value: Values of the curve (K,).
-        time: Times (T,) [s].
+        value: Values of the curve (K,), NaN in gaps.
+        time: Ascending times (T,) [s].
         use_min: Return the minimum instead of the maximum.
 
     Returns:
-        Values (T,), NaN where the curve has a gap, and outside it.
+        Extremes (T,) from the previous time to each time, the first one at its time only. NaN in intervals
+        without a value.
     """
-    known = np.isfinite(value)
+    is_finite = np.isfinite(value)
     out = np.full(len(time), np.nan)
-    if not known.any():
+    if not is_finite.any():
         return out
     ends = np.interp(time, at, value, left=np.nan, right=np.nan)
-    pick = np.fmin if use_min else np.fmax
+    extreme = np.fmin if use_min else np.fmax
     first = np.searchsorted(at, np.concatenate([time[:1], time[:-1]]), side="left")
     last = np.searchsorted(at, time, side="right")
     previous_ends = np.concatenate([ends[:1], ends[:-1]])
     for k, (a, b) in enumerate(zip(first, last, strict=True)):
-        inside = pick.reduce(value[a:b]) if b > a else np.nan
-        out[k] = pick(pick(previous_ends[k], ends[k]), inside)
+        inside = extreme.reduce(value[a:b]) if b > a else np.nan
+        out[k] = extreme(extreme(previous_ends[k], ends[k]), inside)
     return out
 
 
 def _clearance(problem: Problem, motion: MotionSeries, time: FloatArray) -> ColourLayer | None:
+    """Return the minimum distance of bodies that must not touch, or None if the proof has none."""
     data = motion.clearance
     if data is None:
         return None
@@ -136,23 +138,24 @@ def _clearance(problem: Problem, motion: MotionSeries, time: FloatArray) -> Colo
 
 
 def _speed(motion: MotionSeries, proof: Proof, time: FloatArray) -> ColourLayer | None:
+    """Return the speed of the tool edges inside the stock, else that of the TCPs, or None if unknown."""
     series = proof.series
     feed, edges = motion.feed, motion_charts.edge_speeds(motion.processes)
     if edges:
-        known = np.isfinite(feed.speed)
+        is_finite = np.isfinite(feed.speed)
         curves = [(edge.time, edge.speed) for edge in edges]
         curves.sort(key=lambda curve: float(curve[0][0]) if len(curve[0]) else 0.0)
         values = {"": interval_extremes(*_concatenated(curves), time, use_min=False)}
-        work = known & np.isfinite(feed.lower) & (feed.lower > 0.0)
+        has_window = is_finite & np.isfinite(feed.lower) & (feed.lower > 0.0)
         limits = (
             [
-                (float(np.min(feed.lower[work])) / MM, "minimum"),
-                (float(np.max(feed.upper[work])) / MM, "maximum"),
+                (float(np.min(feed.lower[has_window])) / MM, "minimum"),
+                (float(np.max(feed.upper[has_window])) / MM, "maximum"),
             ]
-            if work.any()
+            if has_window.any()
             else []
         )
-        inside = feed.speed[work if work.any() else known] / MM
+        speeds = feed.speed[has_window if has_window.any() else is_finite] / MM
         title = edges[0].title
     else:
         names = [name for name in series if name.startswith("tcp_speed/")]
@@ -166,13 +169,13 @@ def _speed(motion: MotionSeries, proof: Proof, time: FloatArray) -> ColourLayer 
         limits = []
         bands = [band for band in motion.bands if band.kind in WORKING_KINDS]
         within = [(at >= band.start) & (at <= band.end) for band in bands] or [np.ones(len(at), dtype=bool)]
-        works = np.logical_or.reduce(within)
-        inside = np.concatenate([np.asarray(series[name])[works] / MM for name in names])
+        is_working = np.logical_or.reduce(within)
+        speeds = np.concatenate([np.asarray(series[name])[is_working] / MM for name in names])
         title = "speed of the tool tip"
-    if not len(inside) or not np.isfinite(inside).any():
+    if not len(speeds) or not np.isfinite(speeds).any():
         return None
-    high = 1.1 * max([float(np.nanmax(inside)), *(value for value, _ in limits if np.isfinite(value))])
-    min_text, max_text = (markup.number(float(pick(inside)), 3) for pick in (np.nanmin, np.nanmax))
+    high = 1.1 * max([float(np.nanmax(speeds)), *(value for value, _ in limits if np.isfinite(value))])
+    min_text, max_text = (markup.number(float(extreme(speeds)), 3) for extreme in (np.nanmin, np.nanmax))
     words = f"from {min_text} to {max_text} mm/s during work"
 
     def colours(value: FloatArray) -> FloatArray:
@@ -183,7 +186,7 @@ def _speed(motion: MotionSeries, proof: Proof, time: FloatArray) -> ColourLayer 
 
 
 def _concatenated(curves: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
-    """Concatenate curves [s, m/s] to one [s, mm/s], with a gap between two of them."""
+    """Join curves [s, m/s] to one [s, mm/s], with a NaN before and after each against interpolation."""
     gap = np.array([np.nan])
     at = [np.concatenate([time[:1] - 1e-6, time, time[-1:] + 1e-6]) for time, _ in curves if len(time)]
     value = [np.concatenate([gap, speed / MM, gap]) for time, speed in curves if len(time)]
@@ -212,8 +215,9 @@ class _ColourScale:
 def _layer(
     name: str, title: str, scale: _ColourScale, words: str, values: Mapping[str, FloatArray]
 ) -> ColourLayer:
+    """Return a layer with one colour for each value, `_NO_COLOUR` where the value is NaN."""
     key = scale.colours(np.linspace(scale.low, scale.high, KEY_COLOURS))
-    shown = {
+    colours = {
         arm: np.where(
             np.isnan(arm_values)[:, None],
             _NO_COLOUR,
@@ -222,11 +226,12 @@ def _layer(
         for arm, arm_values in values.items()
     }
     return ColourLayer(
-        name, title, scale.unit, scale.low, scale.high, key, scale.limits, words, values, shown
+        name, title, scale.unit, scale.low, scale.high, key, scale.limits, words, values, colours
     )
 
 
 def _deviation(problem: Problem, faces: Sequence[CutFace]) -> ColourLayer | None:
+    """Return the deviations of the simulated faces as coloured points, the worst ones included, or None."""
     faces = [face for face in faces if len(face.points)]
     if not faces:
         return None
@@ -234,19 +239,19 @@ def _deviation(problem: Problem, faces: Sequence[CutFace]) -> ColourLayer | None
     fraction = min(1.0, MAX_FACE_POINTS / sum(len(face.points) for face in faces))
     points, colours = [], []
     for face in faces:
-        rows = np.unique(
+        kept = np.unique(
             np.linspace(0, len(face.points) - 1, max(1, int(fraction * len(face.points)))).astype(int)
         )
         if np.isfinite(face.deviation).any():
-            rows = np.union1d(rows, [int(np.nanargmax(np.abs(face.deviation)))])
-        value = face.deviation[rows]
-        points.append(face.points[rows])
-        shown = charts.diverging(np.nan_to_num(value), span)
-        colours.append(np.where(np.isfinite(value)[:, None], shown, charts.MISSED_COLOUR))
+            kept = np.union1d(kept, [int(np.nanargmax(np.abs(face.deviation)))])
+        deviation = face.deviation[kept]
+        points.append(face.points[kept])
+        face_colours = charts.diverging(np.nan_to_num(deviation), span)
+        colours.append(np.where(np.isfinite(deviation)[:, None], face_colours, charts.MISSED_COLOUR))
     area = np.concatenate([face.area for face in faces])
     spacing = float(np.sqrt(np.mean(area) / fraction)) if len(area) else 0.0
-    bound = [face.tolerance for face in faces if not len(face.allowed)]
-    limit = min(bound, default=np.inf) / MM  # a tolerance that varies over the face gets no mark
+    uniform_tolerances = [face.tolerance for face in faces if not len(face.allowed)]
+    limit = min(uniform_tolerances, default=np.inf) / MM  # a tolerance that varies over the face gets no mark
     high = span / MM
     key = charts.diverging(np.linspace(-high, high, KEY_COLOURS), high)
     marks = tuple((sign * limit, "allowed") for sign in (-1.0, 1.0) if limit <= high)
@@ -256,11 +261,11 @@ def _deviation(problem: Problem, faces: Sequence[CutFace]) -> ColourLayer | None
         f"{worst_face.rms / MM:.3f} mm, allowed "
         f"{markup.allowed_deviation(worst_face.allowed, worst_face.tolerance)} mm"
     ) + (f"; {len(faces)} faces" if len(faces) > 1 else "")
-    kinds = [
-        (words.negative, words.positive, words.missing)
-        for words in (face_words(problem, face) for face in faces)
+    colour_meanings = [
+        (terms.negative, terms.positive, terms.missing)
+        for terms in (face_words(problem, face) for face in faces)
     ]
-    blue, red, missed = (" or ".join(dict.fromkeys(words)) for words in zip(*kinds, strict=True))
+    blue, red, missed = (" or ".join(dict.fromkeys(terms)) for terms in zip(*colour_meanings, strict=True))
     title = f"deviation from the nominal part: blue {blue}, red {red}, violet {missed}"
     return ColourLayer(
         "deviation",

@@ -20,7 +20,7 @@ An exhibit is a mapping of arrays and plain data with ``kind`` and ``title`` (``
   the tools and ``released``; ``deviation`` (H, W) from the nominal part, NaN where unknown; ``limit``: end
   of its scale; ``unit``. The replay shows both surfaces.
 - ``mesh``: ``vertices`` (V, 3) [m], ``faces`` (F, 3): a shaded picture.
-- ``left``: as ``mesh``, the stock as an operation leaves it. The replay shows it from then on.
+- ``left``: as ``mesh``, the stock that remains after an operation. The replay shows it from then on.
 - ``tree``: ``nodes``: names; ``parent``: for each node the index of its parent, -1 for a root.
 - ``text``: ``text``: a paragraph.
 
@@ -46,42 +46,45 @@ _MAX_CURVES = 60
 def in_space(
     curves: Sequence[FloatArray], value: FloatArray, block: FloatArray, points: FloatArray | None = None
 ) -> Drawing:
-    """Draw curves in a parallel view with the edges of the block.
+    """Draw curves in a parallel view from above, with the edges of the block. Hidden edges are dashed.
 
     Args:
-        curves: Curves (P, 3) [m].
+        curves: S curves (P, 3) [m] in the stock frame, of which at most 60 are drawn.
         value: Values (S,) that colour the curves.
         block: Lowest and highest corner of the block (2, 3) [m].
         points: Points (M, 3) [m] drawn as dots, or None.
     """
-    size = block[1] - block[0]
-    toward = np.array([-0.62, 1.0, -0.55]) if size[1] <= size[0] else np.array([-1.0, 0.62, -0.55])
-    z = toward / np.linalg.norm(toward)
+    block_size = block[1] - block[0]
+    view_direction = (
+        np.array([-0.62, 1.0, -0.55]) if block_size[1] <= block_size[0] else np.array([-1.0, 0.62, -0.55])
+    )
+    z = view_direction / np.linalg.norm(view_direction)
     x = np.cross(z, [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
     axes = np.stack([x, np.cross(z, x)], axis=1)
     corners = np.array(
         [[block[i, 0], block[j, 1], block[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
     )
-    flat = [curve @ axes for curve in curves]
-    everything = np.concatenate([*flat, corners @ axes])
+    projected = [curve @ axes for curve in curves]
+    everything = np.concatenate([*projected, corners @ axes])
     low, high = everything.min(axis=0), everything.max(axis=0)
     scale = min(500.0 / (high[0] - low[0]), 300.0 / (high[1] - low[1]))
-    drawn = (high - low) * scale + 24.0
-    parts = [f'<svg class="plot" viewBox="0 0 {drawn[0]:.0f} {drawn[1]:.0f}" style="max-height:340px">']
-    hidden = int(np.argmax(corners @ z))
+    size_px = (high - low) * scale + 24.0
+    parts = [f'<svg class="plot" viewBox="0 0 {size_px[0]:.0f} {size_px[1]:.0f}" style="max-height:340px">']
+    hidden_corner = int(np.argmax(corners @ z))  # the farthest one: its three edges are behind the block
     for a in range(8):
         for b in range(a + 1, 8):
+            # an edge joins two corners that differ in one coordinate
             if np.count_nonzero(np.abs(corners[a] - corners[b]) > 1e-12) == 1:
                 p, q = ((corners[[a, b]] @ axes) - low) * scale + 12.0
-                back = " back" if hidden in (a, b) else ""
+                back = " back" if hidden_corner in (a, b) else ""
                 parts.append(
                     f'<line class="edge{back}" x1="{p[0]:.1f}" y1="{p[1]:.1f}" '
                     f'x2="{q[0]:.1f}" y2="{q[1]:.1f}"/>'
                 )
     colors = _colours(value)
     for i in _even_indices(len(curves)):
-        drawn_points = " ".join(f"{u:.1f},{v:.1f}" for u, v in (flat[i] - low) * scale + 12.0)
+        drawn_points = " ".join(f"{u:.1f},{v:.1f}" for u, v in (projected[i] - low) * scale + 12.0)
         parts.append(f'<polyline class="thin" style="stroke:{colors[i]}" points="{drawn_points}"/>')
     if points is not None:
         for u, v in (points @ axes - low) * scale + 12.0:
@@ -91,39 +94,40 @@ def in_space(
 
 
 def in_plane(curves: Sequence[FloatArray], nominal: Sequence[FloatArray], value: FloatArray) -> Drawing:
-    """Draw curves in their own planes [mm], with the chord along x and its middle at 0.
+    """Draw curves superimposed in their own planes [mm], with the chord along x and its middle at 0.
 
-    The plane of a curve contains its chord, and is perpendicular to the path from section to section.
+    The plane of a curve contains its chord, and is perpendicular to the path from section to section. Low
+    curves are drawn with exaggerated heights.
 
     Args:
-        curves: Curves (P, 3) [m].
-        nominal: Nominal curves (P, 3) [m], or none.
+        curves: S curves (P, 3) [m].
+        nominal: Nominal curves (P, 3) [m], which are dashed. They are drawn only if there are S of them.
         value: Values (S,) that colour the curves.
     """
-    middles = np.array([c.mean(axis=0) for c in curves])
-    sweep = np.gradient(middles, axis=0) if len(curves) > 1 else np.array([[0.0, 0.0, 1.0]])
+    centroids = np.array([c.mean(axis=0) for c in curves])
+    sweep = np.gradient(centroids, axis=0) if len(curves) > 1 else np.array([[0.0, 0.0, 1.0]])
     frames: list[tuple[FloatArray, FloatArray]] = []
     for i, curve in enumerate(curves):
         origin, axes = _plane(curve, sweep[i])
         is_flipped = bool(frames) and float(axes[:, 1] @ frames[-1][1][:, 1]) < 0.0
         frames.append((origin, axes * [1.0, -1.0] if is_flipped else axes))
-    pairs = zip(curves, frames, strict=True)
-    width, rise = np.ptp(np.concatenate([(c - origin) @ axes for c, (origin, axes) in pairs]), axis=0)
+    with_frames = zip(curves, frames, strict=True)
+    width, rise = np.ptp(np.concatenate([(c - origin) @ axes for c, (origin, axes) in with_frames]), axis=0)
     exaggeration = next((k for k in (1, 2, 5, 10) if rise * k > 0.22 * width), 10)
     stretch = np.array([1e3, 1e3 * exaggeration])
-    drawn: list[tuple[FloatArray, str]] = []
+    styled_curves: list[tuple[FloatArray, str]] = []
     colors = _colours(value)
     for i in _even_indices(len(curves)):
         origin, axes = frames[i]
-        drawn.append((((curves[i] - origin) @ axes) * stretch, f"stroke:{colors[i]}"))
+        styled_curves.append((((curves[i] - origin) @ axes) * stretch, f"stroke:{colors[i]}"))
         if len(nominal) == len(curves):
-            drawn.append(
+            styled_curves.append(
                 (((nominal[i] - origin) @ axes) * stretch, "stroke:var(--soft);stroke-dasharray:2 3")
             )
-    everything = np.concatenate([d for d, _ in drawn])
+    everything = np.concatenate([d for d, _ in styled_curves])
     low, high = everything.min(axis=0), everything.max(axis=0)
-    pad = 0.05 * max(high - low)
-    low, high = low - pad, high + pad
+    margin = 0.05 * max(high - low)
+    low, high = low - margin, high + margin
     scale = min(470.0 / (high[0] - low[0]), 290.0 / (high[1] - low[1]))
     height = (high[1] - low[1]) * scale
     parts = [f'<svg class="plot" viewBox="0 0 540 {height + 40:.0f}">']
@@ -142,14 +146,14 @@ def in_plane(curves: Sequence[FloatArray], nominal: Sequence[FloatArray], value:
         parts.append(
             f'<text class="ytick" x="46" y="{y + 4:.1f}">{markup.number(float(v) / exaggeration)}</text>'
         )
-    words = "mm" if exaggeration == 1 else f"mm; heights drawn {exaggeration} times"
-    for path, style in drawn:
+    axis_label = "mm" if exaggeration == 1 else f"mm; heights drawn {exaggeration} times"
+    for path, style in styled_curves:
         uv = np.stack([52 + (path[:, 0] - low[0]) * scale, 4 + (high[1] - path[:, 1]) * scale], axis=1)
         points = " ".join(f"{u:.1f},{v:.1f}" for u, v in uv)
         parts.append(f'<polyline class="thin" style="{style}" points="{points}"/>')
     parts.append(
         f'<text class="mid" x="{52 + 0.5 * (high[0] - low[0]) * scale:.0f}" '
-        f'y="{height + 36:.0f}">{words}</text></svg>'
+        f'y="{height + 36:.0f}">{axis_label}</text></svg>'
     )
     return Drawing("".join(parts))
 
@@ -171,7 +175,11 @@ def colour_key(value: FloatArray, name: str) -> Drawing:
 
 
 def _plane(curve: FloatArray, sweep: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the middle of the chord (3,), and axes (3, 2) along and across it in the section's plane."""
+    """Return the plane of a section: the middle (3,) of its chord, and its axes (3, 2).
+
+    The first axis is along the chord, the second one across it and perpendicular to ``sweep`` (3,), the
+    direction from section to section. A closed curve has as chord the line to its middle point.
+    """
     chord = curve[-1] - curve[0]
     if np.linalg.norm(chord) < 1e-9:
         chord = curve[len(curve) // 2] - curve[0]
@@ -186,10 +194,12 @@ def _plane(curve: FloatArray, sweep: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 def _even_indices(count: int) -> list[int]:
+    """Return at most `_MAX_CURVES` evenly spaced indices of ``count`` curves."""
     return sorted({round(i) for i in np.linspace(0, count - 1, min(count, _MAX_CURVES))})
 
 
 def _colours(value: FloatArray) -> list[str]:
+    """Return CSS colours for values (S,), from the smallest to the largest one of them."""
     span = float(np.ptp(value)) or 1.0
     rgb = charts.sequential(0.18 + 0.74 * (value - value.min()) / span) * 255.0
     return [f"rgb({r:.0f} {g:.0f} {b:.0f})" for r, g, b in rgb]
@@ -202,7 +212,7 @@ _HALF_WIDTH_COLUMNS = 6
 
 
 def draw(exhibits: Mapping[str, Any], block: FloatArray) -> tuple[list[Block], list[Issue]]:
-    """Draw all exhibits except those of the setup sheet.
+    """Draw all exhibits except those of the setup sheet, which are only checked.
 
     Args:
         exhibits: Exhibits by name.
@@ -233,12 +243,12 @@ def exhibits_page(
     block: FloatArray = UNIT_BLOCK,
     name: str = "",
 ) -> str:
-    """Draw exhibits as a page of its own.
+    """Return an HTML page with nothing but exhibits. Exhibits that cannot be drawn are left out.
 
     Args:
         title: Title of the page.
         section: Anchor and title of its only section.
-        shown: Exhibits.
+        shown: Exhibits by name.
         about: Description of the page.
         block: Lowest and highest corner of the block (2, 3) [m], for exhibits that are drawn in it.
         name: Heading of the page, by default its title.
@@ -249,7 +259,7 @@ def exhibits_page(
 
 
 def setup_items(exhibits: Mapping[str, Any]) -> list[tuple[Phrase, Phrase]]:
-    """Return names and values of all exhibits of kind ``setup``."""
+    """Return names and values of all valid exhibits of kind ``setup``."""
     out: list[tuple[Phrase, Phrase]] = []
     for exhibit in exhibits.values():
         if isinstance(exhibit, Mapping) and exhibit.get("kind") == "setup":
@@ -259,6 +269,7 @@ def setup_items(exhibits: Mapping[str, Any]) -> list[tuple[Phrase, Phrase]]:
 
 
 def _undrawable(name: str, kind: Any, error: Exception) -> Issue:
+    """Return the issue about an exhibit that cannot be drawn because of an error."""
     return Issue(
         "report.exhibit",
         format_message(
@@ -275,6 +286,7 @@ def _undrawable(name: str, kind: Any, error: Exception) -> Issue:
 
 
 def _items(items: Sequence[Any]) -> list[tuple[Phrase, Phrase]]:
+    """Return names and values of items (name, value) or (name, value, unit), the value with its unit."""
     out = []
     for item in items:
         name, value, unit = (*item, "")[:3]
@@ -288,17 +300,19 @@ def _titled_figure(exhibit: Mapping[str, Any], content: Block) -> markup.FigureB
 
 
 def _paths(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
+    """Draw curves in space with their colour key, and dots at points."""
     curves = [np.asarray(c, dtype=np.float64) for c in exhibit["curves"]]
     value = np.asarray(exhibit.get("value", np.arange(len(curves))), dtype=np.float64)
     points = np.asarray(exhibit.get("points", np.zeros((0, 3))), dtype=np.float64)
     if exhibit.get("near"):
-        every = np.concatenate(curves)
-        block = np.array([every.min(axis=0), every.max(axis=0)])
+        all_points = np.concatenate(curves)
+        block = np.array([all_points.min(axis=0), all_points.max(axis=0)])
     key = colour_key(value, str(exhibit.get("value_name", "in order")))
     return _titled_figure(exhibit, markup.BlockGroup((in_space(curves, value, block, points), key)))
 
 
 def _sections(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
+    """Draw curves in space, and superimposed in their planes next to it."""
     curves = [np.asarray(c, dtype=np.float64) for c in exhibit["curves"]]
     nominal = [np.asarray(c, dtype=np.float64) for c in exhibit.get("wanted", ())]
     value = exhibit.get("value")
@@ -313,6 +327,7 @@ def _sections(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
 
 
 def _curve(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
+    """Draw a line chart. A series without an own ``x`` uses that of the exhibit."""
     x = exhibit.get("x")
     lines = [
         charts.ChartLine(
@@ -355,6 +370,7 @@ def _heatmap(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
 
 
 def _released(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
+    """Draw the deviations of a released sheet as a heat map over its surface."""
     x, y = np.meshgrid(exhibit["x"], exhibit["y"])
     points = np.stack([x, y, np.asarray(exhibit["released"])], axis=-1).reshape(-1, 3)
     value = np.asarray(exhibit["deviation"], dtype=np.float64).ravel()
@@ -363,21 +379,24 @@ def _released(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
 
 
 def _mesh(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
+    """Draw a shaded picture of a mesh, seen obliquely from above."""
     vertices = np.asarray(exhibit["vertices"], dtype=np.float64)
     solid = raster.mesh(vertices, np.asarray(exhibit["faces"], dtype=np.int64), smooth=True)
     camera = raster.frame_camera(vertices, np.array([-0.55, 1.0, -0.55]), 1000, 640)
     image = raster.render_items(camera, [raster.RenderItem(solid, (0.55, 0.68, 0.74), 0.0, closed=False)])
-    address = markup.png(image.color, np.isfinite(image.depth).astype(np.float64))
-    return _titled_figure(exhibit, markup.Photo(address, str(exhibit["title"])))
+    image_url = markup.png(image.color, np.isfinite(image.depth).astype(np.float64))
+    return _titled_figure(exhibit, markup.Photo(image_url, str(exhibit["title"])))
 
 
 def _tree(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
+    """Draw a tree from the index of each node's parent. A cycle, or depth above 64, raises ValueError."""
     parents = [int(p) for p in exhibit["parent"]]
     names = list(exhibit["nodes"])
     if len(names) != len(parents):
         raise ValueError(f"{len(names)} nodes but {len(parents)} parents")
 
     def subtree(parent: int, depth: int) -> markup.TreeBlock:
+        """Return the descendants of a node, of all nodes for -1."""
         if depth > 64:
             raise ValueError("the tree has a cycle or is deeper than 64")
         children = [i for i, p in enumerate(parents) if p == parent]

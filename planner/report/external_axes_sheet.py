@@ -15,14 +15,14 @@ from planner.report.pose_text import point_text, pose_cells
 
 @dataclasses.dataclass(frozen=True)
 class AxisTerms:
-    """Terms in the configuration of a controller.
+    """Terms in which the configuration of a controller describes external axes.
 
     Attributes:
         start: Phrase for "before a program has started".
         limits: Function from the number of an external axis, from 1, to the name of its limits and a note
             on its speed.
         frame: Name of the frame in the foot of an arm in which the controller states positions.
-        load: Where the load of a positioner is entered, to follow other words.
+        load: Phrase that says where the load of a positioner is entered. It is appended to a sentence.
     """
 
     start: str
@@ -32,32 +32,36 @@ class AxisTerms:
 
 
 def rail_checks(rail: LinearAxis) -> list[ControllerCheck]:
-    """Return checks of the bodies that stand on an axis, and of its coordinated motion.
+    """Return checks of the bodies that a linear axis carries, and of its coordinated motion.
+
+    Empty if it carries no body and does not move while the arm works.
 
     Args:
-        rail: Linear axis.
+        rail: Track or gantry axis.
     """
     out = list[ControllerCheck]()
     if rail.carries:
-        what = f"{', '.join(rail.carries)}: at 0 mm at their pose in the cell; measure two corners of each"
-        out.append((f"{rail.label} carries", what))
+        requirement = (
+            f"{', '.join(rail.carries)}: at 0 mm at their pose in the cell; measure two corners of each"
+        )
+        out.append((f"{rail.label} carries", requirement))
     if rail.follow_fraction is not None:
-        what = f"by {rail.follow_fraction:g} of the tool's motion along it, within its range"
-        out.append((f"{rail.unit} moves in coordination while the arm works", what))
+        requirement = f"by {rail.follow_fraction:g} of the tool's motion along it, within its range"
+        out.append((f"{rail.unit} moves in coordination while the arm works", requirement))
     return out
 
 
 def rail_zero(arm: Arm) -> str:
-    """Return the zero position of the axes under an arm, as text."""
-    words = f"{', '.join(rail.axis_name for rail in arm.linear_axes)} at " if arm.track is None else ""
-    return f"{words}0 mm"
+    """Return the zero position of the linear axes that carry an arm, as text. Gantry axes are named."""
+    axis_names = f"{', '.join(rail.axis_name for rail in arm.linear_axes)} at " if arm.track is None else ""
+    return f"{axis_names}0 mm"
 
 
 def home_check(home: str) -> str:
-    """Return where an external axis must be before a program starts, as text.
+    """Return the required state of an external axis before a program starts, as text.
 
     Args:
-        home: Home position as text.
+        home: Home position of the axis as text.
     """
     return f"jogged home, to {home}: a program checks this before its first move, and stops elsewhere"
 
@@ -68,14 +72,15 @@ def turntable(
     """Return checks of the configuration of a turntable or positioner, and of the clamping of the block.
 
     Args:
-        problem: Problem with the stock on the table.
+        problem: Problem with the stock on the table. Its stated place is that at angle 0.
         table: Turntable or positioner.
         terms: Terms of the controller.
-        units: Checks of the mechanical unit in the configuration. They come first.
+        units: Checks of the table as a mechanical unit in the configuration. They come first in the result.
     """
     sense = "counter-clockwise" if table.axis[2] > 0.0 else "clockwise"
     position, rotation, _ = pose_cells(np.asarray(problem.stock.place))
-    arm, tilt = problem.cell.arm(table.arm), table.tilt
+    arm = problem.cell.arm(table.arm)
+    tilt = table.tilt
     base_text = f"its axis is vertical through {point_text(table.centre)} mm in the world"
     base_text += "" if tilt is None else f", with {tilt.label} at 0 deg"
     if terms.frame:
@@ -93,7 +98,7 @@ def turntable(
 
 
 def _joint(axis: RotaryAxis, terms: AxisTerms) -> ControllerCheck:
-    """Return the check of an axis under the block: range, speed, acceleration and home."""
+    """Return the check of a rotary axis under the block: range, speed, acceleration and home."""
     name, note = terms.limits(axis.column + 1)
     range_text = f"{axis.low / DEG:g} to {axis.high / DEG:g} deg, at most {axis.speed / DEG:g} deg/s{note}"
     acceleration_text = f", {axis.acceleration / DEG:g} deg/s²" if np.isfinite(axis.acceleration) else ""
@@ -102,10 +107,10 @@ def _joint(axis: RotaryAxis, terms: AxisTerms) -> ControllerCheck:
 
 def _tilt(problem: Problem, table: Turntable, tilt: RotaryAxis, terms: AxisTerms) -> list[ControllerCheck]:
     """Return the checks of the tilt axis of a positioner and of its load."""
-    base = inverse(problem.cell.arm(table.arm).base)
+    to_base = inverse(problem.cell.arm(table.arm).base)
     frames = [("the world", tilt.axis, tilt.centre)]
     if terms.frame:
-        frames.append((terms.frame, base[:3, :3] @ tilt.axis, transform(base, tilt.centre)))
+        frames.append((terms.frame, to_base[:3, :3] @ tilt.axis, transform(to_base, tilt.centre)))
     axis_text = "; ".join(
         f"its direction is ({', '.join(markup.fixed_decimals(float(v), 6) for v in axis)}) in {name}, "
         f"through {point_text(at)} mm"

@@ -20,7 +20,7 @@ from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
 
 _PNG: Final = "data:image/png;base64,"
-"""Prefix of the data address of an embedded PNG."""
+"""Prefix of the data URL of an embedded PNG."""
 _MAX_PHONE_COLUMNS: Final = 4
 """Maximum number of table columns that fit on a phone."""
 CELL_PICTURE_NAME: Final = "the cell"
@@ -76,7 +76,7 @@ class StackedPhrases:
 
 
 Phrase = object
-"""A marked phrase, or any other value, which is shown as in :func:`text`.
+"""A marked phrase, or any other value, which is shown as in :func:`phrase_html`.
 
 Marked phrases are ``CodePhrase``, ``Bold``, ``MutedPhrase``, ``TagPhrase``, ``FillInBlank``,
 ``JoinedPhrases`` and ``StackedPhrases``.
@@ -85,7 +85,7 @@ Marked phrases are ``CodePhrase``, ``Bold``, ``MutedPhrase``, ``TagPhrase``, ``F
 
 @dataclasses.dataclass(frozen=True)
 class Paragraph:
-    """A paragraph. ``kind`` is ``soft`` or ``note`` for a de-emphasised one."""
+    """A paragraph. ``kind`` is its CSS class, such as ``soft`` or ``note`` for a de-emphasised one."""
 
     content: Phrase
     kind: str = ""
@@ -136,7 +136,7 @@ class Drawing:
 
 @dataclasses.dataclass(frozen=True)
 class Photo:
-    """A raster picture at a data address. ``labels``: text, x and y in 0..1 from the upper left."""
+    """A raster picture, as a data URL. ``labels``: text, and x and y in 0..1 from the upper left corner."""
 
     address: str
     name: str
@@ -162,7 +162,7 @@ class BlockGroup:
 
 @dataclasses.dataclass(frozen=True)
 class GridBlock:
-    """Blocks side by side if there is space. ``kind`` states how many: ``two`` or ``three``."""
+    """Blocks side by side if there is space. ``kind`` has the CSS class ``two`` or ``three``: how many."""
 
     items: "tuple[Block, ...]"
     kind: str = "two"
@@ -277,20 +277,20 @@ def phrase_html(value: Phrase) -> str:
 
 
 def number(value: float, digits: int = 4) -> str:
-    """Format a number to some significant digits, with a true minus sign."""
+    """Format a number to significant digits, with a true minus sign, and without exponent up to 1e7."""
     if not math.isfinite(value):
         return "–" if math.isnan(value) else "∞"
-    size = f"{value:.{digits}g}"
-    if "e" in size and 1e-4 < abs(value) < 1e7:
-        size = f"{value:.0f}"
-    return size.replace("-", "−")
+    formatted = f"{value:.{digits}g}"
+    if "e" in formatted and 1e-4 < abs(value) < 1e7:
+        formatted = f"{value:.0f}"
+    return formatted.replace("-", "−")
 
 
 def allowed_deviation(by_place: FloatArray, max_deviation: float) -> str:
     """Format the allowed deviation of a face [mm].
 
     Args:
-        by_place: Allowed deviations [m] if they vary over the face, else empty.
+        by_place: Allowed deviations (M,) [m] at the points of the face if they vary over it, else empty.
         max_deviation: Maximum allowed deviation [m].
 
     Returns:
@@ -373,12 +373,13 @@ def render(block: Block) -> str:
 
 
 def _render_container(block: BlockGroup | GridBlock | Column | Wide | Folded) -> str:
+    """Convert a block that contains other blocks to HTML."""
     match block:
-        case BlockGroup(items, apart):
-            shown = [render(item) for item in items]
+        case BlockGroup(items, spaced):
+            items_html = [render(item) for item in items]
             return "".join(
-                f'<div style="margin-bottom:20px">{item_html}</div>' if apart else item_html
-                for item_html in shown
+                f'<div style="margin-bottom:20px">{item_html}</div>' if spaced else item_html
+                for item_html in items_html
             )
         case GridBlock(items, kind):
             inner = "".join(render(item) for item in items)
@@ -392,26 +393,29 @@ def _render_container(block: BlockGroup | GridBlock | Column | Wide | Folded) ->
 
 
 def _table(shown: TableBlock) -> str:
-    right = {i for row in shown.rows for i, cell in enumerate(row) if _number_class(cell)}
+    """Convert a table to HTML. A column with a number has a right-aligned heading."""
+    number_columns = {i for row in shown.rows for i, cell in enumerate(row) if _number_class(cell)}
     body = (
         f"<tr>{''.join(f'<td{_number_class(cell)}>{phrase_html(cell)}</td>' for cell in row)}</tr>"
         for row in shown.rows
     )
     head = "".join(
-        f"<th{' class=n' if i in right else ''}>{phrase_html(c)}</th>" for i, c in enumerate(shown.columns)
+        f"<th{' class=n' if i in number_columns else ''}>{phrase_html(c)}</th>"
+        for i, c in enumerate(shown.columns)
     )
     inner = f"<thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody>"
-    keys = (
-        ' tabindex="0"' if len(shown.columns) > _MAX_PHONE_COLUMNS else ""
-    )  # lets arrow keys scroll the table
-    return f'<div class="scroll"{keys}><table>{inner}</table></div>'
+    # a wide table can be focused, so that arrow keys scroll it
+    focusable = ' tabindex="0"' if len(shown.columns) > _MAX_PHONE_COLUMNS else ""
+    return f'<div class="scroll"{focusable}><table>{inner}</table></div>'
 
 
 def _number_class(cell: Phrase) -> str:
+    """Return the HTML attribute that right-aligns a cell, empty if the cell is not a number."""
     return ' class="n"' if isinstance(cell, int | float | np.number) and not isinstance(cell, bool) else ""
 
 
 def _photo(shown: Photo) -> str:
+    """Convert a photo with its labels to HTML."""
     labels = "".join(
         f'<span style="left:{100 * x:.1f}%;top:{100 * y:.1f}%">{html.escape(name)}</span>'
         for name, x, y in shown.labels
@@ -432,7 +436,7 @@ def extract_photo(page: str, name: str) -> bytes | None:
         PNG, or None if there is no such photo.
 
     Raises:
-        ValueError: The address of the photo is invalid.
+        ValueError: The photo is not valid base64.
     """
     prefix = f'<img alt="{html.escape(name)}" src="{_PNG}'
     _, separator, rest = page.partition(prefix)
@@ -440,24 +444,25 @@ def extract_photo(page: str, name: str) -> bytes | None:
 
 
 def _tile(shown: Tile) -> str:
+    """Convert a key figure to HTML."""
     kind = "tile bad" if shown.bad else "tile"
-    value = html.escape(shown.value.replace("-", "−"))
-    figure = f"<b>{value}<small>{html.escape(shown.unit)}</small></b>"
-    return f'<div class="{kind}">{figure}<span>{html.escape(shown.name)}</span></div>'
+    number_text = html.escape(shown.value.replace("-", "−"))
+    value_html = f"<b>{number_text}<small>{html.escape(shown.unit)}</small></b>"
+    return f'<div class="{kind}">{value_html}<span>{html.escape(shown.name)}</span></div>'
 
 
 def png(pixels: FloatArray, alpha: FloatArray | None = None, premultiplied: bool = False) -> str:
-    """Encode pixels as the data address of a PNG.
+    """Encode pixels as a PNG in a data URL.
 
     Args:
         pixels: Colours (h, w, 3) in 0..1.
-        alpha: Opacity (h, w) in 0..1, or None.
-        premultiplied: The colours are multiplied with the opacity.
+        alpha: Opacity (h, w) in 0..1, or None for an opaque picture.
+        premultiplied: Whether ``pixels`` are multiplied with the opacity. A PNG has plain colours.
     """
-    color = pixels
+    plain_colours = pixels
     if alpha is not None and premultiplied:
-        color = pixels / np.maximum(alpha, 1e-6)[..., None]
-    layers = [color] if alpha is None else [color, alpha[..., None]]
+        plain_colours = pixels / np.maximum(alpha, 1e-6)[..., None]
+    layers = [plain_colours] if alpha is None else [plain_colours, alpha[..., None]]
     data = (np.clip(np.concatenate(layers, axis=-1), 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
     stream = io.BytesIO()
     PillowImage.fromarray(data).save(stream, "PNG", compress_level=6)

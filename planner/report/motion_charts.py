@@ -3,13 +3,13 @@
 They are drawn from the replay of the proof or, without one, from the plan. Optional keys of
 ``Proof.series``:
 
-- ``time`` (T,) [s] and ``label`` (T,) of segments,
+- ``time`` (T,) [s] of the samples, and ``label`` (T,): the segment of each sample,
 - for each arm ``joints/<arm>``, ``speed/<arm>``, ``acceleration/<arm>`` (T, 6) [rad, rad/s, rad/s^2], and
   ``singular/<arm>``,
 - ``clearance/time``, ``clearance/distance`` [m] and ``clearance/pair`` (K,), and the same keys of
   ``own_clearance``.
 
-Processes read further series (`contribution`).
+Processes read further series (`plugin_contributions`).
 """
 
 import dataclasses
@@ -60,7 +60,7 @@ class ArmMotion:
 
     @property
     def wrist_angle(self) -> FloatArray:
-        """Angle (T,) [rad] of axis 5 from the posture in which axes 4 and 6 are collinear."""
+        """Angle (T,) [rad] in 0..pi/2 of axis 5 from the posture in which axes 4 and 6 are collinear."""
         form = self.robot.form
         theta = form.signs[4] * self.q[:, 4] - form.offsets[4]
         return np.asarray(np.abs(np.arctan2(np.sin(theta), np.abs(np.cos(theta)))))
@@ -93,7 +93,7 @@ class MotionSeries:
         arms: Motion by arm.
         clearance: Clearance between arms, tools, block and obstacles.
         feed: Feed.
-        bands: Segments.
+        bands: Intervals of the segments.
         source: Source of the data, as text.
         work: Intervals [s] of the targets' segments. At other times arms move alone, by joint motion.
             Empty: everything.
@@ -134,7 +134,7 @@ class MotionSeries:
         return FigureBlock(title, body, note)
 
     def min_wrist_angle(self, arm: str) -> float:
-        """Return the minimum wrist angle [rad] of an arm in the segments of the targets."""
+        """Return the minimum wrist angle [rad] of an arm in the intervals of :attr:`work`."""
         moved = self.arms[arm]
         inside = np.zeros(len(moved.time), dtype=bool)
         for start, end in self.work:
@@ -143,7 +143,7 @@ class MotionSeries:
 
 
 def motion_series(problem: Problem, plan: Plan, proof: Proof | None) -> MotionSeries:
-    """Return the motion of a plan, with its operations in sequence.
+    """Return the motion from the replay of the proof, or else of the plan, with its operations in sequence.
 
     Args:
         problem: Problem.
@@ -158,8 +158,8 @@ def motion_series(problem: Problem, plan: Plan, proof: Proof | None) -> MotionSe
             [Segment.read(str(v)) for v in series.get("label", ())], np.asarray(series["time"])
         )
         source = "replayed from the programs' text, from home to home"
-        named = {segment.key for op in plan.operations for segment in op.targets.segment}
-        work = tuple((band.start, band.end) for band in bands if band.name in named)
+        target_segments = {segment.key for op in plan.operations for segment in op.targets.segment}
+        work = tuple((band.start, band.end) for band in bands if band.name in target_segments)
         clearance_data, own_clearance_data = (
             _clearance(series, name) for name in ("clearance", "own_clearance")
         )
@@ -167,12 +167,14 @@ def motion_series(problem: Problem, plan: Plan, proof: Proof | None) -> MotionSe
         edges = edge_speeds(processes)
         feed = _proven_feed(plan, edges) if edges else _feed(plan, starts)
         return MotionSeries(arms, clearance_data, feed, bands, source, work, own_clearance_data, processes)
-    rows = [
+    bands_by_operation = [
         _segment_bands(op.targets.segment, op.time + t) for op, t in zip(plan.operations, starts, strict=True)
     ]
-    bands = tuple(band for row in rows for band in row)
-    shown = _planned_arms(problem, plan, starts)
-    return MotionSeries(shown, None, _feed(plan, starts), bands, "the plan's targets")
+    bands = tuple(band for operation_bands in bands_by_operation for band in operation_bands)
+    arms = _planned_arms(problem, plan, starts)
+    return MotionSeries(
+        arms, clearance=None, feed=_feed(plan, starts), bands=bands, source="the plan's targets"
+    )
 
 
 def operation_starts(plan: Plan) -> list[float]:
@@ -182,36 +184,39 @@ def operation_starts(plan: Plan) -> list[float]:
 
 
 def _proven_arms(problem: Problem, series: Mapping[str, Any]) -> dict[str, ArmMotion]:
+    """Return the motion of each arm whose joint angles the proof has, from which missing speeds follow."""
     out = {}
     for arm in problem.cell.arms:
         q = series.get(f"joints/{arm.name}")
         if q is None or len(q) < 2:
             continue
         time = np.asarray(series["time"], dtype=np.float64)
-        given = series.get(f"speed/{arm.name}")
-        speed = np.gradient(q, time, axis=0) if given is None else np.asarray(given)
+        replayed_speed = series.get(f"speed/{arm.name}")
+        speed = np.gradient(q, time, axis=0) if replayed_speed is None else np.asarray(replayed_speed)
         robot = arm.data
-        more = (series.get(f"{name}/{arm.name}") for name in ("acceleration", "singular"))
-        out[arm.name] = ArmMotion(robot, time, np.asarray(q), speed, *more)
+        optional_series = (series.get(f"{name}/{arm.name}") for name in ("acceleration", "singular"))
+        out[arm.name] = ArmMotion(robot, time, np.asarray(q), speed, *optional_series)
     return out
 
 
 def _planned_arms(problem: Problem, plan: Plan, starts: list[float]) -> dict[str, ArmMotion]:
+    """Return the motion of each arm from its targets. A speed is the mean one on the path to the target."""
     out = {}
     for arm in problem.cell.arms:
-        used = [(op, t) for op, t in zip(plan.operations, starts, strict=True) if arm.name in op.q]
-        if not used or sum(len(op.time) for op, _ in used) < 2:
+        own_operations = [(op, t) for op, t in zip(plan.operations, starts, strict=True) if arm.name in op.q]
+        if not own_operations or sum(len(op.time) for op, _ in own_operations) < 2:
             continue
-        time = np.concatenate([op.time + t for op, t in used])
-        q = np.concatenate([op.q[arm.name] for op, _ in used])
+        time = np.concatenate([op.time + t for op, t in own_operations])
+        q = np.concatenate([op.q[arm.name] for op, _ in own_operations])
         step = np.maximum(np.diff(time), 1e-9)
         speed = np.concatenate([np.zeros((1, q.shape[1])), np.diff(q, axis=0) / step[:, None]])
         speed[np.concatenate([[True], np.diff(time) < 1e-6])] = 0.0
-        out[arm.name] = ArmMotion(arm.data, time, q, speed, None)
+        out[arm.name] = ArmMotion(arm.data, time, q, speed, acceleration=None)
     return out
 
 
 def _clearance(series: Mapping[str, Any], name: str) -> ClearanceSeries | None:
+    """Return the series ``<name>/time``, ``/distance`` and ``/pair``, or None without a finite distance."""
     time, distance = series.get(f"{name}/time"), series.get(f"{name}/distance")
     if time is None or distance is None or not np.isfinite(distance).any():
         return None
@@ -221,65 +226,72 @@ def _clearance(series: Mapping[str, Any], name: str) -> ClearanceSeries | None:
 
 
 def edge_speeds(processes: Sequence[ProcessMotion]) -> list[EdgeSpeed]:
-    """Return the speeds of tool edges that processes add, none if no edge enters the stock."""
+    """Return the speeds of tool edges that processes add. Empty if no edge enters the stock."""
     edges = [edge for process in processes for edge in process.speeds]
     return edges if any(np.isfinite(edge.speed).any() for edge in edges) else []
 
 
 def _proven_feed(plan: Plan, edges: Sequence[EdgeSpeed]) -> FeedSeries:
-    """Return the speeds of the edges' fastest points inside the stock, with the claimed windows."""
+    """Return the speeds of the edges inside the stock, with the windows that the plan claims for segments."""
     windows = {
-        c.segment.key: c for op in plan.operations for c in op.targets.claims if isinstance(c, FeedWindow)
+        claim.segment.key: claim
+        for op in plan.operations
+        for claim in op.targets.claims
+        if isinstance(claim, FeedWindow)
     }
-    rows = []
+    series_by_edge = []
     for edge in edges:
-        lower = np.array([windows[v].lower if v in windows else np.nan for v in edge.label])
-        upper = np.array([windows[v].upper if v in windows else np.nan for v in edge.label])
-        rows.append(np.stack([edge.time, edge.speed, lower, upper]))
-    return FeedSeries(*np.concatenate(rows, axis=1))
+        lower = np.array([windows[key].lower if key in windows else np.nan for key in edge.label])
+        upper = np.array([windows[key].upper if key in windows else np.nan for key in edge.label])
+        series_by_edge.append(np.stack([edge.time, edge.speed, lower, upper]))
+    return FeedSeries(*np.concatenate(series_by_edge, axis=1))
 
 
 def _feed(plan: Plan, starts: list[float]) -> FeedSeries:
-    rows = []
+    """Return the mean speed on the path to each target of the plan, NaN where the tool does not move."""
+    series_by_operation = []
     for op, start in zip(plan.operations, starts, strict=True):
         step = np.diff(op.time, prepend=op.time[:1])
         moved = (step > 1e-9) & (op.targets.travel > 1e-9)
         speed = np.where(moved, op.targets.travel / np.maximum(step, 1e-9), np.nan)
-        rows.append(np.stack([op.time + start, speed, op.targets.feed_min, op.targets.feed]))
-    joined = np.concatenate(rows, axis=1) if rows else np.zeros((4, 0))
-    return FeedSeries(*joined)
+        series_by_operation.append(np.stack([op.time + start, speed, op.targets.feed_min, op.targets.feed]))
+    series = np.concatenate(series_by_operation, axis=1) if series_by_operation else np.zeros((4, 0))
+    return FeedSeries(*series)
 
 
 def _segment_bands(segments: Sequence[Segment], time: FloatArray) -> tuple[ChartBand, ...]:
-    """Return runs of one segment. A segment belongs to the path to its instant."""
+    """Return an interval for each run of instants (T,) [s] with the same segment.
+
+    A segment belongs to the path to its instant, so that a run starts at the instant before it.
+    """
     count = min(len(segments), len(time))
-    first = [i for i in range(1, count) if i == 1 or segments[i] != segments[i - 1]]
+    run_starts = [i for i in range(1, count) if i == 1 or segments[i] != segments[i - 1]]
     return tuple(
         ChartBand(float(time[a - 1]), float(time[b - 1]), str(segments[a]), segments[a].kind)
-        for a, b in itertools.pairwise([*first, count])
+        for a, b in itertools.pairwise([*run_starts, count])
     )
 
 
 def feed_figure(motion: MotionSeries) -> FigureBlock:
-    """Draw the speed of the fastest guarded point with the required window [mm/s]."""
+    """Draw the speed of the fastest guarded point with the required window [mm/s], scaled to the work."""
     f = motion.feed
-    cut = np.isfinite(f.lower) & (f.lower > 0.0)
-    lines = [
+    guarded = np.isfinite(f.lower) & (f.lower > 0.0)
+    lines = [  # the limits are dashed
         ChartLine("speed", f.time, f.speed / MM, 0),
         ChartLine("maximum allowed", f.time, np.where(np.isfinite(f.upper), f.upper / MM, np.nan), 1, True),
-        ChartLine("minimum allowed", f.time, np.where(cut, f.lower / MM, np.nan), 3, True),
+        ChartLine("minimum allowed", f.time, np.where(guarded, f.lower / MM, np.nan), 3, True),
     ]
     fastest = float(np.nanmax(f.speed, initial=1e-3)) / MM
-    work = np.isfinite(f.speed) & cut
-    top = min(1.1 * fastest, 2.2 * float(np.max(f.upper[work])) / MM) if work.any() else 1.1 * fastest
-    top = max(top, 1.2 * float(np.max(f.upper[work])) / MM) if work.any() else top
+    working = np.isfinite(f.speed) & guarded
+    top = min(1.1 * fastest, 2.2 * float(np.max(f.upper[working])) / MM) if working.any() else 1.1 * fastest
+    top = max(top, 1.2 * float(np.max(f.upper[working])) / MM) if working.any() else top
     note = f"scaled to the work; other moves reach {markup.number(fastest, 3)} mm/s"
     note = note if fastest > top else "strongest tint: work"
     return motion.figure("Speed of the fastest guarded point", lines, "mm/s", note, y_range=(0.0, top))
 
 
 def clearance_figure(data: ClearanceSeries, motion: MotionSeries, settings: Settings) -> FigureBlock:
-    """Draw the minimum distance over time [mm] with the required one, and the closest pairs."""
+    """Draw the minimum distance over time [mm], with those that processes add and the required one."""
     lines = [ChartLine("arms, tools, block, obstacles", data.time, data.distance / MM, 2)]
     lines += [line for process in motion.processes for line in process.clearances]
     return _distance_figure("Clearance to everything else", lines, settings.clearance, data, motion)
@@ -294,7 +306,7 @@ def own_clearance_figure(data: ClearanceSeries, motion: MotionSeries, settings: 
 def _distance_figure(
     title: str, lines: Sequence[ChartLine], required: float, data: ClearanceSeries, motion: MotionSeries
 ) -> FigureBlock:
-    """Draw distances over time [mm] with the required one [m]."""
+    """Draw distances over time [mm] with the required one [m]. The scale ends at 151 mm or earlier."""
     top = max([float(np.nanmax(line.y)) for line in lines if np.isfinite(line.y).any()] or [100.0])
     levels, y_range = [LimitLine(required / MM, "required")], (0.0, min(top * 1.1, 150.0) + 1.0)
     return motion.figure(title, lines, "mm", minimum_text(data), levels=levels, y_range=y_range)
@@ -302,12 +314,12 @@ def _distance_figure(
 
 def minimum_text(data: ClearanceSeries) -> str:
     """Return the minimum distance, its time, and the pair, as text."""
-    worst = int(np.nanargmin(data.distance))
-    at = (
-        f"{markup.fixed_decimals(data.distance[worst] / MM, 1)} mm at "
-        f"{markup.fixed_decimals(data.time[worst], 1)} s"
+    worst_index = int(np.nanargmin(data.distance))
+    minimum = (
+        f"{markup.fixed_decimals(data.distance[worst_index] / MM, 1)} mm at "
+        f"{markup.fixed_decimals(data.time[worst_index], 1)} s"
     )
-    return f"minimum: {at}" + (f", {data.pair[worst]}" if data.pair[worst] else "")
+    return f"minimum: {minimum}" + (f", {data.pair[worst_index]}" if data.pair[worst_index] else "")
 
 
 def process_figures(charts: Sequence[TimeChart], motion: MotionSeries) -> list[FigureBlock]:
@@ -335,20 +347,20 @@ def closest_pairs(data: ClearanceSeries, count: int = 6) -> tuple[FigureBlock, .
     Returns:
         A figure, or nothing if no pairs are named.
     """
-    rows: dict[str, tuple[float, float, int]] = {}
+    by_pair: dict[str, tuple[float, float, int]] = {}
     for time, distance, pair in zip(data.time, data.distance, data.pair, strict=True):
-        minimum, when, count_closest = rows.get(pair, (np.inf, 0.0, 0))
-        rows[pair] = (min(minimum, distance), time if distance < minimum else when, count_closest + 1)
+        minimum, when, count_closest = by_pair.get(pair, (np.inf, 0.0, 0))
+        by_pair[pair] = (min(minimum, distance), time if distance < minimum else when, count_closest + 1)
     total = max(len(data.time), 1)
-    pairs = sorted(((v, k) for k, v in rows.items() if k), key=lambda item: item[0][0])[:count]
+    closest = sorted(((v, pair) for pair, v in by_pair.items() if pair), key=lambda item: item[0][0])[:count]
     cells = [
         (
             pair,
-            markup.fixed_decimals(v[0] / MM, 1),
-            markup.fixed_decimals(v[1], 1),
-            f"{100 * v[2] / total:.0f} %",
+            markup.fixed_decimals(minimum / MM, 1),
+            markup.fixed_decimals(when, 1),
+            f"{100 * count_closest / total:.0f} %",
         )
-        for v, pair in pairs
+        for (minimum, when, count_closest), pair in closest
     ]
     if not cells:
         return ()
@@ -357,15 +369,15 @@ def closest_pairs(data: ClearanceSeries, count: int = 6) -> tuple[FigureBlock, .
 
 
 def worst_by_rule(proof: Proof | None) -> dict[str, float]:
-    """Return the worst figure of each rule of a proof that has one, by its code."""
+    """Return the worst value of each rule of a proof that has one, in the rule's unit, by the rule's code."""
     return {r.code: r.worst for r in (proof.rules if proof is not None else ()) if r.worst is not None}
 
 
 def margin_figures(motion: MotionSeries, settings: Settings, proof: Proof | None) -> list[FigureBlock]:
     """Draw the distances from joint limits and from singular postures over time [deg].
 
-    Without a proof the latter is the distance from the wrist singularity. The minimum is the figure of the
-    proof, as everywhere else.
+    Without a proof the latter is the distance from the wrist singularity. The note states the minimum that
+    the proof found if there is one, so that all parts of the report agree.
 
     Args:
         motion: Motion.
@@ -393,7 +405,7 @@ def margin_figures(motion: MotionSeries, settings: Settings, proof: Proof | None
     ):
         shown = [value for value in values if value is not None]
         minimum = proven.get(code, min((float(np.min(value)) for value in shown), default=0.0) / DEG)
-        if len(shown) < len(values):
+        if len(shown) < len(values):  # the proof has no distance from singular postures
             title, statement = "Axis 5 from wrist singularity", "minimum between targets"
             shown = [arm.wrist_angle for arm in arms]
             minimum = min((motion.min_wrist_angle(name) for name in motion.arms), default=0.0) / DEG
@@ -417,12 +429,16 @@ def joint_figures(name: str, arm: ArmMotion, motion: MotionSeries) -> list[Figur
         lower, upper = arm.robot.lower[k] / DEG, arm.robot.upper[k] / DEG
         angle = arm.q[:, k] / DEG
         low, high = float(angle.min()), float(angle.max())
-        air = max(0.15 * (high - low), 8.0)
+        padding = max(0.15 * (high - low), 8.0)
         nearby_limits = [LimitLine(v, f"{v:.0f}°") for v in (lower, upper) if low - 40.0 < v < high + 40.0]
-        shown = [level.value for level in nearby_limits]
-        y_range = min([low - air, *(v - 3 for v in shown)]), max([high + air, *(v + 3 for v in shown)])
+        shown_limits = [level.value for level in nearby_limits]
+        y_range = (
+            min([low - padding, *(v - 3 for v in shown_limits)]),
+            max([high + padding, *(v + 3 for v in shown_limits)]),
+        )
         range_text = f"{low:.1f}° to {high:.1f}° of {lower:.0f}° to {upper:.0f}°".replace("-", "−")
-        lines, size = [ChartLine(f"axis {k + 1}", arm.time, angle, k)], (340.0, 150.0)
+        lines = [ChartLine(f"axis {k + 1}", arm.time, angle, k)]
+        size = (340.0, 150.0)
         title = f"{name}, axis {k + 1}"
         out.append(
             motion.figure(title, lines, "deg", range_text, levels=nearby_limits, y_range=y_range, size=size)
@@ -435,17 +451,18 @@ def speed_figures(name: str, arm: ArmMotion, motion: MotionSeries, settings: Set
     out = []
     quantities = [("speed", arm.speed, arm.robot.velocity, settings.speed_fraction)]
     if arm.acceleration is not None:
-        maximum = settings.acceleration_fraction
-        quantities.append(("acceleration", np.asarray(arm.acceleration), arm.robot.acceleration, maximum))
-    for what, value, limit, fraction in quantities:
+        allowed_fraction = settings.acceleration_fraction
+        acceleration = np.asarray(arm.acceleration)
+        quantities.append(("acceleration", acceleration, arm.robot.acceleration, allowed_fraction))
+    for quantity, value, limit, fraction in quantities:
         percent = 100.0 * np.abs(value) / limit
         maximum = float(np.nanmax(percent))
         lines = [ChartLine(f"axis {k + 1}", arm.time, percent[:, k], k) for k in range(arm.robot.axes)]
-        high = maximum * 1.15 + 1e-6 if maximum < 40.0 * fraction else max(maximum * 1.1, 108.0 * fraction)
+        top = maximum * 1.15 + 1e-6 if maximum < 40.0 * fraction else max(maximum * 1.1, 108.0 * fraction)
         levels = [LimitLine(100.0 * fraction, "allowed")]
-        top = int(np.nanargmax(np.nanmax(percent, axis=0)))
+        axis = int(np.nanargmax(np.nanmax(percent, axis=0)))
         allowed = f"allowed {100 * fraction:.0f} %"
-        note = f"maximum: axis {top + 1}, {markup.fixed_decimals(maximum, 1)} % of its limit; {allowed}"
-        title = f"{name}: joint {what}s"
-        out.append(motion.figure(title, lines, "% of limit", note, levels=levels, y_range=(0.0, high)))
+        note = f"maximum: axis {axis + 1}, {markup.fixed_decimals(maximum, 1)} % of its limit; {allowed}"
+        title = f"{name}: joint {quantity}s"
+        out.append(motion.figure(title, lines, "% of limit", note, levels=levels, y_range=(0.0, top)))
     return out

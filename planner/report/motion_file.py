@@ -22,14 +22,15 @@ DIGITS: Final = 9
 
 
 def motion_json(problem: Problem, plan: Plan) -> str:
-    """Return the content of the file.
+    """Return the content of `motion.json`.
 
     A plane is nine numbers: origin [mm], x axis, y axis. Joint angles are those of the arms' URDFs.
 
     - ``arms`` {name: robot, plane of its base, names and home of its joints}.
     - ``operations``: each has ``start_s`` of its first target on the clock of the plan; for all targets
-      ``time_s`` from there, ``names`` and ``segments``; and by arm ``tcp``, ``joints_deg``, ``entry_deg``
-      and ``exit_deg``.
+      ``time_s`` from there, ``names`` and ``segments``; ``order`` of the arms in the approach, and
+      ``together``: which of approach ("entry") and retreat ("exit") all arms do at once; and by arm
+      ``tcp``, ``joints_deg``, ``entry_deg`` and ``exit_deg``.
     - ``block``: plane of the block's frame, or for a held block its holder and the plane in the holder's
       TCP.
     - ``stations_mm``: values of tracks by arm, and of gantry axes by arm and axis, as "arm/bridge".
@@ -66,22 +67,23 @@ def motion_json(problem: Problem, plan: Plan) -> str:
     }
     for index, axis_values in plan.stations.items():
         table_keys = {STOCK_AXIS: "turntable_deg", TILT_AXIS: "tilt_deg"}
-        arms_on = {
-            arm: round(value / MM, DIGITS)
-            for arm, value in axis_values.items()
-            if arm not in table_keys and not arm.endswith(END_SUFFIX)
+        stations_mm = {
+            name: round(value / MM, DIGITS)
+            for name, value in axis_values.items()
+            if name not in table_keys and not name.endswith(END_SUFFIX)
         }
-        operations[index] |= {"stations_mm": arms_on} if arms_on else {}
-        shown = {
-            word: round(axis_values[name] / DEG, DIGITS)
-            for name, word in table_keys.items()
+        if stations_mm:
+            operations[index]["stations_mm"] = stations_mm
+        operations[index] |= {
+            key: round(axis_values[name] / DEG, DIGITS)
+            for name, key in table_keys.items()
             if name in axis_values
         }
-        operations[index] |= shown
     return json.dumps(data, separators=(",", ":")) + "\n"
 
 
 def _operation(operation: OperationPlan, setup: Setup, plan: Plan, start: float) -> dict[str, Any]:
+    """Return the entry of one operation, whose first target is at ``start`` [s] on the clock of the plan."""
     targets = operation.targets
     return {
         "name": operation.name,
@@ -104,6 +106,7 @@ def _operation(operation: OperationPlan, setup: Setup, plan: Plan, start: float)
 def _arm_motion(
     arm: Arm, q: FloatArray, operation: OperationPlan, bases: Mapping[str, FloatArray]
 ) -> dict[str, Any]:
+    """Return the motion of one arm in an operation, from its serial joint angles (N, J) at the targets."""
     track_positions = operation.targets.track_positions.get(arm.name)
     track_fields = {} if track_positions is None else {"track_mm": _rounded(track_positions / MM)}
     return {
@@ -116,24 +119,25 @@ def _arm_motion(
 
 
 def _target_names(operation: OperationPlan) -> list[str]:
-    """Return the names of all targets, as :meth:`planner.targets.Targets.name` does one by one."""
+    """Return the names of all targets in one pass, equal to those of :meth:`planner.targets.Targets.name`."""
     out: list[str] = []
-    number, last = 0, None
+    number, previous = 0, None
     for segment in operation.targets.segment:
-        number = number + 1 if segment == last else 1
-        last = segment
+        number = number + 1 if segment == previous else 1
+        previous = segment
         out.append(f"{segment}/{number}")
     return out
 
 
 def _block_plane(setup: Setup, stock_pose: FloatArray) -> dict[str, Any]:
+    """Return the plane of the block in the world, or its holder with the plane in the holder's TCP."""
     if setup.stock.held_by is None:
         return {"plane": _planes(stock_pose)}
     return {"held_by": setup.stock.held_by, "in_tcp": _planes(np.asarray(setup.stock.grip))}
 
 
 def _planes(pose: FloatArray) -> Any:
-    """Return planes (..., 9) of poses (..., 4, 4)."""
+    """Return planes (..., 9) of poses (..., 4, 4) as nested lists: origin [mm], x axis and y axis."""
     return _rounded(np.concatenate([pose[..., :3, 3] / MM, pose[..., :3, 0], pose[..., :3, 1]], axis=-1))
 
 

@@ -41,7 +41,7 @@ class ReportExtras:
     Attributes:
         pictures: Pictures of the cell with their titles.
         filtered: Pairs of bodies whose collision is not tested, with reasons.
-        programs: Names and numbers of lines.
+        programs: Names of program files, with their numbers of lines.
         issues: Issues that belong to no plan.
         maps: Maps of freedoms.
     """
@@ -59,7 +59,7 @@ def report_html(
     """Return the report as HTML. Without a plan it shows the problem as far as known, and the issues.
 
     Args:
-        problem: Problem, or None.
+        problem: Problem, or None if it was refused.
         plan: Plan, or None.
         proof: Proof, or None.
         extra: Further content.
@@ -72,7 +72,7 @@ def report_html(
             *(part.notes if part is not None else ()),
             *(problem.notes if problem is not None else ()),
             *(plan.issues if plan else ()),
-            *(i for op in (plan.operations if plan else ()) for i in op.issues),
+            *(issue for op in (plan.operations if plan else ()) for issue in op.issues),
             *(proof.issues if proof else ()),
             *extra.issues,
             *exhibit_issues,
@@ -82,8 +82,8 @@ def report_html(
     if issues:
         sections.append(PageSection("issues", "Issues", (page_sections.issue_table(_unique(issues)),)))
     if extra.pictures:
-        shown = tuple(page_sections.picture(picture, title) for title, picture in extra.pictures)
-        sections.append(PageSection("cell", "Cell", shown))
+        cell_pictures = tuple(page_sections.picture(picture, title) for title, picture in extra.pictures)
+        sections.append(PageSection("cell", "Cell", cell_pictures))
     if problem is not None and plan is not None and proof is not None and proof.surfaces:
         faces = page_sections.face_figures(problem, plan, proof)
         sections.append(PageSection("part", "Simulated part compared with the nominal part", faces))
@@ -97,8 +97,8 @@ def report_html(
             )
         sections.append(PageSection("setup", "Setup sheet", (setup_sheet.build_sheet(problem, plan, proof),)))
     if proof is not None and proof.rules:
-        rules = page_sections.rule_tables(proof.rules)
-        sections.append(PageSection("proof", "Proof from the programs' text", rules))
+        tables = page_sections.rule_tables(proof.rules)
+        sections.append(PageSection("proof", "Proof from the programs' text", tables))
     sections += _background(plan, extra)
     title = problem.name if problem is not None else "Problem"
     return markup.page_html(
@@ -119,23 +119,27 @@ def _unique(issues: Sequence[Issue]) -> list[Issue]:
 
 
 def _exhibits(problem: Problem | None, plan: Plan | None) -> tuple[list[PageSection], list[Issue]]:
+    """Return a section of exhibits for each operation, and issues for those that cannot be drawn."""
     sections: list[PageSection] = []
-    left_out: list[Issue] = []
+    exhibit_issues: list[Issue] = []
     for index, operation in enumerate(plan.operations if plan else ()):
         stock = problem.setup_of(index).stock if problem is not None else None
-        corners = np.array([[-0.5, -0.5, 0.0], [0.5, 0.5, 1.0]])
-        block = corners if stock is None else np.array([stock.lower, stock.upper])
+        default_block = np.array([[-0.5, -0.5, 0.0], [0.5, 0.5, 1.0]])
+        block = default_block if stock is None else np.array([stock.lower, stock.upper])
         figures, issues = exhibits.draw(operation.targets.exhibits, block)
-        left_out += issues
+        exhibit_issues += issues
         title = "Process" if plan is None or len(plan.operations) == 1 else f"Process: {operation.name}"
-        wide = tuple(figure for figure in figures if isinstance(figure, markup.Wide))
-        small = tuple(figure for figure in figures if not isinstance(figure, markup.Wide))
-        content: tuple[Block, ...] = (*wide, markup.GridBlock(small)) if small else wide
+        wide_figures = tuple(figure for figure in figures if isinstance(figure, markup.Wide))
+        narrow_figures = tuple(figure for figure in figures if not isinstance(figure, markup.Wide))
+        content: tuple[Block, ...] = (
+            (*wide_figures, markup.GridBlock(narrow_figures)) if narrow_figures else wide_figures
+        )
         sections.append(PageSection(f"process{index}", title, content))
-    return sections, left_out
+    return sections, exhibit_issues
 
 
 def _motion(problem: Problem, motion: MotionSeries, proof: Proof | None) -> list[PageSection]:
+    """Return the sections with charts over the time of the motion, and with charts of the joint angles."""
     settings = problem.settings
     figures = [motion_charts.feed_figure(motion)] if len(motion.feed.time) > 1 else []
     if motion.clearance is not None:
@@ -150,31 +154,32 @@ def _motion(problem: Problem, motion: MotionSeries, proof: Proof | None) -> list
     for name, arm in motion.arms.items():
         figures += motion_charts.speed_figures(name, arm, motion, settings)
     pairs = motion_charts.closest_pairs(motion.clearance) if motion.clearance is not None else ()
-    words = f"Joint motion: {motion.source}. Tinted bands are segments."
-    content: tuple[Block, ...] = (markup.GridBlock(tuple(figures)), *pairs, markup.Paragraph(words, "note"))
-    rows: list[Block] = []
+    note = f"Joint motion: {motion.source}. Tinted bands are segments."
+    content: tuple[Block, ...] = (markup.GridBlock(tuple(figures)), *pairs, markup.Paragraph(note, "note"))
+    joints: list[Block] = []
     for name, arm in motion.arms.items():
-        rows.append(markup.Heading(f"{name}: {arm.robot.title}"))
-        rows.append(markup.GridBlock(tuple(motion_charts.joint_figures(name, arm, motion)), "three"))
+        joints.append(markup.Heading(f"{name}: {arm.robot.title}"))
+        joints.append(markup.GridBlock(tuple(motion_charts.joint_figures(name, arm, motion)), "three"))
     return [
         PageSection("motion", "Motion", content),
-        PageSection("joints", "Joint angles and limits", tuple(rows)),
+        PageSection("joints", "Joint angles and limits", tuple(joints)),
     ]
 
 
 def _background(plan: Plan | None, extra: ReportExtras) -> list[PageSection]:
+    """Return the sections on placement search, planning and pairs whose collision is not tested."""
     out = []
     if plan is not None:
         out.append(PageSection("placement", "Placement search", page_sections.placement_figures(plan)))
         planning = page_sections.planning_details(plan, extra.programs)
         out.append(PageSection("times", "Planning details", (planning,)))
     if extra.filtered:
-        rows = markup.make_table(("body", "body", "why collisions are not tested"), extra.filtered)
+        pair_table = markup.make_table(("body", "body", "why collisions are not tested"), extra.filtered)
         summary = (
             f"Collisions of {len(extra.filtered)} pairs of bodies, or some of their solids, are not tested. "
             "All other pairs are tested."
         )
-        out.append(PageSection("filter", "Collision filter", (markup.Folded(summary, rows),)))
+        out.append(PageSection("filter", "Collision filter", (markup.Folded(summary, pair_table),)))
     return out
 
 
@@ -186,7 +191,7 @@ def pictures(problem: Problem, plan: Plan) -> Iterator[tuple[str, Picture]]:
 def files(
     problem: Problem, plan: Plan, proof: Proof | None, drawn: Sequence[tuple[str, Picture]] | None = None
 ) -> dict[str, str]:
-    """Return the files of :func:`pages` and :func:`proof_files`, by name."""
+    """Return the files of :func:`pages` and :func:`proof_files`, by name, without digests of programs."""
     return pages(problem, plan, proof, drawn) | proof_files(plan, proof)
 
 
@@ -236,12 +241,12 @@ def pages(
 
 
 def cell_model(problem: Problem, plan: Plan, setup: Setup | None = None) -> CellModel:
-    """Build the cell model as a setup finds it, by default the first one.
+    """Build the model of the cell and the block as a setup starts, with the bases of the plan.
 
     Args:
         problem: Problem.
         plan: Plan.
-        setup: Setup, or None for the first.
+        setup: Setup, or None for the first one.
     """
     chosen_setup = setup or problem.setups[0]
     return plant.build_cell_model(
@@ -257,30 +262,32 @@ def show(problem: Problem, plan: Plan, proof: Proof | None = None) -> Viewer:
 def failure_report(problem: Problem | None, issues: Sequence[Issue]) -> str:
     """Return the report for a problem that was refused or has no plan.
 
+    It has a picture if the cell can be built. A block without a place is then at the world's origin.
+
     Args:
-        problem: Problem, or None.
-        issues: Issues.
+        problem: Problem, or None if it was refused.
+        issues: Issues. Those of a cell that cannot be built are added.
     """
-    shown: tuple[tuple[str, Picture], ...] = ()
+    cell_pictures: tuple[tuple[str, Picture], ...] = ()
     filtered: Sequence[tuple[str, str, str]] = ()
     if problem is not None:
         stock_pose = problem.stock.place
-        upright = np.eye(4)
-        upright[:3, :3] = problem.stock.attitude
+        pose_at_origin = np.eye(4)
+        pose_at_origin[:3, :3] = problem.stock.attitude
         try:
             model = plant.build_cell_model(
-                problem.cell, problem.stock, upright if stock_pose is None else stock_pose
+                problem.cell, problem.stock, pose_at_origin if stock_pose is None else stock_pose
             )
         except TandemError as error:
-            issues = [*issues, *(i for i in error.issues if i not in issues)]
+            issues = [*issues, *(issue for issue in error.issues if issue not in issues)]
         else:
-            shown = cell_picture.setup_pictures(model, problem, None)
+            cell_pictures = cell_picture.setup_pictures(model, problem, None)
             filtered = model.filtered_pairs
-    return report_html(problem, None, None, ReportExtras(shown, filtered, issues=issues))
+    return report_html(problem, None, None, ReportExtras(cell_pictures, filtered, issues=issues))
 
 
 def read_accepted(text: str) -> list[str]:
-    """Return the accepted codes in a ``proof.json``. Empty if the text is invalid."""
+    """Return the codes of accepted issues in the text of a ``proof.json``. Empty if it is invalid."""
     try:
         codes = json.loads(text)["accepted"]
     except (ValueError, KeyError, TypeError):
@@ -296,6 +303,7 @@ def proof_json(proof: Proof, accepted_codes: Sequence[str], digests: Mapping[str
         accepted_codes: Codes of issues that the problem accepts.
         digests: SHA-256 of the proven program files by name.
     """
+    # of a face, the scalar results without the arrays over its points
     faces = [
         {"segment": face.title, **{k: v for k, v in vars(face).items() if isinstance(v, float)}}
         for face in proof.surfaces
@@ -314,9 +322,9 @@ def proof_json(proof: Proof, accepted_codes: Sequence[str], digests: Mapping[str
 
 
 def _plain_data(value: object) -> object:
-    """Convert to plain data for JSON.
+    """Convert nested data for JSON.
 
-    Tuples become lists, NumPy numbers Python numbers, and non-finite numbers None.
+    Keys become strings, tuples lists, NumPy numbers Python numbers, and non-finite numbers None.
     """
     if isinstance(value, dict):
         return {str(k): _plain_data(v) for k, v in value.items()}

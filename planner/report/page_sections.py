@@ -1,4 +1,4 @@
-"""Sections of the report: verdict and key figures, cell, issues and rules, cut faces, and planning.
+"""Sections of the report: verdict and key values, cell, issues and rules, cut faces, and planning.
 
 The search for the placement of the stock is read from ``metrics["placement"]``: ``positions`` (K, 2 or 3)
 [m] and ``score`` (K,) (larger is better, not finite: infeasible), with optional ``chosen`` (index), and
@@ -32,7 +32,7 @@ _TILE_METRICS: Final = frozenset(
         *("edge_clearance_mm", "peak_speed_share"),
     }
 )
-"""Figures for the targets only. Tiles show those of the whole motion."""
+"""Metrics of a plan that are not listed: they hold at targets only, and tiles show the whole motion."""
 MAX_FACE_TILES: Final = 4
 """Maximum number of cut surfaces with a tile of their own, those closest to their limit first."""
 
@@ -44,12 +44,12 @@ MAX_FILES: Final = 6
 def verdicts(
     plan: Plan | None, proof: Proof | None, errors: bool, accepted: Sequence[str]
 ) -> tuple[tuple[str, str], ...]:
-    """Return the verdict as kind and words, and the accepted codes.
+    """Return the verdict as a pair of kind and words, and such a pair with the accepted codes if any.
 
     Args:
         plan: Plan, or None.
         proof: Proof, or None.
-        errors: Whether there are errors.
+        errors: Whether an issue is an error.
         accepted: Codes that the problem accepts.
     """
     if plan is None:
@@ -67,13 +67,14 @@ def verdicts(
 
 
 def problem_summary(problem: Problem) -> markup.Paragraph:
-    """Describe a problem: processes, arms, cell, digest, and files with their digests."""
+    """Describe a problem: processes, arms, cell, digest, and its files with their digests."""
     arms = ", ".join(f"{a.name}: {_title(a.robot)}" for a in problem.cell.arms)
     work = ", ".join(dict.fromkeys(op.process.replace("_", " ") for op in problem.operations))
-    words = f"{work} · {arms} · cell {problem.cell.name} · problem "
-    phrases: list[Phrase] = [words, markup.CodePhrase(problem.digest[:12])]
+    description = f"{work} · {arms} · cell {problem.cell.name} · problem "
+    phrases: list[Phrase] = [description, markup.CodePhrase(problem.digest[:12])]
     files = sorted(referenced_file_hashes(problem.source).items())
     for name, sha in files[:MAX_FILES]:
+        # a result folder adds the start of the digest to the names of its files
         plain_name = name.replace(f"-{sha[:16]}", "")
         phrases += [f" · {plain_name} ", markup.CodePhrase(sha[:12])]
     if len(files) > MAX_FILES:
@@ -82,12 +83,14 @@ def problem_summary(problem: Problem) -> markup.Paragraph:
 
 
 def _title(robot: str) -> str:
+    """Return the title of a robot of the catalogue, or the name of another robot."""
     return robots.robot(robot).title if robot in robots.robot_names() else robot
 
 
 def key_tiles(problem: Problem, plan: Plan, proof: Proof | None) -> tuple[markup.Tile, ...]:
-    """Return the key figures as tiles."""
-    motion, processes = motion_charts.motion_series(problem, plan, proof), process_reports(problem)
+    """Return tiles with the key values of a plan and its proof, marked where they violate a requirement."""
+    motion = motion_charts.motion_series(problem, plan, proof)
+    processes = process_reports(problem)
     count = sum(op.targets.count for op in plan.operations)
     time = markup.Tile(f"motion time {MOTION_TIME}", *format_duration(plan.duration))
     out = [markup.Tile("targets", f"{count}"), time]
@@ -97,37 +100,37 @@ def key_tiles(problem: Problem, plan: Plan, proof: Proof | None) -> tuple[markup
         for travel in travels.values()
     ]
     out += [markup.Tile(f"time {TRAVEL_TIME}", *format_duration(sum(travel_times)))] if travel_times else []
-    # The proof's figures take precedence, so that tiles and the list of rules agree.
+    # The proof's values take precedence, so that tiles and the list of rules agree.
     proven = motion_charts.worst_by_rule(proof)
     if motion.clearance is not None:
         minimum = proven.get("verify.clearance", float(np.nanmin(motion.clearance.distance)) / MM)
         codes = {"verify.clearance", *(code for process in processes for code in process.clearance_rules)}
-        close = _too_close(proof, codes, minimum * MM < problem.settings.clearance)
-        out.append(markup.Tile("minimum clearance", f"{minimum:.1f}", "mm", close))
+        too_close = _too_close(proof, codes, minimum * MM < problem.settings.clearance)
+        out.append(markup.Tile("minimum clearance", f"{minimum:.1f}", "mm", too_close))
     if motion.own_clearance is not None:
         minimum = proven.get("verify.own_clearance", float(np.nanmin(motion.own_clearance.distance)) / MM)
-        close = _too_close(proof, {"verify.own_clearance"}, minimum * MM < problem.settings.self_clearance)
-        out.append(markup.Tile("self-clearance", f"{minimum:.1f}", "mm", close))
+        too_close = _too_close(
+            proof, {"verify.own_clearance"}, minimum * MM < problem.settings.self_clearance
+        )
+        out.append(markup.Tile("self-clearance", f"{minimum:.1f}", "mm", too_close))
     if motion.arms:
         margin = min(float(a.limit_margin.min()) for a in motion.arms.values()) / DEG
         margin = proven.get("verify.joint_limits", margin)
         is_close = margin < problem.settings.joint_margin / DEG
         out.append(markup.Tile("to a joint limit", f"{margin:.1f}", "°", is_close))
         wrist = min(motion.min_wrist_angle(name) for name in motion.arms) / DEG
-        single = proven.get("verify.singularity", wrist)
+        angle = proven.get("verify.singularity", wrist)
         name = "from singularity" if "verify.singularity" in proven else "axis 5 from singularity"
-        out.append(
-            markup.Tile(name, f"{single:.1f}", "°", single < problem.settings.singularity_margin / DEG)
-        )
+        out.append(markup.Tile(name, f"{angle:.1f}", "°", angle < problem.settings.singularity_margin / DEG))
         speed = max(float(np.nanmax(np.abs(a.speed) / a.robot.velocity)) for a in motion.arms.values())
         percent = proven.get("verify.joint_speed", 100.0 * speed)
         out.append(markup.Tile("maximum joint speed", f"{percent:.0f}", "% of limit", percent > 100.0))
     out += [tile for process in processes for tile in process.tiles(plan, proof)]
     if proof is not None:
-        shown = sorted(proof.surfaces, key=lambda f: f.share - f.wanted_share)
-        for face in shown[:MAX_FACE_TILES]:
-            low = face.share < face.wanted_share
-            out.append(markup.Tile(f"{face.title} within tolerance", f"{100 * face.share:.1f}", "%", low))
+        faces = sorted(proof.surfaces, key=lambda f: f.share - f.wanted_share)
+        for face in faces[:MAX_FACE_TILES]:
+            is_low = face.share < face.wanted_share
+            out.append(markup.Tile(f"{face.title} within tolerance", f"{100 * face.share:.1f}", "%", is_low))
         held, applicable, _ = proof.rule_counts
         if proof.rules:
             out.append(markup.Tile("rules held", f"{held}", f"of {applicable}", held < applicable))
@@ -137,14 +140,15 @@ def key_tiles(problem: Problem, plan: Plan, proof: Proof | None) -> tuple[markup
 def _too_close(proof: Proof | None, codes: Collection[str], is_below: bool) -> bool:
     """Report whether a clearance is violated.
 
-    The proof decides, which allows a little between targets. Without its rules ``is_below`` decides.
+    The rules of the proof with these codes decide, which allow a little less between targets. Without such
+    rules ``is_below`` decides.
     """
     rules = [r for r in (proof.rules if proof is not None else ()) if r.code in codes]
     return any(not r.passed for r in rules) if rules else is_below
 
 
 def format_duration(seconds: float) -> tuple[str, str]:
-    """Format a time, and return its unit."""
+    """Format a time in seconds below two minutes, else in minutes and seconds, and return its unit."""
     if seconds < 120:
         return f"{seconds:.1f}", "s"
     return f"{int(seconds // 60)}:{int(seconds % 60):02d}", "min"
@@ -158,20 +162,22 @@ def picture(shown: Picture, title: str = "") -> Block:
 
 
 def planning_details(plan: Plan, programs: Sequence[tuple[str, int]]) -> Block:
-    """Return figures of the plan, versions and programs.
+    """Return tables with the plan's metrics, versions and digest, and programs.
 
     Run times are left out, so that the same problem gives the same report.
 
     Args:
         plan: Plan.
-        programs: Names and numbers of lines.
+        programs: Names of program files, with their numbers of lines.
     """
     parts: list[Block] = []
-    figures = [row for op in plan.operations for row in _figures(op.metrics)]
-    if figures:
-        rows = dict.fromkeys(figures)
+    metric_rows = [row for op in plan.operations for row in _metric_rows(op.metrics)]
+    if metric_rows:
+        unique_rows = dict.fromkeys(metric_rows)
         parts.append(
-            markup.FigureBlock("Figures of the plan", markup.make_table(("figure", "value", "unit"), rows))
+            markup.FigureBlock(
+                "Figures of the plan", markup.make_table(("figure", "value", "unit"), unique_rows)
+            )
         )
     digest = ("problem hash", markup.CodePhrase(plan.digest))
     parts.append(markup.FigureBlock("Versions", markup.FactsBlock((*plan.versions.items(), digest))))
@@ -180,7 +186,7 @@ def planning_details(plan: Plan, programs: Sequence[tuple[str, int]]) -> Block:
     return markup.GridBlock(tuple(parts))
 
 
-_FIGURE_UNITS: Final = {
+_METRIC_UNITS: Final = {
     "mm": "mm",
     "deg": "deg",
     "time": "s",
@@ -194,16 +200,18 @@ _FIGURE_UNITS: Final = {
     "checks": "postures",
     "choices": "branches",
 }
-"""Units of figures of a plan, by the last word of their names."""
+"""Units of metrics of a plan, by the last word of their names."""
 
 
-def _figures(metrics: Mapping[str, Any]) -> Iterable[tuple[str, object, str]]:
+def _metric_rows(metrics: Mapping[str, Any]) -> Iterable[tuple[str, object, str]]:
+    """Yield words, value and unit of each scalar metric that no tile shows."""
     for name, value in metrics.items():
         if name not in _TILE_METRICS and isinstance(value, int | float | str | bool | np.generic):
             words = name.split("_")
-            unit = _FIGURE_UNITS.get(words[-1], "")
-            shown = words[:-1] if words[-1] == unit and unit in ("mm", "deg") else words
-            yield " ".join(shown), value, unit
+            unit = _METRIC_UNITS.get(words[-1], "")
+            # "clearance_mm" becomes "clearance" with the unit mm, but "checked_targets" keeps its last word
+            is_suffix = words[-1] == unit and unit in ("mm", "deg")
+            yield " ".join(words[:-1] if is_suffix else words), value, unit
 
 
 _SEVERITY_ORDER = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.NOTE: 2}
@@ -217,8 +225,8 @@ def issue_table(issues: Sequence[Issue]) -> markup.TableBlock:
             markup.TagPhrase(issue.severity.value, issue.severity.value),
             _message(issue),
             _location(issue),
-            _figure(issue.value, issue.unit),
-            _figure(issue.limit, issue.unit),
+            _value_text(issue.value, issue.unit),
+            _value_text(issue.limit, issue.unit),
             markup.CodePhrase(issue.code),
         )
         for issue in sorted(issues, key=lambda i: _SEVERITY_ORDER[i.severity])
@@ -237,11 +245,13 @@ def _message(issue: Issue) -> Phrase:
     return markup.StackedPhrases((message, markup.MutedPhrase(issue.hint))) if issue.hint else message
 
 
-def _figure(value: float | None, unit: str | None) -> str:
+def _value_text(value: float | None, unit: str | None) -> str:
+    """Format a value with its unit. Empty if there is no value."""
     return f"{markup.number(value)} {unit or ''}" if value is not None else ""
 
 
 def _location(issue: Issue) -> markup.StackedPhrases:
+    """Return the known parts of an issue's place, a line each: file, field, arm, target, time, bodies."""
     file = (
         f"{issue.file}" + (f", line {issue.line}" if issue.line is not None else "") if issue.file else None
     )
@@ -252,22 +262,22 @@ def _location(issue: Issue) -> markup.StackedPhrases:
 
 
 def rule_tables(results: Sequence[RuleResult]) -> tuple[Block, ...]:
-    """Tabulate the rules of the proof, failed ones first.
+    """Tabulate the rules of the proof, those that hold last.
 
     Rules that do not apply to the programs are folded.
     """
     out: list[Block] = [_rule_table([rule for rule in results if rule.applies])]
-    nothing = [rule for rule in results if not rule.applies]
-    if nothing:
-        more = "1 more rule does" if len(nothing) == 1 else f"{len(nothing)} more rules do"
-        what = f"{more} not apply to these programs"
-        rows = [(rule.title, rule.where, markup.CodePhrase(rule.code)) for rule in nothing]
-        out.append(markup.Folded(what, markup.make_table(("rule", "reason", "code"), rows)))
+    inapplicable = [rule for rule in results if not rule.applies]
+    if inapplicable:
+        count_text = "1 more rule does" if len(inapplicable) == 1 else f"{len(inapplicable)} more rules do"
+        summary = f"{count_text} not apply to these programs"
+        rows = [(rule.title, rule.where, markup.CodePhrase(rule.code)) for rule in inapplicable]
+        out.append(markup.Folded(summary, markup.make_table(("rule", "reason", "code"), rows)))
     return tuple(out)
 
 
 def _rule_table(results: Sequence[RuleResult]) -> markup.TableBlock:
-    """Return one row for each rule, failed ones first."""
+    """Tabulate rules: those that failed or did not run first, then those that hold."""
     rows = []
     for rule in sorted(results, key=lambda r: (r.passed, r.ran)):
         word, kind = ("held", "ok") if rule.passed else ("failed", "bad") if rule.ran else ("not run", "off")
@@ -275,8 +285,8 @@ def _rule_table(results: Sequence[RuleResult]) -> markup.TableBlock:
             (
                 markup.TagPhrase(kind, word),
                 rule.title,
-                _figure(rule.worst, rule.unit),
-                _figure(rule.limit, rule.unit),
+                _value_text(rule.worst, rule.unit),
+                _value_text(rule.limit, rule.unit),
                 rule.where,
                 markup.CodePhrase(rule.code),
             )
@@ -295,7 +305,7 @@ def face_figures(problem: Problem, plan: Plan, proof: Proof) -> tuple[Block, ...
 
 
 def cut_face_figure(cut: CutFace, words: FaceWords, rulings: MapRulings | None = None) -> Block:
-    """Draw heat map, histogram and figures of a simulated face.
+    """Draw heat map, histogram and key values of a simulated face.
 
     Args:
         cut: Face.
@@ -313,9 +323,11 @@ def cut_face_figure(cut: CutFace, words: FaceWords, rulings: MapRulings | None =
         ("largest", f"{cut.largest / MM:.3f} mm"),
         ("points compared", f"{len(cut.points)}"),
     ]
-    items += [(f"not passed by the {words.tool}", f"{100 * missed:.2f} %")] if missed else []
-    good = cut.share >= cut.wanted_share
-    tag = markup.TagPhrase("ok", "within tolerance") if good else markup.TagPhrase("bad", "out of tolerance")
+    if missed:
+        items.append((f"not passed by the {words.tool}", f"{100 * missed:.2f} %"))
+    passed = cut.share >= cut.wanted_share
+    kind, word = ("ok", "within tolerance") if passed else ("bad", "out of tolerance")
+    tag = markup.TagPhrase(kind, word)
     chart = charts.deviation_map(
         cut.points,
         cut.deviation,
@@ -324,20 +336,21 @@ def cut_face_figure(cut: CutFace, words: FaceWords, rulings: MapRulings | None =
         words,
         rulings,
     )
-    spread = markup.FigureBlock("Spread", charts.histogram(cut.deviation, cut.tolerance))
-    details = markup.Column((spread, markup.FactsBlock(tuple(items))))
+    histogram = markup.FigureBlock("Spread", charts.histogram(cut.deviation, cut.tolerance))
+    details = markup.Column((histogram, markup.FactsBlock(tuple(items))))
     return markup.GridBlock((chart, details), "two part")
 
 
 def placement_figures(plan: Plan) -> tuple[Block, ...]:
-    """Draw a map of the tried placements and the best score over the search. Empty without a search."""
+    """Draw the placements that the first search of a plan tried, and its best score. Empty without one."""
     metrics = [plan.metrics, *(op.metrics for op in plan.operations)]
     searches = [m["placement"] for m in metrics if isinstance(m.get("placement"), Mapping)]
-    shown = [s for s in searches if {"positions", "score"} <= set(s) and np.size(s["score"])]
-    return tuple(_search_figures(search) for search in shown[:1])
+    valid_searches = [s for s in searches if {"positions", "score"} <= set(s) and np.size(s["score"])]
+    return tuple(_search_figures(search) for search in valid_searches[:1])
 
 
 def _search_figures(search: Mapping[str, Any]) -> Block:
+    """Draw the placements that a search tried, seen from above, and its scores in their order."""
     positions = np.asarray(search["positions"], dtype=np.float64)
     score = np.asarray(search["score"], dtype=np.float64)
     score = np.where(np.isfinite(score), score, np.nan)
@@ -363,14 +376,15 @@ def _search_figures(search: Mapping[str, Any]) -> Block:
 
 
 def _placement_map(positions: FloatArray, score: FloatArray, chosen: int | None) -> markup.Drawing:
+    """Draw placements (K, 2 or 3) [m] as dots with the colour of their score. Infeasible ones are hollow."""
     low, high = positions[:, :2].min(axis=0), positions[:, :2].max(axis=0)
     span = np.maximum(high - low, 1e-3)
     scale = float(min(440.0 / span[0], 260.0 / span[1]))
     height = span[1] * scale + 30
-    good = np.isfinite(score)
-    low_score = float(np.nanmin(score)) if good.any() else 0.0
-    range_ = max(float(np.nanmax(score)) - low_score, 1e-12) if good.any() else 1.0
-    shade = charts.sequential(np.where(good, (score - low_score) / range_, 0.0)) * 255.0
+    is_feasible = np.isfinite(score)
+    low_score = float(np.nanmin(score)) if is_feasible.any() else 0.0
+    score_range = max(float(np.nanmax(score)) - low_score, 1e-12) if is_feasible.any() else 1.0
+    colours = charts.sequential(np.where(is_feasible, (score - low_score) / score_range, 0.0)) * 255.0
     parts = [f'<svg class="plot" viewBox="0 0 540 {height + 26:.0f}">']
     for v in charts.ticks(low[0] * 1e3, high[0] * 1e3 + 1e-9, 6):
         x = 60 + (v * 1e-3 - low[0]) * scale
@@ -378,11 +392,13 @@ def _placement_map(positions: FloatArray, score: FloatArray, chosen: int | None)
     for v in charts.ticks(low[1] * 1e3, high[1] * 1e3 + 1e-9, 5):
         y = 10 + (high[1] - v * 1e-3) * scale
         parts.append(f'<text class="ytick" x="46" y="{y + 4:.1f}">{markup.number(float(v))}</text>')
-    for i in np.argsort(np.where(good, score, -np.inf)):
+    for i in np.argsort(np.where(is_feasible, score, -np.inf)):
         x = 60 + (positions[i, 0] - low[0]) * scale
         y = 10 + (high[1] - positions[i, 1]) * scale
-        r, g, b = shade[i]
-        style = f'fill="rgb({r:.0f} {g:.0f} {b:.0f})"' if good[i] else 'fill="none" stroke="var(--soft)"'
+        r, g, b = colours[i]
+        style = (
+            f'fill="rgb({r:.0f} {g:.0f} {b:.0f})"' if is_feasible[i] else 'fill="none" stroke="var(--soft)"'
+        )
         parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.6" {style}/>')
     if chosen is not None:
         x = 60 + (positions[chosen, 0] - low[0]) * scale

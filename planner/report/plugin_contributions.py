@@ -45,7 +45,7 @@ class EdgeSpeed:
 
 @dataclasses.dataclass(frozen=True)
 class TimeChart:
-    """A chart over the time of the motion. The report adds the segments."""
+    """A chart over the time of the motion, with curves in one ``unit``. The report adds the segments."""
 
     title: str
     lines: tuple[ChartLine, ...]
@@ -61,9 +61,9 @@ class ProcessMotion:
 
     Attributes:
         speeds: Speeds for the chart of feeds. They replace the feeds of the plan.
-        clearances: Lines [mm] for the chart of clearances.
-        distances: Charts after those of clearances.
-        charts: Charts after those of joint limits and singular postures.
+        clearances: Curves [mm] that are added to the chart of clearances.
+        distances: Charts that follow those of clearances.
+        charts: Charts that follow those of joint limits and singular postures.
     """
 
     speeds: tuple[EdgeSpeed, ...] = ()
@@ -85,7 +85,7 @@ class ReportOfProcess:
     """Contribution of a process to the report. By default it adds nothing.
 
     Attributes:
-        tiles: Key figures of a plan and its proof.
+        tiles: Key values of a plan and its proof.
         setup_rows: Rows of the setup sheet about an operation. Its exhibits of kind ``setup`` follow.
         motion: Charts of the motion, from the plan and the series of the proof.
         rulings: Rulings of ruled faces, by key of the segment. The map of such a face is unrolled.
@@ -114,8 +114,11 @@ def process_reports(problem: Problem) -> tuple[ReportOfProcess, ...]:
             (``problem.process_package``).
     """
     used = {operation.process for operation in problem.operations}
+    # Processes with the same contribution add it once.
     names_by_report = {
-        p.report: name for name, p in plugins.usable(Process).items() if name in used and p.report
+        process.report: name
+        for name, process in plugins.usable(Process).items()
+        if name in used and process.report
     }
     try:
         return tuple(
@@ -126,9 +129,9 @@ def process_reports(problem: Problem) -> tuple[ReportOfProcess, ...]:
 
 
 def face_words(problem: Problem, face: CutFace) -> FaceWords:
-    """Return the words for deviations of a simulated face."""
-    known = (process.faces.get(face.segment.kind) for process in process_reports(problem))
-    return next((words for words in known if words is not None), FaceWords())
+    """Return the words that a process has for deviations of a simulated face, or the general ones."""
+    candidates = (process.faces.get(face.segment.kind) for process in process_reports(problem))
+    return next((words for words in candidates if words is not None), FaceWords())
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,11 +161,11 @@ class ControllerSetup:
         return " and ".join(process.hot for process in process_reports(self.problem) if process.hot)
 
     def torch_checks(self, signals: Sequence[str], restart: str) -> list[ControllerCheck]:
-        """Return what to do after a stop while a torch was burning.
+        """Return what to do after a stop while a torch was burning, at this controller or a joined one.
 
         Args:
             signals: Signals of the controller.
-            restart: How its program starts from the beginning.
+            restart: Instruction to start its program from the beginning, as part of a sentence.
         """
         torches = torch_signals(self.problem.operations)
         arms = self.problem.cell.arms if self.joined else ()
@@ -170,25 +173,29 @@ class ControllerSetup:
             arm.name: torches & set(power_signals(self.problem, self.plan, [arm])) for arm in arms
         }
         restart += ", at both controllers" if any(torches_by_arm.values()) else ""
-        words = (
+        advice = (
             f"the program ends: move the torch out by hand, inspect the sheet, {restart}; it cuts all slots, "
         )
-        words += "so use an uncut sheet, or plan the remaining slots again"
-        other_words = f"this program restarts too: {restart}; its controller does not see the torch"
+        advice += "so use an uncut sheet, or plan the remaining slots again"
+        other_advice = f"this program restarts too: {restart}; its controller does not see the torch"
         torch_signals_here = [signal for signal in signals if signal in torches]
-        out = [(f"{signal} on at a stop: never set again by hand", words) for signal in torch_signals_here]
-        others = set(torches_by_arm) - {arm.name for arm in self.arms}
-        rows = [
+        out = [(f"{signal} on at a stop: never set again by hand", advice) for signal in torch_signals_here]
+        other_arms = set(torches_by_arm) - {arm.name for arm in self.arms}
+        other_signals = [
             (signal, name)
             for name in torches_by_arm
-            if name in others
+            if name in other_arms
             for signal in sorted(torches_by_arm[name])
         ]
-        return out + [(f"{signal} of arm {name} on at a stop", other_words) for signal, name in rows]
+        return out + [
+            (f"{signal} of arm {name} on at a stop", other_advice) for signal, name in other_signals
+        ]
 
 
 def power_signals(problem: Problem, plan: Plan, arms: Iterable[Arm]) -> list[str]:
     """Return the signals that switch power and that the programs of some arms set.
+
+    The actions of an operation are in the program of its first arm in the order of the cell.
 
     Args:
         problem: Problem.
@@ -209,7 +216,7 @@ def power_signals(problem: Problem, plan: Plan, arms: Iterable[Arm]) -> list[str
 
 
 def signal_numbers(problem: Problem, arm: Arm) -> str:
-    """Return the numbers of signals at the controller of an arm, as text to follow other words."""
+    """Return the numbers of signals at an arm's controller, as text that is appended to a sentence."""
     numbers = problem.cell.controller.io.get(arm.name, {})
     return "".join(f"; {signal} is number {number}" for signal, number in numbers.items())
 
@@ -221,7 +228,7 @@ class ReportOfLanguage:
     Attributes:
         checks: What to check at a controller before the first run.
         programs: Rows of the setup sheet about the programs of arms of the cell.
-        load_compensation: Name of the controllers' own load compensation.
+        load_compensation: Name of the load compensation that the controllers have.
     """
 
     checks: Callable[[ControllerSetup], Sequence[ControllerCheck]] = _no_contribution
@@ -231,6 +238,8 @@ class ReportOfLanguage:
 
 def reports_by_language(arms: Iterable[Arm]) -> list[tuple[ReportOfLanguage, tuple[Arm, ...]]]:
     """Group arms by the languages of their controllers, in the order of the plug-ins.
+
+    Arms whose language contributes nothing to the report are left out.
 
     Args:
         arms: Arms.

@@ -18,7 +18,7 @@ from planner.problem import Part, Stock
 
 @dataclasses.dataclass(frozen=True)
 class RenderSolid:
-    """Triangles to draw: ``vertices`` (V, 3) [m], unit ``normals`` (V, 3), ``faces`` (F, 3)."""
+    """Triangles to draw: ``vertices`` (V, 3) [m] with unit ``normals`` (V, 3), and ``faces`` (F, 3)."""
 
     vertices: FloatArray
     normals: FloatArray
@@ -55,20 +55,21 @@ def box(x: float, y: float, z: float) -> RenderSolid:
 
 def cylinder(radius: float, length: float, sides: int = 32) -> RenderSolid:
     """Return a cylinder about z [m], centred, with flat ends."""
+    # profile of a unit cylinder: radius, z, and normal; edges have two normals, so that they are sharp
     profile = [(0.0, -1.0, 0.0, -1.0), (1.0, -1.0, 0.0, -1.0), (1.0, -1.0, 1.0, 0.0)]
     profile += [(1.0, 1.0, 1.0, 0.0), (1.0, 1.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0)]
-    rows = np.array(profile) * [radius, 0.5 * length, 1.0, 1.0]
-    return _revolved(rows, sides)
+    scaled_profile = np.array(profile) * [radius, 0.5 * length, 1.0, 1.0]
+    return _revolved(scaled_profile, sides)
 
 
 def capsule(radius: float, length: float, sides: int = 24, rings: int = 6) -> RenderSolid:
-    """Return a capsule about z [m], centred. ``length`` excludes the caps."""
+    """Return a capsule about z [m], centred. ``length`` excludes the caps, of ``rings`` rings each."""
     angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 2 * rings)
     shift = np.where(angle < 0.0, -0.5, 0.5) * length
-    rows = np.stack(
+    profile = np.stack(
         [radius * np.cos(angle), radius * np.sin(angle) + shift, np.cos(angle), np.sin(angle)], axis=1
     )
-    return _revolved(rows, sides)
+    return _revolved(profile, sides)
 
 
 def sphere(radius: float, sides: int = 24) -> RenderSolid:
@@ -77,55 +78,65 @@ def sphere(radius: float, sides: int = 24) -> RenderSolid:
 
 
 def mesh(vertices: FloatArray, faces: IntArray, smooth: bool = False) -> RenderSolid:
-    """Return a mesh, faceted, or ``smooth`` with area-weighted vertex normals."""
+    """Return the solid of a mesh (V, 3), (F, 3): faceted, or ``smooth`` with area-weighted vertex normals.
+
+    A faceted solid has three vertices of its own for each face.
+    """
     corners = vertices[faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     if smooth:
         normals = np.zeros_like(vertices)
         for k in range(3):
-            np.add.at(normals, faces[:, k], normal)
+            np.add.at(normals, faces[:, k], face_normals)
         return RenderSolid(vertices, _unit(normals), faces)
-    flat = np.arange(3 * len(faces), dtype=np.int64).reshape(-1, 3)
-    return RenderSolid(corners.reshape(-1, 3), np.repeat(_unit(normal), 3, axis=0), flat)
+    own_faces = np.arange(3 * len(faces), dtype=np.int64).reshape(-1, 3)
+    return RenderSolid(corners.reshape(-1, 3), np.repeat(_unit(face_normals), 3, axis=0), own_faces)
 
 
 def tube(points: FloatArray, radius: float, sides: int = 10) -> RenderSolid:
-    """Return a tube about a polyline (P, 3) [m], with rotation-minimising frames."""
+    """Return an open tube about a polyline (P, 3) [m], with rotation-minimising frames."""
     tangent = _unit(np.gradient(points, axis=0))
     side = np.cross(tangent[0], np.eye(3)[np.argmin(np.abs(tangent[0]))])
-    rings = np.empty((len(points), 3))
+    first_axes = np.empty((len(points), 3))
     for i, t in enumerate(tangent):
         side = side - t * (side @ t)
         side /= np.linalg.norm(side)
-        rings[i] = side
-    other = np.cross(tangent, rings)
+        first_axes[i] = side
+    second_axes = np.cross(tangent, first_axes)
     angle = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
-    normals = np.cos(angle)[:, None] * rings[:, None] + np.sin(angle)[:, None] * other[:, None]
+    normals = np.cos(angle)[:, None] * first_axes[:, None] + np.sin(angle)[:, None] * second_axes[:, None]
     vertices = points[:, None] + radius * normals
     return RenderSolid(vertices.reshape(-1, 3), normals.reshape(-1, 3), _grid(len(points), sides))
 
 
-def _revolved(rows: FloatArray, sides: int) -> RenderSolid:
-    """Return a body of revolution about z from rows (radius, z, normal radius, normal z), from below."""
+def _revolved(profile: FloatArray, sides: int) -> RenderSolid:
+    """Return a body of revolution about z from a profile (N, 4) from below.
+
+    Its columns are radius and z [m] of a point, and the radial and z component of the normal there.
+    """
     angle = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
     c, s = np.cos(angle), np.sin(angle)
 
     def spin(radius: FloatArray, z: FloatArray) -> FloatArray:
+        """Return vectors (N * sides, 3) of points (N,) of the profile, rotated about z, ring by ring."""
         ones = np.ones(sides)
         return np.stack([np.outer(radius, c), np.outer(radius, s), np.outer(z, ones)], axis=-1).reshape(-1, 3)
 
-    return RenderSolid(spin(rows[:, 0], rows[:, 1]), spin(rows[:, 2], rows[:, 3]), _grid(len(rows), sides))
+    return RenderSolid(
+        spin(profile[:, 0], profile[:, 1]), spin(profile[:, 2], profile[:, 3]), _grid(len(profile), sides)
+    )
 
 
-def _grid(rows: int, sides: int) -> IntArray:
-    """Return faces (2 (rows - 1) sides, 3) of rings of vertices, each ring closed."""
-    i, j = np.meshgrid(np.arange(rows - 1), np.arange(sides), indexing="ij")
+def _grid(rings: int, sides: int) -> IntArray:
+    """Return the triangles (2 (rings - 1) sides, 3) between successive closed rings of ``sides`` vertices."""
+    i, j = np.meshgrid(np.arange(rings - 1), np.arange(sides), indexing="ij")
     a, b = i * sides + j, i * sides + (j + 1) % sides
     c, d = a + sides, b + sides
     return np.concatenate([np.stack([a, b, d], -1).reshape(-1, 3), np.stack([a, d, c], -1).reshape(-1, 3)])
 
 
 def _unit(v: FloatArray) -> FloatArray:
+    """Return unit vectors (..., 3). A zero vector stays zero."""
     return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-30))
 
 
@@ -145,45 +156,48 @@ def clip_wires(ends: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatA
         upper: Upper corner of the box (3,) [m].
 
     Returns:
-        Points (T, STRAIGHT_WIRE_POINTS, 3) [m], NaN where no part is inside.
+        Evenly spaced points (T, STRAIGHT_WIRE_POINTS, 3) [m] of the part of each wire that is inside, NaN for
+        a wire outside.
     """
     start, direction = ends[:, 0], ends[:, 1] - ends[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         to_lower, to_upper = (lower - start) / direction, (upper - start) / direction
+    # A wire parallel to a pair of planes is between them everywhere or nowhere.
     is_parallel = np.abs(direction) < 1e-12
-    inside = (start >= lower) & (start <= upper)
-    first = np.where(is_parallel, np.where(inside, -np.inf, np.inf), np.minimum(to_lower, to_upper)).max(
+    is_between = (start >= lower) & (start <= upper)
+    entry = np.where(is_parallel, np.where(is_between, -np.inf, np.inf), np.minimum(to_lower, to_upper)).max(
         axis=1
     )
-    last = np.where(is_parallel, np.where(inside, np.inf, -np.inf), np.maximum(to_lower, to_upper)).min(
+    leave = np.where(is_parallel, np.where(is_between, np.inf, -np.inf), np.maximum(to_lower, to_upper)).min(
         axis=1
     )
-    first, last = np.maximum(first, 0.0), np.minimum(last, 1.0)
-    hit = last > first
-    first, last = np.where(hit, first, 0.0), np.where(hit, last, 0.0)
+    entry, leave = np.maximum(entry, 0.0), np.minimum(leave, 1.0)
+    is_inside = leave > entry
+    entry, leave = np.where(is_inside, entry, 0.0), np.where(is_inside, leave, 0.0)
     fraction = np.linspace(0.0, 1.0, STRAIGHT_WIRE_POINTS)
-    at = first[:, None] + (last - first)[:, None] * fraction
-    points = start[:, None] + at[..., None] * direction[:, None]
-    points[~hit] = np.nan
+    parameters = entry[:, None] + (leave - entry)[:, None] * fraction
+    points = start[:, None] + parameters[..., None] * direction[:, None]
+    points[~is_inside] = np.nan
     return np.asarray(points)
 
 
 def swept_surface(points: FloatArray, lower: FloatArray, upper: FloatArray) -> Mesh | None:
-    """Return the surface that wires sweep in sequence, as far as it lies in a box.
+    """Return the surface that a wire sweeps on its way through successive positions, clipped to a box.
 
     Args:
-        points: Wires (T, P, 3) [m] in the stock frame. Straight wires are given by their two ends.
+        points: Points of the wire at its positions (T, P, 3) [m], in the stock frame. A straight wire has
+            two points, its ends.
         lower: Lower corner of the box (3,) [m].
         upper: Upper corner of the box (3,) [m].
 
     Returns:
-        Surface, or None if no part is inside.
+        Surface of those quads whose centre is in the box, or None if there are none.
     """
     if points.shape[1] == 2:
         points = clip_wires(points, lower, upper)
     count = points.shape[1]
     i, j = np.meshgrid(np.arange(len(points) - 1), np.arange(count - 1), indexing="ij")
-    a = (i * count + j).ravel()
+    a = (i * count + j).ravel()  # one corner of each quad between successive positions and points
     quads = np.stack([a, a + 1, a + count + 1, a + count], axis=1)
     vertices = points.reshape(-1, 3)
     middle = vertices[quads].mean(axis=1)
@@ -199,32 +213,35 @@ def swept_surface(points: FloatArray, lower: FloatArray, upper: FloatArray) -> M
 
 
 def have_same_size(first: Stock, second: Stock) -> bool:
-    """Report whether two blocks have the same corners."""
+    """Report whether two blocks have the same corners in their own frames."""
     return np.allclose(first.lower, second.lower) and np.allclose(first.upper, second.upper)
 
 
 def part_meshes(part: Part | None) -> tuple[tuple[str, Mesh], ...]:
-    """Return the nominal surfaces by name, in the stock frame."""
+    """Return the nominal surfaces of a part with their names, in the stock frame. Empty without a part."""
     if part is None:
         return ()
-    open_ = [(name, mesh) for name, mesh in (("front", part.front), ("back", part.back)) if mesh is not None]
-    return (*open_, *((surface.name, ruled_mesh(surface)) for surface in part.ruled))
+    face_meshes = [
+        (name, mesh) for name, mesh in (("front", part.front), ("back", part.back)) if mesh is not None
+    ]
+    return (*face_meshes, *((surface.name, ruled_mesh(surface)) for surface in part.ruled))
 
 
 def ruled_mesh(surface: RuledSurface) -> Mesh:
-    """Triangulate between rulings, with normals along tangent x ruling.
+    """Triangulate a ruled surface between its rulings, with normals along tangent x ruling.
 
-    Vertices are duplicated at corners.
+    The vertices at corners are duplicated, so that smooth shading leaves a sharp edge there.
     """
-    rows = np.arange(len(surface.start))
+    ruling_indices = np.arange(len(surface.start))
     if surface.closed:
-        rows = np.append(rows, 0)
-    corner = surface.corner[rows]
-    # A ruling between corners is shared by both neighbours. A ruling at a corner is duplicated.
-    duplicated = np.repeat(rows, np.where(corner, 2, 1))
-    left = np.cumsum(np.where(corner, 2, 1)) - 1
-    a, b = left[:-1], left[1:] - np.where(corner[1:], 1, 0)
-    vertices = np.stack([surface.start[duplicated], surface.end[duplicated]], axis=1).reshape(-1, 3)
+        ruling_indices = np.append(ruling_indices, 0)
+    corner = surface.corner[ruling_indices]
+    # Both neighbours of a ruling share it, but a ruling at a corner has a copy for each of them.
+    strip_rulings = np.repeat(ruling_indices, np.where(corner, 2, 1))
+    last_copy = np.cumsum(np.where(corner, 2, 1)) - 1
+    # Each strip goes from the last copy of its ruling to the first copy of the next one.
+    a, b = last_copy[:-1], last_copy[1:] - np.where(corner[1:], 1, 0)
+    vertices = np.stack([surface.start[strip_rulings], surface.end[strip_rulings]], axis=1).reshape(-1, 3)
     faces = np.concatenate(
         [np.stack([2 * a, 2 * b, 2 * b + 1], axis=1), np.stack([2 * a, 2 * b + 1, 2 * a + 1], axis=1)]
     )
@@ -232,7 +249,7 @@ def ruled_mesh(surface: RuledSurface) -> Mesh:
 
 
 _TILES: Final = (8, 24, 72, 216)
-"""Sides [px] of the tiles in which triangles are filled. Each uses the smallest tile that contains it."""
+"""Sides [px] of the tiles in which triangles are filled. Each axis uses the smallest one that suffices."""
 _BATCH: Final = 200_000
 """Number of pixels that are filled at a time."""
 _LIGHT: Final = np.array([0.35, -0.55, 0.76])
@@ -246,8 +263,8 @@ class RenderItem:
     Attributes:
         solid: Solid.
         color: Red, green, blue in 0..1.
-        glow: 1 shows the colour unshaded.
-        closed: Only the outside is visible, so that back faces are culled.
+        glow: From 0, shaded, to 1, with the unshaded colour.
+        closed: Whether only the outside is visible, so that back faces are culled.
     """
 
     solid: RenderSolid
@@ -258,7 +275,7 @@ class RenderItem:
 
 @dataclasses.dataclass(frozen=True)
 class Camera:
-    """A perspective camera.
+    """A perspective camera whose picture may be cropped to a window.
 
     Attributes:
         pose: Pose in the world (4, 4). The camera looks along +z, with y down.
@@ -279,15 +296,15 @@ class Camera:
     top: int = 0
 
     def window(self, points: FloatArray, margin: int = 4) -> "Camera":
-        """Return the camera cropped to a window that shows some points (P, 3)."""
-        seen = self.project(points)[..., :2] + [self.left, self.top]
-        low = np.clip(np.floor(seen.min(axis=0)).astype(int) - margin, 0, np.array(self.full) - 1)
-        high = np.clip(np.ceil(seen.max(axis=0)).astype(int) + margin, low + 1, self.full)
+        """Return the camera cropped to a window around world points (P, 3) [m] with a ``margin`` [px]."""
+        pixels = self.project(points)[..., :2] + [self.left, self.top]
+        low = np.clip(np.floor(pixels.min(axis=0)).astype(int) - margin, 0, np.array(self.full) - 1)
+        high = np.clip(np.ceil(pixels.max(axis=0)).astype(int) + margin, low + 1, self.full)
         width, height = (int(v) for v in high - low)
         return dataclasses.replace(self, width=width, height=height, left=int(low[0]), top=int(low[1]))
 
     def project(self, points: FloatArray) -> FloatArray:
-        """Project world points (..., 3) to pixel x, y and depth [m] (..., 3)."""
+        """Project world points (..., 3) to x and y [px] in the window and depth [m] (..., 3)."""
         local = (points - self.pose[:3, 3]) @ self.pose[:3, :3]
         depth = np.maximum(local[..., 2], 1e-6)
         x = self.focal * local[..., 0] / depth + 0.5 * self.full[0] - self.left
@@ -302,7 +319,7 @@ def frame_camera(
 
     Args:
         points: Points (P, 3) [m].
-        toward: View direction (3,).
+        toward: View direction (3,), not vertical.
         width: Width [px].
         height: Height [px].
         fill: Fraction of the picture that the points fill.
@@ -315,13 +332,16 @@ def frame_camera(
     focal = 0.5 * width / np.tan(np.deg2rad(15.0))
     low, high = local.min(axis=0), local.max(axis=0)
     center = 0.5 * (low + high)
+    # Perspective makes near points larger, so that centre and distance depend on each other: iterate.
     for _ in range(8):
-        span = local[:, :2] - center[:2]
-        need = np.abs(span) * focal / (0.5 * fill * np.array([width, height])) - (local[:, 2:3] - center[2])
-        distance = float(need.max())
+        offsets = local[:, :2] - center[:2]
+        min_distances = np.abs(offsets) * focal / (0.5 * fill * np.array([width, height])) - (
+            local[:, 2:3] - center[2]
+        )
+        distance = float(min_distances.max())
         depth = local[:, 2] - center[2] + distance
-        seen = span / depth[:, None]
-        center[:2] += 0.5 * (seen.min(axis=0) + seen.max(axis=0)) * distance
+        projected = offsets / depth[:, None]
+        center[:2] += 0.5 * (projected.min(axis=0) + projected.max(axis=0)) * distance
     pose = np.eye(4)
     pose[:3, :3] = rotation
     pose[:3, 3] = rotation @ (center - [0.0, 0.0, distance])
@@ -335,7 +355,7 @@ class RenderedImage:
     Attributes:
         color: Colours (h, w, 3) in 0..1.
         depth: Depth (h, w) [m], inf where empty.
-        thing: Index of the thing (h, w), -1 where empty.
+        thing: Index (h, w) of the item that is visible, -1 where empty.
     """
 
     color: FloatArray
@@ -344,48 +364,51 @@ class RenderedImage:
 
 
 def render_items(camera: Camera, things: list[RenderItem]) -> RenderedImage:
-    """Render things with shading, ambient occlusion, and ink lines at outlines and creases."""
-    solids = [t.solid for t in things]
-    owner = np.repeat(np.arange(len(solids)), [len(s.faces) for s in solids])
-    starts = np.cumsum([0, *(len(s.vertices) for s in solids[:-1])])
-    faces = np.concatenate([s.faces + a for s, a in zip(solids, starts, strict=True)])
-    vertices = np.concatenate([s.vertices for s in solids])
-    normals = np.concatenate([s.normals for s in solids]).astype(np.float32)
-    closed = np.array([t.closed for t in things])[owner]
-    face, weights, depth = _resolve(camera, camera.project(vertices)[faces], closed)
-    seen = face >= 0
-    thing = np.where(seen, owner[face], -1)
-    rows = faces[face[seen]]
-    blend = weights[seen]
-    shown = sum(blend[:, k, None] * normals[rows[:, k]] for k in range(3))
-    normal = np.zeros((*face.shape, 3), dtype=np.float32)
-    normal[seen] = shown
-    base = np.array([t.color for t in things], dtype=np.float32)
-    glow = np.array([t.glow for t in things], dtype=np.float32)
-    color = np.ones((*face.shape, 3), dtype=np.float32)
-    color[seen] = _shade(camera, base[thing[seen]], glow[thing[seen]], np.asarray(shown))
-    dark = _occlusion(depth, camera) * _ink(depth, normal, thing)
-    dark = np.where(seen, np.maximum(dark, glow[thing]), 1.0)
-    color *= dark[..., None].astype(np.float32)
-    return RenderedImage(color, depth, thing)
+    """Render items on white, with shading, ambient occlusion, and ink lines at outlines and creases."""
+    solids = [item.solid for item in things]
+    owner = np.repeat(np.arange(len(solids)), [len(solid.faces) for solid in solids])
+    starts = np.cumsum([0, *(len(solid.vertices) for solid in solids[:-1])])
+    faces = np.concatenate([solid.faces + first for solid, first in zip(solids, starts, strict=True)])
+    vertices = np.concatenate([solid.vertices for solid in solids])
+    normals = np.concatenate([solid.normals for solid in solids]).astype(np.float32)
+    is_closed = np.array([item.closed for item in things])[owner]
+    face_index, weights, depth = _resolve(camera, camera.project(vertices)[faces], is_closed)
+    covered = face_index >= 0
+    item_index = np.where(covered, owner[face_index], -1)
+    corner_indices = faces[face_index[covered]]
+    corner_weights = weights[covered]
+    blended = sum(corner_weights[:, k, None] * normals[corner_indices[:, k]] for k in range(3))
+    normal = np.zeros((*face_index.shape, 3), dtype=np.float32)
+    normal[covered] = blended
+    base = np.array([item.color for item in things], dtype=np.float32)
+    glow = np.array([item.glow for item in things], dtype=np.float32)
+    color = np.ones((*face_index.shape, 3), dtype=np.float32)
+    color[covered] = _shade(camera, base[item_index[covered]], glow[item_index[covered]], np.asarray(blended))
+    darkening = _occlusion(depth, camera) * _ink(depth, normal, item_index)
+    darkening = np.where(covered, np.maximum(darkening, glow[item_index]), 1.0)
+    color *= darkening[..., None].astype(np.float32)
+    return RenderedImage(color, depth, item_index)
 
 
 def _shade(
     camera: Camera, base: NDArray[np.float32], glow: NDArray[np.float32], normal: FloatArray
 ) -> FloatArray:
-    """Shade with a warm key light from above, a cool fill light from below, and a soft highlight."""
+    """Shade points of colours ``base`` (P, 3) by a key light, a fill light, the sky and a highlight.
+
+    Normals (P, 3) may have any length. Those that point away from the camera are reversed.
+    """
     view = -camera.pose[:3, 2]
     light = _LIGHT / np.linalg.norm(_LIGHT)
     side = view + np.cross(view, [0.0, 0.0, 1.0])
-    half = light + view
+    half = light + view  # halfway vector, whose cosine gives the highlight (Blinn)
     directions = np.stack(
         [view, light, side / np.linalg.norm(side), half / np.linalg.norm(half), [0.0, 0.0, 1.0]]
     )
     length = np.maximum(lengths(normal), 1e-12)
-    seen = (normal @ directions.T.astype(np.float32)) / length[:, None]
-    seen *= np.where(seen[:, :1] < 0.0, np.float32(-1.0), np.float32(1.0))
-    key, fill, shine = (np.maximum(seen[:, k], 0.0) for k in (1, 2, 3))
-    sky = 0.5 + 0.5 * seen[:, 4]
+    cosines = (normal @ directions.T.astype(np.float32)) / length[:, None]
+    cosines *= np.where(cosines[:, :1] < 0.0, np.float32(-1.0), np.float32(1.0))
+    key, fill, shine = (np.maximum(cosines[:, k], 0.0) for k in (1, 2, 3))
+    sky = 0.5 + 0.5 * cosines[:, 4]
     for _ in range(5):
         shine *= shine  # to the power of 32
     lit = base * (0.34 + 0.46 * key + 0.14 * fill + 0.20 * sky)[:, None] + 0.10 * shine[:, None]
@@ -393,31 +416,33 @@ def _shade(
 
 
 def _occlusion(depth: FloatArray, camera: Camera) -> FloatArray:
-    """Darken corners by the depth of a pixel behind its blurred neighbourhood (Luft et al. 2006).
+    """Return a factor (h, w) that darkens corners (Luft et al. 2006).
 
-    Pixels behind things that are well in front of them are not darkened.
+    A pixel is darker the farther it is behind its blurred neighbourhood, unless a body well in front of it is
+    the cause.
     """
-    seen = np.isfinite(depth)
-    if not seen.any():
+    is_covered = np.isfinite(depth)
+    if not is_covered.any():
         return np.ones_like(depth)
-    filled = np.where(seen, depth, np.max(depth[seen]))
+    filled = np.where(is_covered, depth, np.max(depth[is_covered]))
     blurred = ndimage.uniform_filter(ndimage.uniform_filter(filled, 31), 31)
-    scale = 40.0 / camera.focal * float(np.median(depth[seen]))
+    # depth differences are relative to the length of 40 px at the median depth
+    scale = 40.0 / camera.focal * float(np.median(depth[is_covered]))
     depth_behind = np.clip((filled - blurred) / scale, 0.0, 1.0)
     gap = (filled - ndimage.minimum_filter(filled, 61)) / scale
     return np.asarray(1.0 - 0.45 * depth_behind * np.clip(1.5 - gap / 4.0, 0.0, 1.0))
 
 
 def _ink(depth: FloatArray, normal: NDArray[np.float32], thing: IntArray) -> FloatArray:
-    """Return a darkening factor (h, w) at steps of depth, changes of thing, and creases."""
+    """Return a factor (h, w) that darkens pixels at steps of depth, changes of the item, and creases."""
     ink = np.zeros(depth.shape)
-    shallow = np.where(np.isfinite(depth), depth, 1e3).astype(np.float32)
+    filled = np.where(np.isfinite(depth), depth, 1e3).astype(np.float32)
     for axis in (0, 1):
-        first_half = [slice(None)] * 2
-        second_half = [slice(None)] * 2
-        first_half[axis], second_half[axis] = slice(None, -1), slice(1, None)
-        a, b = tuple(first_half), tuple(second_half)
-        step = np.abs(shallow[a] - shallow[b]) > 0.012 * np.minimum(shallow[a], shallow[b])
+        front = [slice(None)] * 2
+        rear = [slice(None)] * 2
+        front[axis], rear[axis] = slice(None, -1), slice(1, None)
+        a, b = tuple(front), tuple(rear)
+        step = np.abs(filled[a] - filled[b]) > 0.012 * np.minimum(filled[a], filled[b])
         edge = step | (thing[a] != thing[b])
         crease = sum(normal[a][..., k] * normal[b][..., k] for k in range(3)) < 0.6
         strength = np.where(edge, 0.62, np.where(crease, 0.30, 0.0))
@@ -428,13 +453,13 @@ def _ink(depth: FloatArray, normal: NDArray[np.float32], thing: IntArray) -> Flo
 
 @dataclasses.dataclass(frozen=True)
 class _PixelBuffers:
-    """Nearest triangle of each pixel. The arrays are flat, by rows of the picture.
+    """Nearest triangle of each pixel so far. The arrays are flat, row by row of the picture.
 
     Attributes:
         shape: Height h and width w [px].
         depth: Depth (h * w,) [m], inf where empty.
         face: Index of the face (h * w,), -1 where empty.
-        weights: Weights of the corners of the face (h * w, 3).
+        weights: Weights (h * w, 3) of the three corners of the face, with the sum 1.
     """
 
     shape: tuple[int, int]
@@ -446,7 +471,11 @@ class _PixelBuffers:
 def _resolve(
     camera: Camera, corners: FloatArray, closed: BoolArray
 ) -> tuple[IntArray, NDArray[np.float32], FloatArray]:
-    """Return nearest face (h, w), weights (h, w, 3) and depth (h, w) of projected triangles (F, 3, 3)."""
+    """Find the nearest of F triangles at each pixel, from their projected corners (F, 3, 3).
+
+    Returns the index of the face (h, w), -1 where empty, the weights of its corners (h, w, 3), and the depth
+    (h, w) [m]. Of triangles that are ``closed`` (F,) only the front is visible.
+    """
     h, w = camera.height, camera.width
     depth = np.full(h * w, np.inf)
     face = np.full(h * w, -1, dtype=np.int64)
@@ -454,20 +483,23 @@ def _resolve(
     buffers = _PixelBuffers((h, w), depth, face, weights)
     low = np.floor(corners[..., :2].min(axis=1)).astype(np.int64)
     high = np.ceil(corners[..., :2].max(axis=1)).astype(np.int64)
-    inside = (high >= 0).all(axis=1) & (low < [w, h]).all(axis=1) & (corners[..., 2] > 1e-3).all(axis=1)
+    visible = (high >= 0).all(axis=1) & (low < [w, h]).all(axis=1) & (corners[..., 2] > 1e-3).all(axis=1)
     ab, ac = corners[:, 1, :2] - corners[:, 0, :2], corners[:, 2, :2] - corners[:, 0, :2]
     area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
-    inside &= np.where(closed, area < -1e-9, np.abs(area) > 1e-9)
-    tile = np.searchsorted(_TILES, high - low + 1)
+    # twice the signed area: y is down, so that it is negative for a triangle seen from its front
+    visible &= np.where(closed, area < -1e-9, np.abs(area) > 1e-9)
+    # Triangles with a bounding box of similar size are filled together, so that no pixel loop is needed.
+    tile_index = np.searchsorted(_TILES, high - low + 1)
     for across, down in itertools.product(range(len(_TILES)), repeat=2):
-        group = np.flatnonzero(inside & (tile[:, 0] == across) & (tile[:, 1] == down))
+        group = np.flatnonzero(visible & (tile_index[:, 0] == across) & (tile_index[:, 1] == down))
         step = max(1, _BATCH // (_TILES[across] * _TILES[down]))
         for start in range(0, len(group), step):
-            part = group[start : start + step]
-            x = low[part, 0, None, None] + np.arange(_TILES[across])[None, None, :]
-            y = low[part, 1, None, None] + np.arange(_TILES[down])[None, :, None]
-            _fill_triangles(corners[part], part, x, y, buffers)
-    for i in np.flatnonzero(inside & (tile == len(_TILES)).any(axis=1)):
+            batch = group[start : start + step]
+            x = low[batch, 0, None, None] + np.arange(_TILES[across])[None, None, :]
+            y = low[batch, 1, None, None] + np.arange(_TILES[down])[None, :, None]
+            _fill_triangles(corners[batch], batch, x, y, buffers)
+    # triangles larger than the largest tile, one by one
+    for i in np.flatnonzero(visible & (tile_index == len(_TILES)).any(axis=1)):
         x = np.arange(max(low[i, 0], 0), min(high[i, 0] + 1, w))[None, None, :]
         y = np.arange(max(low[i, 1], 0), min(high[i, 1] + 1, h))[None, :, None]
         _fill_triangles(corners[i : i + 1], np.array([i]), x, y, buffers)
@@ -475,9 +507,13 @@ def _resolve(
 
 
 def _fill_triangles(
-    corners: FloatArray, name: IntArray, x: IntArray, y: IntArray, buffers: _PixelBuffers
+    corners: FloatArray, face_index: IntArray, x: IntArray, y: IntArray, buffers: _PixelBuffers
 ) -> None:
-    """Fill triangles (T, 3, 3) into the buffers at pixel centres x (T, 1, n), y (T, n, 1)."""
+    """Enter triangles into the buffers at those pixels where they are nearer than what is there.
+
+    ``corners`` (T, 3, 3) are their projected corners, ``face_index`` (T,) their indices. The pixels to test
+    are at columns ``x`` (T, 1, n) and rows ``y`` (T, m, 1).
+    """
     (h, w), depth = buffers.shape, buffers.depth
     px, py = x + 0.5, y + 0.5
     ax, ay = corners[:, 0, 0, None, None], corners[:, 0, 1, None, None]
@@ -485,22 +521,24 @@ def _fill_triangles(
     cx, cy = corners[:, 2, 0, None, None] - ax, corners[:, 2, 1, None, None] - ay
     area = bx * cy - by * cx
     dx, dy = px - ax, py - ay
+    # barycentric coordinates of the pixel centres: v belongs to the second corner, u to the third one
     v = (dx * cy - dy * cx) / area
     u = (bx * dy - by * dx) / area
-    hit = (v >= -1e-9) & (u >= -1e-9) & (u + v <= 1.0 + 1e-9) & (x >= 0) & (x < w) & (y >= 0) & (y < h)
-    t, iy, ix = np.nonzero(hit)
-    flat = (y[t, iy, 0] if len(y) > 1 else y[0, iy, 0]) * w + (x[t, 0, ix] if len(x) > 1 else x[0, 0, ix])
-    v, u = v[hit], u[hit]
-    inverse = 1.0 / corners[:, :, 2]
-    wa, wb, wc = (1.0 - u - v) * inverse[t, 0], v * inverse[t, 1], u * inverse[t, 2]
+    is_inside = (v >= -1e-9) & (u >= -1e-9) & (u + v <= 1.0 + 1e-9) & (x >= 0) & (x < w) & (y >= 0) & (y < h)
+    t, iy, ix = np.nonzero(is_inside)
+    pixel = (y[t, iy, 0] if len(y) > 1 else y[0, iy, 0]) * w + (x[t, 0, ix] if len(x) > 1 else x[0, 0, ix])
+    v, u = v[is_inside], u[is_inside]
+    # 1 / depth is linear in the picture: the weights that are correct in space are those of 1 / depth
+    inverse_depth = 1.0 / corners[:, :, 2]
+    wa, wb, wc = (1.0 - u - v) * inverse_depth[t, 0], v * inverse_depth[t, 1], u * inverse_depth[t, 2]
     z = 1.0 / (wa + wb + wc)
-    is_nearer = z < depth[flat]
-    flat, z, t = flat[is_nearer], z[is_nearer], t[is_nearer]
-    np.minimum.at(depth, flat, z)
-    is_nearest = depth[flat] == z
-    flat, z, t = flat[is_nearest], z[is_nearest], t[is_nearest]
-    buffers.face[flat] = name[t]
-    buffers.weights[flat] = (
+    is_nearer = z < depth[pixel]
+    pixel, z, t = pixel[is_nearer], z[is_nearer], t[is_nearer]
+    np.minimum.at(depth, pixel, z)
+    is_nearest = depth[pixel] == z
+    pixel, z, t = pixel[is_nearest], z[is_nearest], t[is_nearest]
+    buffers.face[pixel] = face_index[t]
+    buffers.weights[pixel] = (
         np.stack([wa[is_nearer][is_nearest], wb[is_nearer][is_nearest], wc[is_nearer][is_nearest]], axis=1)
         * z[:, None]
     )

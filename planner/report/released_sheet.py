@@ -51,23 +51,23 @@ addEventListener('replay',({detail:view})=>{
 def sheet_data(plan: Plan) -> list[dict[str, Any]]:
     """Return the data of each sheet whose springback is known.
 
-    Keys: ``x`` (W,), ``y`` (H,) [mm] in the stock frame; ``formed``, ``released`` and ``deviation`` in
-    units of 1 mm / `UNITS_PER_MM`, row by row along y, None where the deviation is unknown; ``colours`` from
-    ``-limit`` to ``limit`` [mm].
+    Keys: ``x`` (W,), ``y`` (H,) [mm] in the stock frame; heights ``formed`` and ``released``, and
+    ``deviation``, as flat lists (H * W) of integers in units of 1 mm / ``per_mm``, row by row along y, None
+    where unknown; ``colours`` from ``-limit`` to ``limit`` [mm]; ``note``.
 
     Args:
         plan: Plan.
     """
-    shown = [exhibit for operation in plan.operations for exhibit in operation.targets.exhibits.values()]
+    exhibits = [exhibit for operation in plan.operations for exhibit in operation.targets.exhibits.values()]
     return [
         exhibit_data(exhibit)
-        for exhibit in shown
+        for exhibit in exhibits
         if isinstance(exhibit, Mapping) and exhibit.get("kind") == "released"
     ]
 
 
 def exhibit_data(exhibit: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the data of one exhibit of kind ``released``, see :func:`sheet_data`."""
+    """Return the data of one exhibit of kind ``released``, with the keys of :func:`sheet_data`."""
     limit = float(exhibit["limit"])
     shades = charts.diverging(np.linspace(-limit, limit, SHEET_KEY_COLOURS), limit)
     return {
@@ -84,13 +84,14 @@ def exhibit_data(exhibit: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _integers(value: FloatArray) -> list[int | None]:
+    """Return values [mm] (...) as a flat list of integer units, None for values that are not finite."""
     return [round(float(v) * UNITS_PER_MM) if np.isfinite(v) else None for v in value.ravel()]
 
 
 def sheet_switch(plan: Plan) -> str:
     """Return the HTML of switch, key and surfaces for a replay. Empty if no springback is known.
 
-    Several sheets share the key with the widest scale.
+    Several sheets share one key, with the widest scale of them.
     """
     sheets = sheet_data(plan)
     if not sheets:
@@ -98,14 +99,14 @@ def sheet_switch(plan: Plan) -> str:
     limit = max(sheet["limit"] for sheet in sheets)
     for sheet in sheets:
         sheet["limit"] = limit
-    bar = ",".join(sheets[0]["colours"])
+    colour_stops = ",".join(sheets[0]["colours"])
     notes = "".join(f"<p>{html.escape(note)}</p>" for note in dict.fromkeys(s["note"] for s in sheets))
-    end = markup.number(limit)
+    limit_text = markup.number(limit)
     return (
         "<div id='sheet' class='panel'><label><input type='checkbox' checked>"
         "sheet after release</label><div class='more' hidden>"
-        f"<div class='key' style='background:linear-gradient(90deg,{bar})'></div>"
-        f"<div class='ends'><span>−{end} mm</span><span>0</span><span>+{end} mm</span></div>"
+        f"<div class='key' style='background:linear-gradient(90deg,{colour_stops})'></div>"
+        f"<div class='ends'><span>−{limit_text} mm</span><span>0</span><span>+{limit_text} mm</span></div>"
         "<p>Colour: deviation from the nominal part; blue too deep, red too shallow. Transparent grey: the "
         f"sheet under the tools.</p>{notes}</div></div>"
         f"{embed_json('released', sheets)}<script>{_SCRIPT}</script>"

@@ -39,23 +39,23 @@ KEYFRAMES_PER_OPERATION: Final = 240
 TRIMMED_DEPTH_M: Final = 0.001
 """Depth [m] inside a trimmed block from which earlier cuts are drawn.
 
-The cuts that trimmed it are now its sides.
+The cuts that trimmed it are its sides now, and would cover them.
 """
 SWEPT_POINTS: Final = 25
-"""Number of points of a wire over which its cut surface is drawn."""
+"""Maximum number of points of a bent wire over which its cut surface is drawn."""
 PATH_POINTS: Final = 2000
-"""Number of points of the drawn path of a tool that is not a linear cutter, in each operation."""
+"""Maximum number of points, in each operation, of the drawn path of a tool that is not a linear cutter."""
 PATH_SIDES: Final = 4
 """Number of sides of the rod that is drawn along the path of a tool that is not a linear cutter."""
 PATH_RADIUS_FRACTION: Final = 0.004
 """Radius of that rod, as a fraction of the size of the initial view."""
 BLOCK: Final = "block"
-"""Name of the frame of the stock."""
+"""Name of the stock's frame among those of the replay."""
 _EMBEDDED_FILES: Final = ("theme.css", "replay.css", "replay.js")
 
 
 def replay_html(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None = None) -> str:
-    """Return the replay as HTML.
+    """Return the replay as one HTML file with all its scripts and data.
 
     Args:
         model: Cell model, for its robots and fixed bodies.
@@ -63,30 +63,30 @@ def replay_html(model: CellModel, problem: Problem, plan: Plan, proof: Proof | N
         plan: Plan.
         proof: Proof, for the clock of its issues and the quantities that colour the cut, or None.
     """
-    run = sample_keyframes(
+    keyframes = sample_keyframes(
         problem, plan, KEYFRAMES + KEYFRAMES_PER_OPERATION * max(0, len(plan.operations) - 1)
     )
-    clock = _program_clock(run, proof)
-    film = _ReplayData()
-    tips = _tips(problem, run, _bodies(film, model, problem, plan, run))
-    view = _view(model, problem, run, tips)
-    _add_cuts(film, problem, plan, run, float(np.ptp(np.array(view["work"]), axis=0).max()) * MM)
-    fine = film.merge_times(run.time - run.time[0])
-    layers = _layers(film, problem, plan, proof, fine, clock)
+    clock = _program_clock(keyframes, proof)
+    builder = _ReplayData()
+    tips = _tips(problem, keyframes, _bodies(builder, model, problem, plan, keyframes))
+    view = _view(model, problem, keyframes, tips)
+    _add_cuts(builder, problem, plan, keyframes, float(np.ptp(np.array(view["work"]), axis=0).max()) * MM)
+    all_times = builder.merge_times(keyframes.time - keyframes.time[0])
+    layers = _layers(builder, problem, plan, proof, all_times, clock)
     theme, style, script = ((view3d.FOLDER / name).read_text("utf-8") for name in _EMBEDDED_FILES)
     data = {
-        "time": film.array(run.time - run.time[0]),
-        "fine": film.array(fine),
-        "setup": film.array(run.setup, np.uint16),
-        "frames": film.frames,
-        "meshes": film.meshes,
-        "bodies": film.bodies,
-        "cuts": film.cuts,
-        "wire": _wire(film, run),
+        "time": builder.array(keyframes.time - keyframes.time[0]),
+        "fine": builder.array(all_times),
+        "setup": builder.array(keyframes.setup, np.uint16),
+        "frames": builder.frames,
+        "meshes": builder.meshes,
+        "bodies": builder.bodies,
+        "cuts": builder.cuts,
+        "wire": _wire(builder, keyframes),
         "layers": layers,
-        "targets": _target_times(film, plan, run),
+        "targets": _target_times(builder, plan, keyframes),
         "view": view,
-        "arrays": film.packed(),
+        "arrays": builder.packed(),
     }
     title = html.escape(f"{problem.name} – Tandem replay")
     names = ", ".join(f"{arm.name} ({arm.data.title})" for arm in problem.cell.arms)
@@ -101,14 +101,14 @@ def replay_html(model: CellModel, problem: Problem, plan: Plan, proof: Proof | N
         "<section id='key' aria-label='Colours along the cut' hidden></section>"
         f"{released_sheet.sheet_switch(plan)}"
         "<p id='none' hidden>This browser cannot show 3D views: it lacks WebGL 2.</p></main>"
-        f"<footer>{time_bar(problem.name, run, clock, plan.duration or None)}</footer>"
+        f"<footer>{time_bar(problem.name, keyframes, clock, plan.duration or None)}</footer>"
         f"{embed_json('film', data)}<script>{view3d.three_js()}</script>"
         f"<script>{view3d.bundle_script(script, view3d.FILM_MODULES)}</script></body></html>\n"
     )
 
 
 def _toolbar(layers: Sequence[dict[str, Any]]) -> str:
-    """Return the toolbar above the picture."""
+    """Return the HTML of the toolbar above the picture, with a choice of colours if there are layers."""
     choices = "".join(f"<option value='{i}'>{layer['name']}</option>" for i, layer in enumerate(layers))
     colours = (
         "<label><span>Colours</span><select id='colours'><option value=''>none</option>"
@@ -147,9 +147,9 @@ class Viewer:
 class _OnePage(http.server.BaseHTTPRequestHandler):
     """HTTP handler that answers with one page."""
 
-    def __init__(self, page: bytes, *more: Any) -> None:
+    def __init__(self, page: bytes, *request: Any) -> None:
         self.page = page
-        super().__init__(*more)
+        super().__init__(*request)
 
     def do_GET(self) -> None:
         """Send the page, whatever the path."""
@@ -164,7 +164,7 @@ class _OnePage(http.server.BaseHTTPRequestHandler):
 
 
 def in_notebook() -> bool:
-    """Report whether a Jupyter kernel runs this process, whose cells show values by their HTML."""
+    """Report whether this process is a Jupyter kernel, in which a value is shown by its `_repr_html_`."""
     if "IPython" not in sys.modules:
         return False
     import IPython
@@ -173,7 +173,7 @@ def in_notebook() -> bool:
 
 
 def show(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None = None) -> Viewer:
-    """Return the replay as a page, and serve it to this machine only.
+    """Return the replay as a page, and serve it to this machine only, as long as the result exists.
 
     Args:
         model: Cell model.
@@ -191,23 +191,25 @@ def show(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None = N
 
 
 def _close(server: http.server.ThreadingHTTPServer) -> None:
+    """Stop a server and release its port."""
     server.shutdown()
     server.server_close()
 
 
-def _program_clock(run: Keyframes, proof: Proof | None) -> Clock:
+def _program_clock(keyframes: Keyframes, proof: Proof | None) -> Clock:
+    """Return corresponding times of programs and replay. Empty if the proof has no clock."""
     series = proof.series if proof is not None else {}
     if "time" not in series or "label" not in series:
         return ()
-    return replay_clock(run, np.asarray(series["time"]), [str(label) for label in series["label"]])
+    return replay_clock(keyframes, np.asarray(series["time"]), [str(label) for label in series["label"]])
 
 
 ArrayReference = tuple[str, int, int]
-"""Location of an array in the bytes of a page: its type, first byte, number of values."""
+"""Location of an array in the bytes of a page: its NumPy type without byte order, first byte, and length."""
 
 
 class _ReplayData:
-    """Builder of the data of a page: arrays as bytes, frames, meshes, bodies, cut surfaces."""
+    """Builder of the data of a page in mm: arrays as bytes, frames, meshes, bodies, cut surfaces."""
 
     def __init__(self) -> None:
         self.bytes = bytearray()
@@ -215,12 +217,12 @@ class _ReplayData:
         self.meshes: list[list[ArrayReference]] = []
         self.bodies: list[dict[str, Any]] = []
         self.cuts: list[dict[str, Any]] = []
-        self.known: dict[bytes, int] = {}
+        self.mesh_numbers: dict[bytes, int] = {}
 
     def array(self, values: Any, kind: Any = np.float32) -> ArrayReference:
-        """Append an array to the bytes, little-endian and flat."""
+        """Append an array to the bytes, little-endian and flat, and return its location."""
         flat = np.asarray(values).astype(np.dtype(kind).newbyteorder("<")).ravel()
-        self.bytes += bytes(-len(self.bytes) % 4)
+        self.bytes += bytes(-len(self.bytes) % 4)  # typed arrays of JavaScript must be aligned
         start = len(self.bytes)
         self.bytes += flat.tobytes()
         return np.dtype(kind).str[1:], start, len(flat)
@@ -230,37 +232,40 @@ class _ReplayData:
         return base64.b64encode(bytes(self.bytes)).decode()
 
     def frame(self, name: str, poses: FloatArray) -> None:
-        """Add a frame that is fixed or moves by poses (T, 4, 4): positions [mm] and quaternions."""
+        """Add a frame with poses (T, 4, 4) [m] at the keyframes, stored as positions and quaternions."""
         is_fixed = np.abs(poses - poses[0]).max() < 1e-9
         poses_to_store = poses[:1] if is_fixed else poses
-        turns = Rotation.from_matrix(poses_to_store[:, :3, :3]).as_quat()
+        quaternions = Rotation.from_matrix(poses_to_store[:, :3, :3]).as_quat()
         self.frames.append(
-            {"name": name, "poses": self.array(np.hstack([poses_to_store[:, :3, 3] / MM, turns]))}
+            {"name": name, "poses": self.array(np.hstack([poses_to_store[:, :3, 3] / MM, quaternions]))}
         )
 
     def mesh(self, vertices: FloatArray, faces: IntArray) -> int:
-        """Return the number of a mesh [m]. Equal meshes are stored once."""
+        """Store a mesh (V, 3) [m], (F, 3) unless an equal one is stored, and return its number."""
         points = np.round(vertices / MM, 3).astype(np.float32)
         key = points.tobytes() + b"|" + np.asarray(faces).astype(np.uint32).tobytes()
-        if key not in self.known:
-            self.known[key] = len(self.meshes)
+        if key not in self.mesh_numbers:
+            self.mesh_numbers[key] = len(self.meshes)
             self.meshes.append([self.array(points), self.indices(faces, len(points))])
-        return self.known[key]
+        return self.mesh_numbers[key]
 
     def indices(self, faces: IntArray, count: int) -> ArrayReference:
-        """Append indices of fewer than ``count`` vertices."""
+        """Append indices into ``count`` vertices, in 16 bits if these suffice, and return their location."""
         return self.array(faces, np.uint16 if count < 65_536 else np.uint32)
 
     def merge_times(self, time: FloatArray) -> FloatArray:
-        """Merge the times (S,) [s] of all surface rows and keyframes, and let ``keys`` index them."""
-        rows = [np.asarray(cut["keys"]) for cut in self.cuts]
-        fine = np.unique(np.concatenate([time, *rows]))
-        for cut, cut_times in zip(self.cuts, rows, strict=True):
-            cut["keys"] = self.array(np.searchsorted(fine, cut_times), np.uint32)
-        return fine
+        """Return the ascending union of the times (T,) [s] of keyframes and of those of all cut surfaces.
+
+        ``keys`` of the cut surfaces become indices into the result.
+        """
+        times_by_cut = [np.asarray(cut["keys"]) for cut in self.cuts]
+        all_times = np.unique(np.concatenate([time, *times_by_cut]))
+        for cut, cut_times in zip(self.cuts, times_by_cut, strict=True):
+            cut["keys"] = self.array(np.searchsorted(all_times, cut_times), np.uint32)
+        return all_times
 
     def body(self, frame: str, kind: str, piece: scenes.VisiblePiece, seen: BoolArray | None = None) -> None:
-        """Add a piece that moves with a frame and is visible at some keyframes."""
+        """Add a piece that moves with a frame and is visible at the keyframes ``seen`` (T,), or always."""
         solid = piece.solid.moved(piece.pose)
         color = None if kind in ("stock", "edge", "support") else [round(float(v), 4) for v in piece.color]
         mesh = self.mesh(solid.vertices, solid.faces)
@@ -268,9 +273,9 @@ class _ReplayData:
 
 
 def _runs_of(seen: BoolArray | None) -> dict[str, Any]:
-    """Return the first and the end keyframe of each interval in which something is visible.
+    """Return the first keyframe and the end of each interval in which something is visible.
 
-    Empty if always.
+    Empty if it is always visible, for which ``seen`` may be None.
     """
     if seen is None or seen.all():
         return {}
@@ -279,60 +284,67 @@ def _runs_of(seen: BoolArray | None) -> dict[str, Any]:
 
 
 def _bodies(
-    film: _ReplayData, model: CellModel, problem: Problem, plan: Plan, run: Keyframes
+    builder: _ReplayData, model: CellModel, problem: Problem, plan: Plan, keyframes: Keyframes
 ) -> dict[str, FloatArray]:
-    """Add robots, fixed bodies, tools and blocks, each visible in the setups that have it.
+    """Add robots, fixed bodies, tools, blocks and the nominal part.
+
+    Tools, blocks and supports are visible in the setups that have them. Those of equal shape are added once.
 
     Returns:
-        Poses (T, 4, 4) of bodies and tools.
+        World poses {body: (T, 4, 4)} of the arms' links and tools and of fixed bodies.
     """
     scene = scenes.extract_scene(model)
-    poses = scenes.poses_on_axes(scene, problem.setups, run.setup, scene.poses(run.q), run.axis_values)
+    poses = scenes.poses_on_axes(
+        scene, problem.setups, keyframes.setup, scene.poses(keyframes.q), keyframes.axis_values
+    )
     obstacles = {body.name for body in problem.cell.obstacles}
     for piece in scene.pieces:
-        film.body(piece.body, "obstacle" if piece.body in obstacles else "link", piece)
+        builder.body(piece.body, "obstacle" if piece.body in obstacles else "link", piece)
     for body in poses:
-        film.frame(body, poses[body])
-    film.frame(BLOCK, run.block)
+        builder.frame(body, poses[body])
+    builder.frame(BLOCK, keyframes.block)
     groups: dict[tuple[str, int], tuple[list[scenes.VisiblePiece], BoolArray]] = {}
     for index, setup in enumerate(problem.setups):
         for name, pieces in _pieces_by_body(setup, plan.stock_poses[index]).items():
             key = next(
-                (k for k, (known, _) in groups.items() if k[0] == name and _have_same_shapes(known, pieces)),
+                (k for k, (other, _) in groups.items() if k[0] == name and _have_same_shapes(other, pieces)),
                 None,
             )
-            group = groups.setdefault(key or (name, index), (pieces, np.zeros(len(run.time), dtype=bool)))
-            group[1][run.setup == index] = True
+            group = groups.setdefault(
+                key or (name, index), (pieces, np.zeros(len(keyframes.time), dtype=bool))
+            )
+            group[1][keyframes.setup == index] = True
     for pieces, seen in groups.values():
         for piece in pieces:
-            last = piece.body.rpartition("/")[2]
-            frame = BLOCK if last in ("stock", "support") else piece.body.replace("/edge", "/tool")
-            film.body(frame, last, piece, seen)
+            role = piece.body.rpartition("/")[2]
+            frame = BLOCK if role in ("stock", "support") else piece.body.replace("/edge", "/tool")
+            builder.body(frame, role, piece, seen)
     for _, mesh in raster.part_meshes(problem.part):
-        number = film.mesh(mesh.vertices, mesh.faces)
-        film.bodies.append({"body": BLOCK, "kind": "part", "color": None, "mesh": number})
-    _add_remaining_stock(film, problem, plan, run)
+        number = builder.mesh(mesh.vertices, mesh.faces)
+        builder.bodies.append({"body": BLOCK, "kind": "part", "color": None, "mesh": number})
+    _add_remaining_stock(builder, problem, plan, keyframes)
     return poses
 
 
-def _add_remaining_stock(film: _ReplayData, problem: Problem, plan: Plan, run: Keyframes) -> None:
-    """Add stocks as operations leave them, each from the end of its work until the next one is shown."""
+def _add_remaining_stock(builder: _ReplayData, problem: Problem, plan: Plan, keyframes: Keyframes) -> None:
+    """Add the stocks that remain after operations, each visible from the end of its work to the next one."""
     remaining: list[tuple[int, int]] = []
     for index, operation in enumerate(plan.operations):
         for exhibit in operation.targets.exhibits.values():
             if isinstance(exhibit, Mapping) and exhibit.get("kind") == "left":
-                keyframes = np.flatnonzero(run.operation == index)
-                works = [k for k in keyframes.tolist() if run.segment[k].works]
-                mesh = film.mesh(np.asarray(exhibit["vertices"]), np.asarray(exhibit["faces"]))
+                operation_keyframes = np.flatnonzero(keyframes.operation == index)
+                works = [k for k in operation_keyframes.tolist() if keyframes.segment[k].works]
+                mesh = builder.mesh(np.asarray(exhibit["vertices"]), np.asarray(exhibit["faces"]))
                 remaining += [(works[-1], mesh)] if works else []
-    keys = np.arange(len(run.time))
+    keys = np.arange(len(keyframes.time))
     for number, (first, mesh) in enumerate(remaining):
         end = remaining[number + 1][0] if number + 1 < len(remaining) else len(keys)
         seen = _runs_of((keys > first) & (keys <= end))
-        film.bodies.append({"body": BLOCK, "kind": "part", "color": None, "mesh": mesh} | seen)
+        builder.bodies.append({"body": BLOCK, "kind": "part", "color": None, "mesh": mesh} | seen)
 
 
 def _pieces_by_body(setup: Setup, stock_pose: FloatArray) -> dict[str, list[scenes.VisiblePiece]]:
+    """Return the pieces that a setup adds to the cell, by body."""
     out: dict[str, list[scenes.VisiblePiece]] = {}
     for piece in scenes.setup_pieces(setup, stock_pose):
         out.setdefault(piece.body, []).append(piece)
@@ -340,6 +352,7 @@ def _pieces_by_body(setup: Setup, stock_pose: FloatArray) -> dict[str, list[scen
 
 
 def _have_same_shapes(first: list[scenes.VisiblePiece], second: list[scenes.VisiblePiece]) -> bool:
+    """Report whether two lists of pieces have equal vertices in the frame of their body."""
     return len(first) == len(second) and all(
         a.solid.vertices.shape == b.solid.vertices.shape
         and np.allclose(a.solid.moved(a.pose).vertices, b.solid.moved(b.pose).vertices, atol=1e-9)
@@ -347,42 +360,45 @@ def _have_same_shapes(first: list[scenes.VisiblePiece], second: list[scenes.Visi
     )
 
 
-def _tips(problem: Problem, run: Keyframes, poses: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """Return tips (T, 3) [m] of the tools in the world."""
+def _tips(problem: Problem, keyframes: Keyframes, poses: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """Return the TCP of each arm in the world (T, 3) [m] at the keyframes."""
     out = {}
     for arm in problem.cell.arms:
         tools = [setup.cell.arm(arm.name).tool.tcp for setup in problem.setups]
-        out[arm.name] = (poses[f"{arm.name}/tool"] @ np.stack(tools)[run.setup])[:, :3, 3]
+        out[arm.name] = (poses[f"{arm.name}/tool"] @ np.stack(tools)[keyframes.setup])[:, :3, 3]
     return out
 
 
-def _view(model: CellModel, problem: Problem, run: Keyframes, tips: dict[str, FloatArray]) -> dict[str, Any]:
-    """Return the initial view.
+def _view(
+    model: CellModel, problem: Problem, keyframes: Keyframes, tips: dict[str, FloatArray]
+) -> dict[str, Any]:
+    """Return what the view shows first and follows.
 
-    ``work`` are the corners [mm] of the box of block and tools where they first work, seen across the line
-    of the bases, or of base and block. ``tips`` {arm} are tool tips in their frames in each setup, ``arms``
-    those of each operation, and ``operation`` the keyframe at which each operation starts.
+    ``work``: lower and upper corner [mm] of the box of block and tools in the first operation that works;
+    ``turn`` and ``lift``: direction [rad] to the camera, across the line of the bases, or of base and block;
+    ``tips`` {arm}: TCP [mm] in the flange frame in each setup; ``arms`` of each operation; ``operation``:
+    first keyframe and index of each run of an operation.
     """
-    works = np.array([segment.works for segment in run.segment])
+    works = np.array([segment.works for segment in keyframes.segment])
     first = int(np.flatnonzero(works)[0]) if works.any() else 0
-    block = run.block[first]
-    working_arms = problem.operations[int(run.operation[first])].arms
+    block = keyframes.block[first]
+    working_arms = problem.operations[int(keyframes.operation[first])].arms
     base_positions = [model.bases[arm][:3, 3] for arm in working_arms]
     line = ((base_positions[1] if len(base_positions) > 1 else block[:3, 3]) - base_positions[0]) * np.array(
         [1.0, 1.0, 0.0]
     )
     line = line / max(float(np.linalg.norm(line)), 1e-9)
-    eye = 0.92 * np.array([line[1], -line[0], 0.0]) - 0.2 * line + np.array([0.0, 0.0, 0.45])
-    stock = problem.setups[int(run.setup[first])].stock
+    to_camera = 0.92 * np.array([line[1], -line[0], 0.0]) - 0.2 * line + np.array([0.0, 0.0, 0.45])
+    stock = problem.setups[int(keyframes.setup[first])].stock
     corners = np.array(np.meshgrid(*np.stack([stock.lower, stock.upper], axis=1))).reshape(3, -1).T
-    own_work = works & (run.operation == run.operation[first])
-    seen = [corners @ block[:3, :3].T + block[:3, 3], *(tips[arm][own_work] for arm in working_arms)]
-    box = np.concatenate(seen)
+    in_operation = works & (keyframes.operation == keyframes.operation[first])
+    shown = [corners @ block[:3, :3].T + block[:3, 3], *(tips[arm][in_operation] for arm in working_arms)]
+    box = np.concatenate(shown)
     setups = problem.setups
     return {
         "work": np.round(np.stack([box.min(axis=0), box.max(axis=0)]) / MM, 1).tolist(),
-        "turn": round(float(np.arctan2(eye[1], eye[0])), 4),
-        "lift": round(float(np.arctan2(eye[2], np.hypot(eye[0], eye[1]))), 4),
+        "turn": round(float(np.arctan2(to_camera[1], to_camera[0])), 4),
+        "lift": round(float(np.arctan2(to_camera[2], np.hypot(to_camera[0], to_camera[1]))), 4),
         "tips": {
             arm.name: [
                 np.round(setup.cell.arm(arm.name).tool.tcp[:3, 3] / MM, 3).tolist() for setup in setups
@@ -390,86 +406,90 @@ def _view(model: CellModel, problem: Problem, run: Keyframes, tips: dict[str, Fl
             for arm in problem.cell.arms
         },
         "arms": [list(operation.arms) for operation in problem.operations],
-        "operation": [[int(k), int(run.operation[k])] for k in _change_indices(run.operation)],
+        "operation": [[int(k), int(keyframes.operation[k])] for k in _change_indices(keyframes.operation)],
     }
 
 
 def _change_indices(values: IntArray) -> IntArray:
+    """Return the indices at which a run of equal values starts, the first one included."""
     return (
         np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1]) if len(values) else np.zeros(0, np.int64)
     )
 
 
-def _wire(film: _ReplayData, run: Keyframes) -> dict[str, Any] | None:
-    """Return the points [mm] of the wire at the keyframes, and a radius that is visible."""
-    if run.wire is None:
+def _wire(builder: _ReplayData, keyframes: Keyframes) -> dict[str, Any] | None:
+    """Return the points of the wire at the keyframes, their number and a visible radius [mm], or None."""
+    if keyframes.wire is None:
         return None
-    radius = max(run.wire_radius, scenes.MIN_WIRE_RADIUS_M) / MM
-    count = int(run.wire.shape[1])
-    return {"points": film.array(run.wire / MM), "count": count, "radius": radius} | _runs_of(run.shown)
+    radius = max(keyframes.wire_radius, scenes.MIN_WIRE_RADIUS_M) / MM
+    count = int(keyframes.wire.shape[1])
+    return {"points": builder.array(keyframes.wire / MM), "count": count, "radius": radius} | _runs_of(
+        keyframes.shown
+    )
 
 
-def _add_cuts(film: _ReplayData, problem: Problem, plan: Plan, run: Keyframes, size: float) -> None:
-    """Add the surfaces that wires and cutters sweep within the block.
+def _add_cuts(builder: _ReplayData, problem: Problem, plan: Plan, keyframes: Keyframes, size: float) -> None:
+    """Add the surfaces that wires and cutters sweep in the block, or a rod along the path of another tool.
 
-    For other tools add a rod along the tip path.
-
-    The rod is as thick as suits the ``size`` [m] of the view. In later setups, in which the block may be
-    smaller, cuts are drawn within that block.
+    The thickness of the rod follows from the ``size`` [m] of the view. In a later setup whose block has
+    another size, cuts are drawn within that block.
     """
     blocks = [setup.stock for setup in problem.setups]
-    for cut in run.sweeps:
+    for cut in keyframes.sweeps:
         cut_block = blocks[cut.setup]
-        kept = [
+        setups_with_block = [
             k for k, block in enumerate(blocks) if k >= cut.setup and raster.have_same_size(block, cut_block)
         ]
-        _add_sweep(film, cut, cut_block.lower, cut_block.upper, run, kept)
+        _add_sweep(builder, cut, cut_block.lower, cut_block.upper, keyframes, setups_with_block)
         for k in range(cut.setup + 1, len(blocks)):
-            if k not in kept:
+            if k not in setups_with_block:
                 lower, upper = blocks[k].lower + TRIMMED_DEPTH_M, blocks[k].upper - TRIMMED_DEPTH_M
-                _add_sweep(film, cut, lower, upper, run, [k])
-    swept = {int(run.operation[cut.keys[-1]]) for cut in run.sweeps}
-    for index, (start, operation) in enumerate(zip(run.starts, plan.operations, strict=True)):
-        rows = spread_rows(len(operation.time), PATH_POINTS)
-        works = np.array([operation.targets.segment[k].works for k in rows])
+                _add_sweep(builder, cut, lower, upper, keyframes, [k])
+    swept = {int(keyframes.operation[cut.keys[-1]]) for cut in keyframes.sweeps}
+    for index, (start, operation) in enumerate(zip(keyframes.starts, plan.operations, strict=True)):
+        target_indices = spread_rows(len(operation.time), PATH_POINTS)
+        works = np.array([operation.targets.segment[k].works for k in target_indices])
         if index in swept or not works.any():
             continue
         setup = problem.setup_of(index)
-        bases = scenes.bases_at_targets(setup, {**plan.bases, **scenes.axis_bases(setup)}, operation, rows)
-        q = {name: cut_block[rows] for name, cut_block in operation.q.items()}
+        bases = scenes.bases_at_targets(
+            setup, {**plan.bases, **scenes.axis_bases(setup)}, operation, target_indices
+        )
+        q = {name: joints[target_indices] for name, joints in operation.q.items()}
         to_block = inverse(scenes.block_pose(setup, plan.stock_poses[setup.number - 1], bases, q))
-        time = operation.time[rows] - operation.time[0] + start - run.time[0]
+        time = operation.time[target_indices] - operation.time[0] + start - keyframes.time[0]
         for name in operation.targets.arms:
             if setup.stock.held_by != name:
                 arm = setup.cell.arm(name)
                 tip = (to_block @ scenes.flange_poses(arm, bases, q[name]) @ arm.tool.tcp)[:, :3, 3]
-                _add_rod(film, name, tip, time, works, PATH_RADIUS_FRACTION * size)
+                _add_rod(builder, name, tip, time, works, PATH_RADIUS_FRACTION * size)
 
 
 def _add_sweep(
-    film: _ReplayData,
+    builder: _ReplayData,
     cut: DrawnSweep,
     lower: FloatArray,
     upper: FloatArray,
-    run: Keyframes,
+    keyframes: Keyframes,
     setups: Sequence[int],
 ) -> None:
+    """Add the surface of a cut within a box of the stock frame [m], visible in some setups."""
     points = cut.points
     if points.shape[1] == 2:
         points = raster.clip_wires(points, lower, upper)
     else:
         points = points[:, spread_rows(points.shape[1], SWEPT_POINTS)]
-    middle = 0.25 * (points[:-1, :-1] + points[1:, :-1] + points[:-1, 1:] + points[1:, 1:])
+    centres = 0.25 * (points[:-1, :-1] + points[1:, :-1] + points[:-1, 1:] + points[1:, 1:])
     with np.errstate(invalid="ignore"):
-        inside = ((middle >= lower - 1e-9) & (middle <= upper + 1e-9)).all(axis=2)
-    time = run.time[cut.keys] - run.time[0]
-    _add_surface(film, "", points, time, np.asarray(inside), np.isin(run.setup, setups))
+        inside = ((centres >= lower - 1e-9) & (centres <= upper + 1e-9)).all(axis=2)
+    time = keyframes.time[cut.keys] - keyframes.time[0]
+    _add_surface(builder, "", points, time, np.asarray(inside), np.isin(keyframes.setup, setups))
 
 
 def _add_rod(
-    film: _ReplayData, arm: str, tip: FloatArray, time: FloatArray, works: BoolArray, radius: float
+    builder: _ReplayData, arm: str, tip: FloatArray, time: FloatArray, works: BoolArray, radius: float
 ) -> None:
-    """Add a rod about the path of a tip (K, 3) at ``time`` (K,) [s], where the tool works."""
+    """Add a rod about the path of a TCP (K, 3) [m] at ``time`` (K,) [s], where the tool works (K,)."""
     direction = np.gradient(tip, axis=0) if len(tip) > 1 else np.zeros_like(tip)
     z = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
     reference = np.where(np.abs(z[:, 2:3]) < 0.9, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
@@ -478,20 +498,21 @@ def _add_rod(
     angle = np.linspace(0.0, 2.0 * np.pi, PATH_SIDES + 1)[:, None]
     circle = np.cos(angle)[None] * x[:, None] + np.sin(angle)[None] * np.cross(z, x)[:, None]
     inside = np.repeat(works[1:, None], PATH_SIDES, axis=1)
-    _add_surface(film, arm, tip[:, None] + radius * circle, time, inside, None)
+    _add_surface(builder, arm, tip[:, None] + radius * circle, time, inside, None)
 
 
 def _add_surface(
-    film: _ReplayData,
+    builder: _ReplayData,
     arm: str,
     points: FloatArray,
     time: FloatArray,
     inside: BoolArray,
     seen: BoolArray | None,
 ) -> None:
-    """Add a surface over points (K, P, 3) [m] in the stock frame, of the quads ``inside`` (K-1, P-1).
+    """Add a surface of those quads between points (K, P, 3) [m] in the stock frame that are ``inside``.
 
-    It grows with ``time`` (K,) [s], and has the colours of an arm at these times, or of all together.
+    ``inside`` is (K-1, P-1). The surface grows with ``time`` (K,) [s], and has the colours of the arm at
+    these times, or of all arms together for an empty name. It is visible at the keyframes ``seen`` (T,).
     """
     if not inside.any():
         return
@@ -499,41 +520,42 @@ def _add_surface(
     row, column = np.nonzero(inside)
     a = row * count + column
     quads = np.stack([a, a + 1, a + count + 1, a, a + count + 1, a + count], axis=1)
-    upto = np.cumsum(np.bincount(row, minlength=len(time) - 1)) * 6
-    film.cuts.append(
+    # number of indices (two triangles of three for each quad) to draw up to each row of points
+    index_counts = np.cumsum(np.bincount(row, minlength=len(time) - 1)) * 6
+    builder.cuts.append(
         {
             "arm": arm,
             "per": count,
-            "vertices": film.array(np.nan_to_num(points) / MM),
-            "faces": film.indices(quads, points.shape[0] * count),
+            "vertices": builder.array(np.nan_to_num(points) / MM),
+            "faces": builder.indices(quads, points.shape[0] * count),
             "keys": time,
-            "upto": film.array(np.concatenate([[0], upto]), np.uint32),
+            "upto": builder.array(np.concatenate([[0], index_counts]), np.uint32),
         }
         | _runs_of(seen)
     )
 
 
-def _target_times(film: _ReplayData, plan: Plan, run: Keyframes) -> dict[str, Any]:
-    """Return the times of the targets, and the names and first targets of the segment runs."""
-    times, runs, first = [], [], 0
-    for start, operation in zip(run.starts, plan.operations, strict=True):
+def _target_times(builder: _ReplayData, plan: Plan, keyframes: Keyframes) -> dict[str, Any]:
+    """Return the times of all targets, and pairs of first target and name of each run of a segment."""
+    times, runs, first_target = [], [], 0
+    for start, operation in zip(keyframes.starts, plan.operations, strict=True):
         segments = operation.targets.segment
         for i, segment in enumerate(segments):
             if i == 0 or segment != segments[i - 1]:
-                runs.append([first + i, str(segment)])
-        times.append(operation.time - operation.time[0] + start - run.time[0])
-        first += len(segments)
-    return {"times": film.array(np.concatenate(times) if times else np.zeros(0)), "runs": runs}
+                runs.append([first_target + i, str(segment)])
+        times.append(operation.time - operation.time[0] + start - keyframes.time[0])
+        first_target += len(segments)
+    return {"times": builder.array(np.concatenate(times) if times else np.zeros(0)), "runs": runs}
 
 
 def _layers(
-    film: _ReplayData, problem: Problem, plan: Plan, proof: Proof | None, fine: FloatArray, clock: Clock
+    builder: _ReplayData, problem: Problem, plan: Plan, proof: Proof | None, times: FloatArray, clock: Clock
 ) -> list[dict[str, Any]]:
-    """Return the quantities that colour the cut, as data for the page."""
+    """Return the quantities that colour the cut at times (T,) [s] of the replay. Empty without a clock."""
     if not clock:
         return []
-    program_times, shown = np.array(clock).T
-    time = np.interp(fine, shown, program_times)
+    program_times, replay_times = np.array(clock).T
+    time = np.interp(times, replay_times, program_times)
     out = []
     for layer in cut_colour_layers.colour_layers(problem, plan, proof, time):
         fields: dict[str, Any] = {
@@ -545,16 +567,17 @@ def _layers(
             "key": ["#" + "".join(f"{round(255 * float(c)):02x}" for c in shade) for shade in layer.key],
             "limits": [[round(value, 4), word] for value, word in layer.limits],
             "words": layer.words,
-            "values": {arm: film.array(values) for arm, values in layer.values.items()},
-            "colours": {arm: _bytes(film, colours) for arm, colours in layer.colours.items()},
+            "values": {arm: builder.array(values) for arm, values in layer.values.items()},
+            "colours": {arm: _bytes(builder, colours) for arm, colours in layer.colours.items()},
         }
         if len(layer.points):
-            fields["points"] = film.array(layer.points / MM)
+            fields["points"] = builder.array(layer.points / MM)
             fields["spacing"] = round(layer.spacing / MM, 3)
-            fields["point_colours"] = _bytes(film, layer.point_colours)
+            fields["point_colours"] = _bytes(builder, layer.point_colours)
         out.append(fields)
     return out
 
 
-def _bytes(film: _ReplayData, colours: FloatArray) -> ArrayReference:
-    return film.array(np.clip(np.round(255.0 * colours), 0, 255), np.uint8)
+def _bytes(builder: _ReplayData, colours: FloatArray) -> ArrayReference:
+    """Store colours in 0..1 as bytes, and return their location."""
+    return builder.array(np.clip(np.round(255.0 * colours), 0, 255), np.uint8)

@@ -24,6 +24,7 @@ PATH_COLOUR: Final = (0.10, 0.20, 0.60)
 """Colour of tool paths."""
 ID_NAMESPACE: Final = uuid.UUID("7f3d5f0e-5d0b-5a55-9d0c-6f1c2b7a4e18")
 """Namespace of the ids of layers and objects."""
+# Structure of a file: chunks with a type, whose codes are those of openNURBS, and a length
 _HEADER: Final = 32  # bytes before the first chunk of a file
 _CHUNK: Final = struct.Struct("<Iq")  # type, and length, or value if the highest bit of the type is set
 _VALUE: Final = 0x80000000
@@ -78,7 +79,10 @@ def is_available() -> bool:
 
 
 def rhino_bytes(items: Iterable[RhinoMesh | RhinoPolyline | RhinoTarget]) -> bytes:
-    """Return shapes, lines and targets as a 3DM file of Rhino 7, in layers.
+    """Return shapes, lines and targets as a 3DM file of Rhino 7, each on its layer.
+
+    Args:
+        items: Shapes, lines and targets. Their order determines the ids of the objects.
 
     Raises:
         TandemError: ``part.extra_missing``, rhino3dm is not installed.
@@ -86,8 +90,8 @@ def rhino_bytes(items: Iterable[RhinoMesh | RhinoPolyline | RhinoTarget]) -> byt
     try:
         import rhino3dm
     except ImportError as error:
-        what = "3DM files need rhino3dm. Run pip install 'tandem-planner[cad]'."
-        raise issue_error("part.extra_missing", what, field="output") from error
+        message = "3DM files need rhino3dm. Run pip install 'tandem-planner[cad]'."
+        raise issue_error("part.extra_missing", message, field="output") from error
     model = rhino3dm.File3dm()
     model.Settings.ModelUnitSystem = rhino3dm.UnitSystem.Millimeters
     layers: dict[str, int] = {}
@@ -109,9 +113,8 @@ def rhino_bytes(items: Iterable[RhinoMesh | RhinoPolyline | RhinoTarget]) -> byt
             model.Objects.AddPoint(rhino3dm.Point3d(*(item.point / MM).tolist()), attributes)
     options = rhino3dm.File3dmWriteOptions()
     options.Version = RHINO_VERSION
-    return set_fixed_dates(
-        base64.b64decode(model.Encode(options))
-    )  # Write() would store the path in the file
+    # Write() would store the path in the file.
+    return set_fixed_dates(base64.b64decode(model.Encode(options)))
 
 
 def set_fixed_dates(content: bytes) -> bytes:
@@ -137,10 +140,11 @@ def set_fixed_dates(content: bytes) -> bytes:
                 position += 4 + 2 * int.from_bytes(out[position : position + 4], "little")
                 out[position : position + len(_TIME)] = _TIME
                 position += len(_TIME)
-            if position >= end:
+            if position >= end:  # shorter than its content: not the known structure
                 break
             out[end : end + _CRC.size] = _CRC.pack(zlib.crc32(out[offset:end]))
             return bytes(out)
+        # a short chunk has no content, and the properties are entered, because they contain the history
         if not kind & _VALUE and kind != _PROPERTIES:
             offset += length
     raise ValueError("rhino3dm wrote no revision history at its place in openNURBS files")
@@ -152,7 +156,10 @@ def _set_user_text(attributes: Any, text: Mapping[str, str]) -> None:
 
 
 def _layer(model: Any, layers: dict[str, int], path: str, color: Rgb) -> int:
-    """Return the number of a layer by its path. Missing layers are created with their parents."""
+    """Return the index of a layer by its path. If it is missing, it is created with its parents.
+
+    ``layers`` has the indices of existing layers by path, and gets those of new ones.
+    """
     import rhino3dm
 
     if path not in layers:
@@ -168,6 +175,7 @@ def _layer(model: Any, layers: dict[str, int], path: str, color: Rgb) -> int:
 
 
 def _mesh(shape: RhinoMesh) -> Any:
+    """Convert a mesh to one of rhino3dm in mm, with normals."""
     import rhino3dm
 
     mesh = rhino3dm.Mesh()

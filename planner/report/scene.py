@@ -2,7 +2,7 @@
 
 Shapes come from the Drake model of the cell: robots and fixed bodies once, then what each setup adds. Poses
 of the block and of a straight wire follow from joint angles, in the setup of an operation. The clock of the
-replay (`track`) runs from home through all setups and operations and back.
+replay (`sample_keyframes`) runs from home through all setups and operations and back.
 """
 
 import dataclasses
@@ -34,7 +34,7 @@ def flange_poses(arm: Arm, bases: Mapping[str, FloatArray], q: FloatArray) -> Fl
 
     Args:
         arm: Arm.
-        bases: Bases that replace the arm's own, by arm.
+        bases: Bases (4, 4), or one for each posture, that replace the arm's own, by arm.
         q: Joint angles (..., 6) [rad].
 
     Returns:
@@ -50,16 +50,16 @@ def bases_at_targets(
     operation: OperationPlan,
     rows: IntArray | slice | int = slice(None),
 ) -> dict[str, FloatArray]:
-    """Return the bases of arms at some targets of an operation, with coordinated tracks.
+    """Return bases with those of arms on coordinated tracks as they are at some targets of an operation.
 
     Args:
         setup: Setup.
-        bases: Other bases {arm: (4, 4)}.
+        bases: Bases {arm: (4, 4)} in the world, which are returned for all other arms.
         operation: Operation.
-        rows: Targets (T,), or a single one.
+        rows: Indices of targets (T,), or a single one.
 
     Returns:
-        Bases {arm: (4, 4)}, or (T, 4, 4) for arms on coordinated tracks and several rows.
+        Bases {arm: (4, 4)}, or (T, 4, 4) for arms on coordinated tracks and several targets.
     """
     out = dict(bases)
     for name, values in operation.targets.track_positions.items():
@@ -68,7 +68,7 @@ def bases_at_targets(
 
 
 def track_base(arm: Arm, values: FloatArray) -> FloatArray:
-    """Return bases (..., 4, 4) of an arm of a setup at values (...,) [m] of its track."""
+    """Return the bases (..., 4, 4) in the world of a setup's arm at values (...,) [m] of its track."""
     values = np.asarray(values)
     out = np.array(np.broadcast_to(arm.base, (*values.shape, 4, 4)))
     if arm.track is not None:
@@ -88,7 +88,7 @@ def block_pose(
         q: Joint angles {arm: (T, 6)} [rad]. Other arms are at home.
 
     Returns:
-        Pose (4, 4) of a fixed block, or (T, 4, 4) of a held one.
+        Pose (4, 4) of a fixed block, or (T, 4, 4) of one that an arm holds.
     """
     holder = setup.stock.held_by
     if holder is None:
@@ -110,11 +110,11 @@ def wire_in_block(
     bases: Mapping[str, FloatArray],
     q: Mapping[str, FloatArray],
 ) -> FloatArray:
-    """Return both ends (T, 2, 3) [m] of a straight wire or of a cutter's axis in the stock frame.
+    """Return both ends (T, 2, 3) [m] of a straight wire or of a mill's axis in the stock frame.
 
     Args:
         setup: Setup.
-        arm: Arm with the tool.
+        arm: Arm with the linear cutter.
         stock_pose: Pose of a fixed block (4, 4).
         bases: Bases that replace the arms' own, by arm.
         q: Joint angles {arm: (T, 6)} [rad].
@@ -124,7 +124,7 @@ def wire_in_block(
 
 
 def wire_ends(arm: Arm) -> FloatArray:
-    """Return both ends (2, 3) [m] of a straight wire or of a cutter's axis, in the flange frame.
+    """Return both ends (2, 3) [m] of a straight wire or of a mill's axis, in the flange frame.
 
     Raises:
         ValueError: The tool is not a linear cutter.
@@ -139,7 +139,7 @@ def wire_ends(arm: Arm) -> FloatArray:
 
 
 def block_box(setup: Setup) -> Shape:
-    """Return the block as the setup finds it, in the stock frame."""
+    """Return the block at the start of a setup as a box, in the stock frame."""
     lower, upper = setup.stock.lower, setup.stock.upper
     pose = np.eye(4)
     pose[:3, 3] = 0.5 * (lower + upper)
@@ -166,7 +166,7 @@ class VisiblePiece:
 
     Attributes:
         body: Name of the body.
-        shape: Shape of Drake, or our mesh.
+        shape: Shape of Drake, or a mesh shape of the planner.
         pose: Pose in the frame of the body (4, 4).
         color: Red, green, blue, alpha in 0..1.
         solid: The shape as triangles.
@@ -198,18 +198,18 @@ class VisibleScene:
     def poses(self, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         """Return world poses {body: (B, 4, 4)} of :meth:`bodies` and of every arm's tool.
 
-        The frame of a tool is the flange.
+        The frame of a tool is the flange. If the model has a base for each row, it applies to that row.
 
         Args:
             q: Joint angles {arm: (B, 6)} [rad]. Other arms are at home.
         """
         rows = self.model.stack_rows(q)
         tools = (f"{arm}/tool" for arm in self.model.arms)
-        shown = {name: self.model.body(name) for name in (*self.bodies(), *tools)}
-        out = {name: np.empty((len(rows), 4, 4)) for name in shown}
+        drake_bodies = {name: self.model.body(name) for name in (*self.bodies(), *tools)}
+        out = {name: np.empty((len(rows), 4, 4)) for name in drake_bodies}
         for i, row in enumerate(rows):
             context = self.model.at_rows(i).checker.UpdatePositions(row)
-            for name, body in shown.items():
+            for name, body in drake_bodies.items():
                 out[name][i] = body.EvalPoseInWorld(context).GetAsMatrix4()
         return out
 
@@ -219,7 +219,7 @@ def extract_scene(model: CellModel, hulls: bool = False) -> VisibleScene:
 
     Args:
         model: Cell model.
-        hulls: Draw robots from the user's files by their collision bodies instead of their visual meshes.
+        hulls: Draw robots from the user's files as their collision shapes instead of their visual shapes.
     """
     inspector = model.diagram.scene_graph().model_inspector()
     names = {model.body(n).index(): n for n in _all_names(model)}
@@ -244,11 +244,12 @@ def extract_scene(model: CellModel, hulls: bool = False) -> VisibleScene:
 
 
 def _file_visuals(robot: RobotData) -> tuple[tuple[VisualShape, ...], ...]:
+    """Return the visual shapes in a robot's file, by link. Empty for a robot of the catalogue."""
     return () if robot.file is None else robot.file.visuals
 
 
 def _visual_pieces(arm: str, robot: RobotData) -> Iterator[VisiblePiece]:
-    """Yield the visual shapes of a robot whose file contains them."""
+    """Yield the visual shapes of a robot from its file, meshes with a colour of their own smoothly shaded."""
     for link, visuals in zip(link_chain(robot.axes), _file_visuals(robot), strict=False):
         for visual in visuals:
             shape, body = visual.shape, f"{arm}/{link}"
@@ -284,7 +285,7 @@ def setup_pieces(setup: Setup, stock_pose: FloatArray) -> tuple[VisiblePiece, ..
 
 
 def _visible_edge(edge: Shape) -> Shape:
-    """Return a tool's edge as drawn: wires at least :data:`MIN_WIRE_RADIUS_M` thick, meshes unchanged."""
+    """Return a tool's edge as drawn: wires with at least :data:`MIN_WIRE_RADIUS_M`, meshes unchanged."""
     if edge.kind == "mesh":
         return edge
     radius, length = edge.size
@@ -292,16 +293,18 @@ def _visible_edge(edge: Shape) -> Shape:
 
 
 def axis_bases(setup: Setup) -> dict[str, FloatArray]:
-    """Return the bases (4, 4) in the world of arms on external axes, as they are in a setup."""
+    """Return the bases {arm: (4, 4)} in the world of the arms on external axes, as they are in a setup."""
     return {arm.name: arm.base for arm in setup.cell.arms if arm.linear_axes}
 
 
 def axis_motions(model: CellModel, axis_values: Mapping[str, float]) -> dict[str, FloatArray]:
-    """Return motions (4, 4) of bodies on external axes, from the values of the model to other values.
+    """Return the motions {body: (4, 4)} in the world of bodies on external axes.
+
+    They lead from the poses in the model to those at other values of the axes.
 
     Args:
         model: Cell model.
-        axis_values: Values of the axes [m, rad].
+        axis_values: Values of the axes [m, rad] after the motion, by name.
     """
     model_values = {
         **model.stock.axis_values,
@@ -318,14 +321,14 @@ def poses_on_axes(
     poses: Mapping[str, FloatArray],
     values: Mapping[str, FloatArray] | None = None,
 ) -> dict[str, FloatArray]:
-    """Return world poses {body: (T, 4, 4)} of a scene with arms and bodies on external axes.
+    """Return world poses {body: (T, 4, 4)} of a scene in which external axes move arms and bodies.
 
     Args:
         scene: Scene.
         setups: Setups.
         setup: Index of the setup in force (T,).
-        poses: World poses without external axes.
-        values: Values (T,) [m, rad] of the axes, or None for those of the setups.
+        poses: World poses {body: (T, 4, 4)} with all external axes as in the model of the scene.
+        values: Values (T,) [m, rad] of all axes by name, or None for those of the setups.
     """
     out = dict(poses)
     values_at_rows = [setups[k].axis_values for k in setup]
@@ -338,14 +341,15 @@ def poses_on_axes(
         for name in motions[0] if motions else ():
             if name in poses:
                 out[name] = np.stack([row_motions[name] for row_motions in motions]) @ poses[name]
+    # an arm on linear axes is translated from its base in the model
     for arm in (arm for arm in setups[0].cell.arms if arm.linear_axes):
         displacement = np.array(
             [[row_values[name] for name in arm.axes_by_name] for row_values in values_at_rows]
         ) - np.array(arm.axis_positions)
-        bases = arm.base[:3, 3] + displacement @ np.stack([axis.axis for axis in arm.linear_axes])
+        base_positions = arm.base[:3, 3] + displacement @ np.stack([axis.axis for axis in arm.linear_axes])
         for body in [body for body in poses if body.startswith(f"{arm.name}/")]:
             out[body] = np.array(np.broadcast_to(poses[body], (len(setup), 4, 4)))
-            out[body][:, :3, 3] += bases - scene.model.bases[arm.name][:3, 3]
+            out[body][:, :3, 3] += base_positions - scene.model.bases[arm.name][:3, 3]
     return out
 
 
@@ -372,16 +376,18 @@ def scene_poses(
 
 
 def _piece(body: str, shape: Shape, color: Any) -> VisiblePiece:
-    drawn = drake_shape(shape, solid=False)
+    """Return a shape of the planner as a visible piece of a body."""
+    visible_shape = drake_shape(shape, solid=False)
     r, g, b, a = (float(v) for v in color)
-    return VisiblePiece(body, drawn, shape.pose, (r, g, b, a), _solid(drawn))
+    return VisiblePiece(body, visible_shape, shape.pose, (r, g, b, a), _solid(visible_shape))
 
 
 def _all_names(model: CellModel) -> list[str]:
-    return [model.body_name(i) for i in range(1, model.plant.num_bodies()) if _known(model, i)]
+    """Return the names of all bodies of the model that have one, without the world."""
+    return [model.body_name(i) for i in range(1, model.plant.num_bodies()) if _has_name(model, i)]
 
 
-def _known(model: CellModel, index: int) -> bool:
+def _has_name(model: CellModel, index: int) -> bool:
     try:
         model.body_name(index)
     except KeyError:
@@ -390,6 +396,7 @@ def _known(model: CellModel, index: int) -> bool:
 
 
 def _solid(shape: Any) -> RenderSolid:
+    """Return a shape of Drake as triangles. Raises TypeError for other kinds of shapes."""
     if isinstance(shape, Box):
         return raster.box(*(float(v) for v in shape.size()))
     if isinstance(shape, Cylinder):
@@ -399,32 +406,36 @@ def _solid(shape: Any) -> RenderSolid:
     if isinstance(shape, Sphere):
         return raster.sphere(shape.radius())
     if isinstance(shape, Mesh | Convex):
-        return _file(shape)
+        return _file_solid(shape)
     raise TypeError(f"visible shape of unsupported kind {type(shape).__name__}")
 
 
-def _file(shape: Any) -> RenderSolid:
+def _file_solid(shape: Any) -> RenderSolid:
+    """Return the mesh of a Drake shape, from memory or from its file, as triangles."""
     source = shape.source()
     if source.is_in_memory():
         memory = source.in_memory().mesh_file
         text = memory.contents()
-        raw = text if isinstance(text, bytes) else text.encode()
+        content = text if isinstance(text, bytes) else text.encode()
         loaded = trimesh.load(
-            trimesh.util.wrap_as_stream(raw), file_type=memory.extension()[1:], process=False
+            trimesh.util.wrap_as_stream(content), file_type=memory.extension()[1:], process=False
         )
     else:
         loaded = trimesh.load(source.path(), process=False)
-    joined = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
-    vertices = np.asarray(joined.vertices, dtype=np.float64) * shape.scale()
-    return raster.mesh(vertices, np.asarray(joined.faces, dtype=np.int64))
+    mesh = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
+    vertices = np.asarray(mesh.vertices, dtype=np.float64) * shape.scale()
+    return raster.mesh(vertices, np.asarray(mesh.faces, dtype=np.int64))
 
 
 WIRE_POINTS: Final = 29
 """Number of points of a bent wire in the replay."""
 MOTION_TIME: Final = "from first to last target"
-"""What the motion time of report and replay includes. Approach and retreat have no clock in the plan."""
+"""Words for the part of the motion that the motion time of report and replay includes.
+
+Approach and retreat are not included, because they have no clock in the plan.
+"""
 TRAVEL_TIME: Final = "of track or turntable between stations"
-"""What the time of external axes of report and replay includes. The proof has it on its clock."""
+"""Words for the travel of external axes whose time report and replay state. The proof has it on its clock."""
 ENTRY_SPEED_FRACTION: Final = 0.25
 """Fraction of the joint speed limits at which the replay shows entry and exit, which have no clock."""
 SETUP_PAUSE_S: Final = 2.0
@@ -434,17 +445,17 @@ SETUP_SEGMENT: Final = Segment("setup")
 TRAVEL_STEP_S: Final = 0.25
 """Time [s] between keyframes while a track or turntable moves."""
 CHANGE_TIME_S: Final = 0.01
-"""Time [s] in which things change their pose between two setups."""
+"""Time [s] between the keyframes before and after a change of setup, in which stock and tools change."""
 
 
 @dataclasses.dataclass(frozen=True)
 class DrawnSweep:
-    """Surface that the wire of one operation sweeps.
+    """Surface that the wire or mill of one operation sweeps during one run of cutting keyframes.
 
     Attributes:
         setup: Index of the setup.
-        keys: Successive keyframes (K,).
-        points: Wires (K, P, 3) [m] in the stock frame. A straight wire by its two ends.
+        keys: Indices of successive keyframes (K,).
+        points: Points of the wire (K, P, 3) [m] in the stock frame. A straight wire has two, its ends.
     """
 
     setup: int
@@ -459,16 +470,16 @@ class Keyframes:
     Attributes:
         time: Ascending times (T,) [s].
         q: Joint angles {arm: (T, 6)} [rad].
-        segment: Segments (T,).
+        segment: Segment (T,) of the path to each keyframe.
         setup: Indices of setups (T,), from 0.
         block: Poses of the stock in the world (T, 4, 4).
         wire: Wire between the arms in the world (T, P, 3) [m], or None.
         shown: Whether the wire is mounted (T,).
         wire_radius: Radius of the wire [m].
         stops: Times [s] and texts of stops.
-        sweeps: Surfaces that wires cut.
-        axis_values: Values (T,) [m, rad] of tracks and turntable, by what they carry.
-        travel: Part of the time [s] in which they move.
+        sweeps: Surfaces that wires and mills cut.
+        axis_values: Values (T,) [m, rad] of external axes, by their names among the stations.
+        travel: Total time [s] in which they move between stations.
         operation: Indices of operations (T,), from 0.
         starts: Times [s] of the first targets of the operations.
     """
@@ -490,10 +501,11 @@ class Keyframes:
 
 
 @dataclasses.dataclass
-class _KeyframeRows:
-    """Keyframes while they are collected. ``wire`` is NaN where no wire joins the arms.
+class _SampleLists:
+    """Samples of the motion while they are collected, as lists of arrays, with times in seconds.
 
-    ``axis_values`` are values of external axes at the keyframes, ``present_values`` the present ones.
+    ``wire`` is NaN where no wire joins the arms. ``axis_values`` are the values of external axes at the
+    samples, ``present_values`` those after the last sample.
     """
 
     time: list[FloatArray]
@@ -508,6 +520,7 @@ class _KeyframeRows:
     starts: list[float] = dataclasses.field(default_factory=list)
 
     def end(self) -> float:
+        """Return the time [s] of the last sample, or 0."""
         return float(self.time[-1][-1]) if self.time else 0.0
 
 
@@ -536,8 +549,8 @@ class _HomingMotion:
 
     Attributes:
         paths: Joint angles {arm: (T, 6)} [rad].
-        groups: Arms that move together, in the order of the groups.
-        segment: Segment.
+        groups: Groups of arms that move together. The groups move one after the other.
+        segment: Segment of the motion.
     """
 
     paths: Mapping[str, FloatArray]
@@ -546,7 +559,10 @@ class _HomingMotion:
 
 
 def sample_keyframes(problem: Problem, plan: Plan, keys: int) -> Keyframes:
-    """Sample a plan at keyframes, denser where the motion is fast.
+    """Sample a plan at keyframes, from home through all setups and operations and back to home.
+
+    They are denser outside the work, where the motion is fast. Approach, retreat and changes of setup have no
+    clock in the plan, so that they are shown with times of the replay.
 
     Args:
         problem: Problem.
@@ -555,81 +571,86 @@ def sample_keyframes(problem: Problem, plan: Plan, keys: int) -> Keyframes:
     """
     setups = problem.setups
     arms = [arm.name for arm in problem.cell.arms]
-    rows = _KeyframeRows(
-        [],
-        {arm: [] for arm in arms},
-        [],
-        [],
-        [],
-        [],
-        {name: [] for name in problem.axis_homes},
-        problem.axis_homes,
+    samples = _SampleLists(
+        time=[],
+        q={arm: [] for arm in arms},
+        wire=[],
+        segment=[],
+        operation=[],
+        stops=[],
+        axis_values={name: [] for name in problem.axis_homes},
+        present_values=problem.axis_homes,
     )
     travels = external_axis_motion.axis_travels(problem, plan.stock_poses)
     joints = {arm.name: np.asarray(arm.home) for arm in problem.cell.arms}
     for index, operation in enumerate(plan.operations):
         setup = setups[setup_index(problem, index)]
         if setup.steps and setup.operations[0] == index:
-            _add_setup_pause(rows, setup, index, joints)
+            _add_setup_pause(samples, setup, index, joints)
         if travels:
-            _add_travel(rows, travels[index], index, joints)
-        alone = [(arm,) for arm in operation.arm_order]
-        first = [operation.arm_order] if "entry" in operation.synchronised else alone
-        last = [operation.arm_order] if "exit" in operation.synchronised else alone[::-1]
-        approach = _HomingMotion(operation.approach, first, Segment("entry"))
-        joints = _add_approach_or_retreat(rows, problem, index, approach, joints)
-        joints = _add_operation(rows, setup, plan, index, operation, joints)
-        retreat = _HomingMotion(operation.retreat, last, Segment("exit"))
-        joints = _add_approach_or_retreat(rows, problem, index, retreat, joints)
+            _add_travel(samples, travels[index], index, joints)
+        one_by_one = [(arm,) for arm in operation.arm_order]
+        entry_groups = [operation.arm_order] if "entry" in operation.synchronised else one_by_one
+        exit_groups = [operation.arm_order] if "exit" in operation.synchronised else one_by_one[::-1]
+        approach = _HomingMotion(operation.approach, entry_groups, Segment("entry"))
+        joints = _add_approach_or_retreat(samples, problem, index, approach, joints)
+        joints = _add_operation(samples, setup, plan, index, operation, joints)
+        retreat = _HomingMotion(operation.retreat, exit_groups, Segment("exit"))
+        joints = _add_approach_or_retreat(samples, problem, index, retreat, joints)
     if problem.closing_setup is not None and len(plan.operations) == len(problem.operations):
-        _add_setup_pause(rows, problem.closing_setup, len(plan.operations) - 1, joints)
-        _add_travel(rows, travels[-1], len(plan.operations) - 1, joints)
-    if not rows.time:
+        _add_setup_pause(samples, problem.closing_setup, len(plan.operations) - 1, joints)
+        _add_travel(samples, travels[-1], len(plan.operations) - 1, joints)
+    if not samples.time:
         q = {arm: v[None] for arm, v in joints.items()}
-        _append_rows(rows, 0, _MotionSamples(np.zeros(1), q, (Segment("home"),)))
-    time = np.concatenate(rows.time)
-    pick = _keyframe_times(time, rows.segment, keys)
-    return _interpolate_keyframes(rows, time, pick, problem, plan)
+        _append_samples(samples, 0, _MotionSamples(np.zeros(1), q, (Segment("home"),)))
+    time = np.concatenate(samples.time)
+    keyframe_times = _keyframe_times(time, samples.segment, keys)
+    return _interpolate_keyframes(samples, time, keyframe_times, problem, plan)
 
 
-def _add_setup_pause(rows: _KeyframeRows, setup: Setup, index: int, joints: Mapping[str, FloatArray]) -> None:
-    """Add a pause at home while the operator changes the setup. Changes happen in its middle."""
-    start = rows.end()
+def _add_setup_pause(
+    samples: _SampleLists, setup: Setup, index: int, joints: Mapping[str, FloatArray]
+) -> None:
+    """Add a pause at home before the operation ``index``, in whose middle the setup changes."""
+    start = samples.end()
     q = {arm: v[None] for arm, v in joints.items()}
-    # at the time of a keyframe: keyframes are rounded to hundredths of a second
+    # rounded like the times of keyframes, so that a keyframe is exactly there
     middle = round(start + 0.5 * SETUP_PAUSE_S, 2)
-    rows.stops.append((middle, " ".join((*setup.steps, setup.confirmation))))
+    samples.stops.append((middle, " ".join((*setup.steps, setup.confirmation))))
     if index > 0:
         time = np.array([start, middle])
-        _append_rows(rows, index - 1, _MotionSamples(time, q, (SETUP_SEGMENT,) * 2))
+        _append_samples(samples, index - 1, _MotionSamples(time, q, (SETUP_SEGMENT,) * 2))
         start = middle + CHANGE_TIME_S
     time = np.array([start, middle + 0.5 * SETUP_PAUSE_S])
-    _append_rows(rows, index, _MotionSamples(time, q, (SETUP_SEGMENT,) * 2))
+    _append_samples(samples, index, _MotionSamples(time, q, (SETUP_SEGMENT,) * 2))
 
 
 def _add_travel(
-    rows: _KeyframeRows, travels: Mapping[str, AxisTravel], index: int, joints: Mapping[str, FloatArray]
+    samples: _SampleLists, travels: Mapping[str, AxisTravel], index: int, joints: Mapping[str, FloatArray]
 ) -> None:
     """Add the travel of tracks and axes under the block to their stations, one after the other."""
     q = {arm: v[None] for arm, v in joints.items()}
     for name, travel in travels.items():
-        # keyframes are rounded to hundredths of a second
-        start, seconds = np.ceil(100.0 * rows.end()) / 100.0, travel.seconds
+        # rounded up like the times of keyframes, which are hundredths of a second
+        start, seconds = np.ceil(100.0 * samples.end()) / 100.0, travel.seconds
         fraction = np.linspace(0.0, 1.0, max(2, int(np.ceil(seconds / TRAVEL_STEP_S)) + 1))
         values = travel.start + fraction * (travel.end - travel.start)
         segments = (SETUP_SEGMENT,) * len(fraction)
         motion = _MotionSamples(start + fraction * seconds, q, segments, axis_values={name: values})
-        _append_rows(rows, index, motion)
-        rows.present_values = {**rows.present_values, name: travel.end}
-        rows.travel += seconds
+        _append_samples(samples, index, motion)
+        samples.present_values = {**samples.present_values, name: travel.end}
+        samples.travel += seconds
 
 
 def _add_approach_or_retreat(
-    rows: _KeyframeRows, problem: Problem, index: int, homing: _HomingMotion, joints: dict[str, FloatArray]
+    samples: _SampleLists, problem: Problem, index: int, homing: _HomingMotion, joints: dict[str, FloatArray]
 ) -> dict[str, FloatArray]:
     """Add the approach or retreat of the arms, one group after the other, at a moderate speed.
 
-    Arms of one group move together, and the slowest determines the time between points.
+    Arms of one group move together, and the slowest one determines the time between waypoints.
+
+    Returns:
+        Joint angles {arm: (6,)} [rad] of all arms afterwards.
     """
     paths = homing.paths
     for group in homing.groups:
@@ -637,41 +658,45 @@ def _add_approach_or_retreat(
         if not group_paths:
             continue
         group_paths = {name: np.concatenate([joints[name][None], path]) for name, path in group_paths.items()}
-        steps = []
+        durations = []
         for name, path in group_paths.items():
             robot = problem.cell.arm(name).data
-            steps.append(
+            durations.append(
                 np.max(np.abs(np.diff(path, axis=0)) / (ENTRY_SPEED_FRACTION * robot.velocity), axis=1)
             )
-        time = rows.end() + np.concatenate([[0.0], np.cumsum(np.max(steps, axis=0))])
+        time = samples.end() + np.concatenate([[0.0], np.cumsum(np.max(durations, axis=0))])
         q = {**{a: q[None] for a, q in joints.items()}, **group_paths}
-        _append_rows(rows, index, _MotionSamples(time, q, (homing.segment,) * len(time)))
+        _append_samples(samples, index, _MotionSamples(time, q, (homing.segment,) * len(time)))
         joints = {**joints, **{name: path[-1] for name, path in group_paths.items()}}
     return joints
 
 
 def _add_operation(
-    rows: _KeyframeRows,
+    samples: _SampleLists,
     setup: Setup,
     plan: Plan,
     index: int,
     operation: OperationPlan,
     joints: dict[str, FloatArray],
 ) -> dict[str, FloatArray]:
+    """Add the motion of an operation from its first to its last target, with its stops.
+
+    Arms without targets stay at ``joints`` {arm: (6,)} [rad]. Returns the joints of all arms afterwards.
+    """
     targets = operation.targets
-    time = operation.time - operation.time[0] + rows.end()
-    rows.starts.append(rows.end())
+    time = operation.time - operation.time[0] + samples.end()
+    samples.starts.append(samples.end())
     q = {**{a: v[None] for a, v in joints.items()}, **operation.q}
     for action in targets.actions:
         text = action.text or {"on": f"{action.signal} on", "off": f"{action.signal} off"}.get(
             action.kind, ""
         )
         text = text or f"wait {action.seconds:g} s"
-        rows.stops.append((float(time[action.target]), text))
+        samples.stops.append((float(time[action.target]), text))
     wire = edge_in_world(setup, plan, operation)
-    _append_rows(rows, index, _MotionSamples(time, q, targets.segment, wire, targets.track_positions))
-    rows.present_values = {
-        **rows.present_values,
+    _append_samples(samples, index, _MotionSamples(time, q, targets.segment, wire, targets.track_positions))
+    samples.present_values = {
+        **samples.present_values,
         **{arm: float(values[-1]) for arm, values in targets.track_positions.items()},
     }
     return {**joints, **{arm: operation.q[arm][-1] for arm in operation.q}}
@@ -689,6 +714,7 @@ def edge_in_world(setup: Setup, plan: Plan, operation: OperationPlan) -> FloatAr
     if targets.flexible_tool is None:
         return None
     points = targets.flexible_tool.points
+    # resample the wire linearly at evenly spaced fractional indices
     at = np.linspace(0.0, points.shape[1] - 1.0, WIRE_POINTS)
     low = np.minimum(at.astype(int), points.shape[1] - 2)
     fraction = (at - low)[:, None]
@@ -703,94 +729,106 @@ def edge_in_world(setup: Setup, plan: Plan, operation: OperationPlan) -> FloatAr
     return np.asarray(np.einsum("nij,npj->npi", pose[:, :3, :3], points) + pose[:, None, :3, 3])
 
 
-def _append_rows(rows: _KeyframeRows, index: int, motion: _MotionSamples) -> None:
-    """Append the keyframes of a motion in the operation ``index``."""
+def _append_samples(samples: _SampleLists, index: int, motion: _MotionSamples) -> None:
+    """Append the samples of a motion in the operation ``index``. Other external axes keep their values."""
     count, q = len(motion.time), motion.q
-    for name, values in rows.axis_values.items():
-        values.append(np.broadcast_to(motion.axis_values.get(name, rows.present_values[name]), (count,)))
-    rows.time.append(motion.time)
-    for arm, gathered in rows.q.items():
+    for name, values in samples.axis_values.items():
+        values.append(np.broadcast_to(motion.axis_values.get(name, samples.present_values[name]), (count,)))
+    samples.time.append(motion.time)
+    for arm, gathered in samples.q.items():
         gathered.append(np.broadcast_to(q[arm], (count, q[arm].shape[-1])))
-    rows.wire.append(np.full((count, WIRE_POINTS, 3), np.nan) if motion.wire is None else motion.wire)
-    rows.segment += list(motion.segment)
-    rows.operation += [index] * count
+    samples.wire.append(np.full((count, WIRE_POINTS, 3), np.nan) if motion.wire is None else motion.wire)
+    samples.segment += list(motion.segment)
+    samples.operation += [index] * count
 
 
 def _keyframe_times(time: FloatArray, segments: Sequence[Segment], keys: int) -> FloatArray:
-    """Choose keyframe times: most at equal steps, the rest at fast rows outside the work."""
+    """Choose times of keyframes from those of samples (S,) [s], rounded to hundredths of a second.
+
+    Six tenths are evenly spaced. The others are times of samples: outside the work, which is fast, at the
+    start and end of the work, and in changes of setup.
+    """
     even = np.linspace(time[0], time[-1], max(2, int(0.6 * keys)))
     working = np.array([segment.works for segment in segments])
-    still = np.array([segment == SETUP_SEGMENT for segment in segments])
+    is_pause = np.array([segment == SETUP_SEGMENT for segment in segments])
     change = np.flatnonzero(working[1:] != working[:-1])
-    rest = np.flatnonzero(~working)
-    rest = rest[:: max(1, -(-len(rest) // max(1, int(0.35 * keys))))]
-    rows = np.concatenate([rest, change, change + 1, np.flatnonzero(still)])
-    return np.unique(np.round(np.concatenate([even, time[rows]]), 2))
+    outside_work = np.flatnonzero(~working)
+    outside_work = outside_work[:: max(1, -(-len(outside_work) // max(1, int(0.35 * keys))))]
+    sample_indices = np.concatenate([outside_work, change, change + 1, np.flatnonzero(is_pause)])
+    return np.unique(np.round(np.concatenate([even, time[sample_indices]]), 2))
 
 
 def _interpolate_keyframes(
-    rows: _KeyframeRows, time: FloatArray, pick: FloatArray, problem: Problem, plan: Plan
+    samples: _SampleLists, sampled: FloatArray, times: FloatArray, problem: Problem, plan: Plan
 ) -> Keyframes:
-    right = np.clip(np.searchsorted(time, pick, side="right"), 1, max(len(time) - 1, 1))
-    right = np.minimum(right, len(time) - 1)
-    left = np.maximum(right - 1, 0)
-    gap = time[right] - time[left]
-    fraction = np.clip(np.where(gap > 0, (pick - time[left]) / np.where(gap > 0, gap, 1.0), 0.0), 0.0, 1.0)
+    """Interpolate the samples, taken at times ``sampled`` (S,) [s], at the ``times`` (T,) [s] of keyframes.
+
+    Segment and operation are those of the later sample, except at the time of a sample.
+    """
+    later = np.clip(np.searchsorted(sampled, times, side="right"), 1, max(len(sampled) - 1, 1))
+    later = np.minimum(later, len(sampled) - 1)
+    earlier = np.maximum(later - 1, 0)
+    gap = sampled[later] - sampled[earlier]
+    fraction = np.where(gap > 0, (times - sampled[earlier]) / np.where(gap > 0, gap, 1.0), 0.0)
+    fraction = np.clip(fraction, 0.0, 1.0)
 
     def interpolate(values: FloatArray) -> FloatArray:
+        """Interpolate values (S, ...) of the samples at the keyframes."""
         weight = fraction.reshape(-1, *(1,) * (values.ndim - 1))
-        return np.asarray(values[left] * (1.0 - weight) + values[right] * weight)
+        return np.asarray(values[earlier] * (1.0 - weight) + values[later] * weight)
 
-    q = {arm: interpolate(np.concatenate(parts)) for arm, parts in rows.q.items()}
-    nearest = np.where(fraction > 1e-9, right, left)
-    segments = tuple(rows.segment[i] for i in nearest)
-    operation = np.array(rows.operation)[nearest]
+    q = {arm: interpolate(np.concatenate(parts)) for arm, parts in samples.q.items()}
+    sample_index = np.where(fraction > 1e-9, later, earlier)
+    segments = tuple(samples.segment[i] for i in sample_index)
+    operation = np.array(samples.operation)[sample_index]
     index = np.array([setup_index(problem, i) for i in range(len(plan.operations))] or [0])
     setup = index[operation]
-    block = np.empty((len(pick), 4, 4))
+    block = np.empty((len(times), 4, 4))
     for k in np.unique(setup):
         in_setup = setup == k
-        held = {arm: values[in_setup] for arm, values in q.items()}
-        block[in_setup] = block_pose(problem.setups[k], plan.stock_poses[k], plan.bases, held)
-    axis_values = {name: interpolate(np.concatenate(parts)) for name, parts in rows.axis_values.items()}
+        joints = {arm: values[in_setup] for arm, values in q.items()}
+        block[in_setup] = block_pose(problem.setups[k], plan.stock_poses[k], plan.bases, joints)
+    axis_values = {name: interpolate(np.concatenate(parts)) for name, parts in samples.axis_values.items()}
     table = problem.cell.turntable
     if table is not None:
         setup_values = [problem.setups[k].stock.axis_values for k in setup]
-        present_values = [{name: axis_values[name][k] for name in table.axes} for k in range(len(pick))]
-        both = zip(block, present_values, setup_values, strict=True)
-        block = np.stack([table.move_pose(pose, target_values, at) for pose, target_values, at in both])
-    wire = interpolate(np.concatenate(rows.wire))
+        present_values = [{name: axis_values[name][k] for name in table.axes} for k in range(len(times))]
+        moves = zip(block, present_values, setup_values, strict=True)
+        block = np.stack([table.move_pose(pose, values, reference) for pose, values, reference in moves])
+    wire = interpolate(np.concatenate(samples.wire))
     shown = np.asarray(np.isfinite(wire).all(axis=(1, 2)), dtype=np.bool_)
     keyframes = Keyframes(
-        time=pick,
+        time=times,
         q=q,
         segment=segments,
         setup=setup,
         block=block,
         wire=None,
-        shown=np.zeros(len(pick), dtype=bool),
+        shown=np.zeros(len(times), dtype=bool),
         wire_radius=0.0,
-        stops=tuple(rows.stops),
+        stops=tuple(samples.stops),
         sweeps=(),
         axis_values=axis_values,
-        travel=rows.travel,
+        travel=samples.travel,
         operation=operation,
-        starts=tuple(rows.starts),
+        starts=tuple(samples.starts),
     )
     keyframes = dataclasses.replace(keyframes, sweeps=_wire_sweeps(problem, plan, keyframes, wire))
-    edges = [op.targets.flexible_tool for op in plan.operations if op.targets.flexible_tool is not None]
-    if not edges or not shown.any():
+    wires = [op.targets.flexible_tool for op in plan.operations if op.targets.flexible_tool is not None]
+    if not wires or not shown.any():
         return keyframes
     # A hidden wire waits where it is shown next or was shown last, so that nothing flies in.
     seen = np.flatnonzero(shown)
-    wire = wire[seen[np.clip(np.searchsorted(seen, np.arange(len(pick))), 0, len(seen) - 1)]]
-    return dataclasses.replace(keyframes, wire=wire, shown=shown, wire_radius=edges[0].radius)
+    wire = wire[seen[np.clip(np.searchsorted(seen, np.arange(len(times))), 0, len(seen) - 1)]]
+    return dataclasses.replace(keyframes, wire=wire, shown=shown, wire_radius=wires[0].radius)
 
 
 def _wire_sweeps(
     problem: Problem, plan: Plan, keyframes: Keyframes, wire: FloatArray
 ) -> tuple[DrawnSweep, ...]:
-    """Return the sweep of each run of cutting keyframes, with the keyframe before it.
+    """Return the surface that the wire or mill sweeps in each run of cutting keyframes.
+
+    A run includes the keyframe before it, at which its first motion starts.
 
     Args:
         problem: Problem.
@@ -798,11 +836,11 @@ def _wire_sweeps(
         keyframes: Keyframes, still without wire and sweeps.
         wire: Wire between the arms in the world (T, P, 3) [m], NaN where no wire joins them.
     """
-    cutting = np.array([segment.kind == "cut" for segment in keyframes.segment])
+    is_cutting = np.array([segment.kind == "cut" for segment in keyframes.segment])
     out = []
     for index, operation_plan in enumerate(plan.operations):
-        cutting_rows = np.flatnonzero(cutting & (keyframes.operation == index))
-        for run in np.split(cutting_rows, np.flatnonzero(np.diff(cutting_rows) > 1) + 1):
+        cutting_keyframes = np.flatnonzero(is_cutting & (keyframes.operation == index))
+        for run in np.split(cutting_keyframes, np.flatnonzero(np.diff(cutting_keyframes) > 1) + 1):
             if not len(run):
                 continue
             keys = np.concatenate([[max(run[0] - 1, 0)], run]) if run[0] > 0 else run
@@ -814,11 +852,11 @@ def _wire_sweeps(
             elif arm is not None:
                 joints = {name: values[keys] for name, values in keyframes.q.items()}
                 stock_pose = plan.stock_poses[setup.number - 1]
-                own_bases = {
+                track_bases = {
                     name: track_base(setup.cell.arm(name), keyframes.axis_values[name][keys])
                     for name in operation_plan.targets.track_positions
                 }
-                points = wire_in_block(setup, arm, stock_pose, {**plan.bases, **own_bases}, joints)
+                points = wire_in_block(setup, arm, stock_pose, {**plan.bases, **track_bases}, joints)
             else:
                 continue
             out.append(DrawnSweep(setup.number - 1, keys, points))

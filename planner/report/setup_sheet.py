@@ -41,11 +41,11 @@ _CORNERS = (
     ("bottom corner −x +y", (0, 1, 0)),
     ("top corner −x −y", (0, 0, 1)),
 )
-"""Corners of the block to measure: name, and position along x, y, z."""
+"""Corners of the block to measure: name, and 0 or 1 for the lower or upper end along x, y and z."""
 
 
 def tool_table(setup: Setup, plan: Plan) -> Block:
-    """Tabulate the tool of each arm, its TCP on the flange, and the base in the world."""
+    """Tabulate tool, TCP on the flange and base in the world of each arm, and unconfirmed robot data."""
     rows, frames = [], []
     for arm in setup.cell.arms:
         robot = arm.data
@@ -54,20 +54,20 @@ def tool_table(setup: Setup, plan: Plan) -> Block:
         base = np.asarray(plan.bases.get(arm.name, arm.base))
         frames.append((f"{arm.name}: TCP on the flange", *pose_cells(arm.tool.tcp)))
         frames.append((f"{arm.name}: base in the world", *pose_cells(base)))
-    heads = ("arm", "robot", "controller", "tool", "mass [kg]", "centre of gravity on the flange [mm]")
-    tables = [markup.make_table(heads, rows), markup.make_table(("frame", *_POSE_COLUMNS), frames)]
-    doubts = [(arm.name, line) for arm in setup.cell.arms for line in arm.data.assumed]
-    tables.append(markup.make_table(("arm", "robot data: assumed or not confirmed"), doubts))
+    headings = ("arm", "robot", "controller", "tool", "mass [kg]", "centre of gravity on the flange [mm]")
+    tables = [markup.make_table(headings, rows), markup.make_table(("frame", *_POSE_COLUMNS), frames)]
+    assumptions = [(arm.name, line) for arm in setup.cell.arms for line in arm.data.assumed]
+    tables.append(markup.make_table(("arm", "robot data: assumed or not confirmed"), assumptions))
     return markup.BlockGroup(tuple(tables))
 
 
 def block_table(setup: Setup, plan: Plan, held: HoldsStock | None) -> FactsBlock:
-    """Tabulate size and pose of the block as found, and how an arm holds it.
+    """Tabulate size and pose of the block at the start of a setup, and its support or the arm that holds it.
 
     Args:
         setup: Setup.
         plan: Plan.
-        held: Claim on the held block, or None.
+        held: Claim with the load of a block that an arm holds, or None.
     """
     stock = setup.stock
     size = stock.upper - stock.lower
@@ -110,8 +110,8 @@ def block_table(setup: Setup, plan: Plan, held: HoldsStock | None) -> FactsBlock
     chosen = "the problem" if stock.place is not None else "the placement search"
     table = setup.cell.turntable
     if table is not None and stock.station is not None:
-        zero = table.move_pose(np.asarray(plan.stock_poses[setup.number - 1]), {}, stock.axis_values)
-        at, rotation, _ = pose_cells(zero)
+        pose_at_zero = table.move_pose(np.asarray(plan.stock_poses[setup.number - 1]), {}, stock.axis_values)
+        at, rotation, _ = pose_cells(pose_at_zero)
         items.append((f"clamp it with {table.unit} at 0 deg so that it is at x, y, z [mm]", at))
         items.append((f"roll, pitch, yaw with {table.unit} at 0 deg [deg]", rotation))
         if stock.tilt is not None:
@@ -130,30 +130,31 @@ def block_table(setup: Setup, plan: Plan, held: HoldsStock | None) -> FactsBlock
 
 
 def _axis_values_text(table: Turntable, stock: Stock) -> str:
-    """Return the values of the axes under a block, as text."""
-    words = (
+    """Return the values of the axes under a block in its setup, as text in degrees."""
+    values = (
         f"{axis.axis_name} {stock.axis_values[name] / DEG:g}".strip() for name, axis in table.axes.items()
     )
-    return f"{', '.join(words)} deg"
+    return f"{', '.join(values)} deg"
 
 
 def _support_text(setup: Setup, stock_pose: FloatArray) -> str:
-    """Return what supports the block, where a positioner's tilt is at 0."""
-    table, up = setup.cell.turntable, setup.with_zero_tilt
+    """Return what supports a block with this pose in its setup, with a positioner's tilt at 0, as text."""
+    table = setup.cell.turntable
+    upright = setup.with_zero_tilt
     if table is not None and setup.stock.axis_values:
-        stock_pose = table.move_pose(stock_pose, up.stock.axis_values, setup.stock.axis_values)
-    return support.support_note(up.cell, setup.stock, stock_pose)
+        stock_pose = table.move_pose(stock_pose, upright.stock.axis_values, setup.stock.axis_values)
+    return support.support_note(upright.cell, setup.stock, stock_pose)
 
 
 def _relative_to_bases(setup: Setup, plan: Plan) -> list[SetupRow]:
-    """Return the position of the block relative to each base: a bottom corner, and the edge direction."""
+    """Return a bottom corner of the block, and the angle of its edges, in the frame of each base."""
     stock, stock_pose = setup.stock, np.asarray(plan.stock_poses[setup.number - 1])
     out: list[SetupRow] = []
     for arm in setup.cell.arms:
         base = np.asarray(plan.bases.get(arm.name, arm.base))
-        seen = np.linalg.inv(base) @ stock_pose
-        corner = (seen @ np.append(stock.lower, 1.0))[:3]
-        along = seen[:2, 0] if np.linalg.norm(seen[:2, 0]) > 0.5 else seen[:2, 1]
+        in_base = np.linalg.inv(base) @ stock_pose
+        corner = (in_base @ np.append(stock.lower, 1.0))[:3]
+        along = in_base[:2, 0] if np.linalg.norm(in_base[:2, 0]) > 0.5 else in_base[:2, 1]
         angle = float(np.arctan2(along[1], along[0])) / DEG
         deviation = abs((angle + 45.0) % 90.0 - 45.0)
         edges = (
@@ -168,19 +169,19 @@ def _relative_to_bases(setup: Setup, plan: Plan) -> list[SetupRow]:
 
 
 def _grip_rows(stock: Stock) -> list[SetupRow]:
-    """Return the position of the middle of a gripper from two edges of the block's bottom face."""
-    middle = np.linalg.inv(stock.grip)
-    across = middle[:2, 3] - stock.lower[:2]
-    angle = float(np.arctan2(middle[1, 0], middle[0, 0])) / DEG
+    """Return the distances of a gripper's middle from two edges of the block's bottom face, and its angle."""
+    tcp_in_stock = np.linalg.inv(stock.grip)
+    from_edges = tcp_in_stock[:2, 3] - stock.lower[:2]
+    angle = float(np.arctan2(tcp_in_stock[1, 0], tcp_in_stock[0, 0])) / DEG
     rotation_text = (
         "parallel to the block" if abs(angle) < 1e-6 else f"rotated by {markup.fixed_decimals(angle, 1)} deg"
     )
-    x, y = (markup.fixed_decimals(float(v) / MM, 1) for v in across)
+    x, y = (markup.fixed_decimals(float(v) / MM, 1) for v in from_edges)
     edges = f"{x} mm from edge −x, {y} mm from edge −y"
-    by = "Tandem" if stock.grip_chosen else "the problem"
+    chooser = "Tandem" if stock.grip_chosen else "the problem"
     return [
         ("middle of the gripper on the block's bottom face", f"{edges}; {rotation_text}"),
-        ("grip chosen by", by),
+        ("grip chosen by", chooser),
     ]
 
 
@@ -190,7 +191,7 @@ def measured_points(setup: Setup, plan: Plan, operation: int) -> TableBlock:
     Args:
         setup: Setup.
         plan: Plan.
-        operation: Index of the operation.
+        operation: Index of the operation, whose arms are measured.
     """
     rows: list[tuple[Phrase, ...]] = []
     operation_plan = plan.operations[operation]
@@ -198,27 +199,28 @@ def measured_points(setup: Setup, plan: Plan, operation: int) -> TableBlock:
         if arm.name not in operation_plan.q:
             continue
         q = operation_plan.q[arm.name][0]
-        counted = operation_plan.commanded.get(arm.name, operation_plan.q[arm.name])[0]
-        angles = ", ".join(markup.fixed_decimals(float(v) / DEG, 3) for v in arm.data.to_controller(counted))
-        position, turn, _ = pose_cells(scene.flange_poses(arm, plan.bases, q) @ arm.tool.tcp)
+        joints = operation_plan.commanded.get(arm.name, operation_plan.q[arm.name])[0]
+        angles = ", ".join(markup.fixed_decimals(float(v) / DEG, 3) for v in arm.data.to_controller(joints))
+        position, rpy, _ = pose_cells(scene.flange_poses(arm, plan.bases, q) @ arm.tool.tcp)
         rows.append(
-            (f"{arm.name}: TCP at {operation_plan.targets.name(0)}, world", position, turn, angles, _FILL_IN)
+            (f"{arm.name}: TCP at {operation_plan.targets.name(0)}, world", position, rpy, angles, _FILL_IN)
         )
     stock = setup.stock
     ends = np.array([stock.lower, stock.upper])
     held = stock.held_by is not None
     frame = stock.grip if held else np.asarray(plan.stock_poses[setup.number - 1])
-    where = f"TCP frame of {stock.held_by}" if held else "world"
+    frame_name = f"TCP frame of {stock.held_by}" if held else "world"
     if setup.cell.turntable is not None and stock.station is not None:
-        where = f"world, {setup.cell.turntable.unit} at {_axis_values_text(setup.cell.turntable, stock)}"
+        frame_name = f"world, {setup.cell.turntable.unit} at {_axis_values_text(setup.cell.turntable, stock)}"
     for label, (i, j, k) in _CORNERS:
         corner = np.array([ends[i, 0], ends[j, 1], ends[k, 2], 1.0])
-        rows.append((f"block, {label}, {where}", point_text((frame @ corner)[:3]), "", "", _FILL_IN))
-    heads = ("what", *_POSE_COLUMNS[:2], "axes on the controller [deg]", "measured")
-    return markup.make_table(heads, rows)
+        rows.append((f"block, {label}, {frame_name}", point_text((frame @ corner)[:3]), "", "", _FILL_IN))
+    headings = ("what", *_POSE_COLUMNS[:2], "axes on the controller [deg]", "measured")
+    return markup.make_table(headings, rows)
 
 
 def _size(size: FloatArray) -> str:
+    """Format the edges (3,) [m] of a block in millimetres."""
     return " × ".join(markup.fixed_decimals(float(v) / MM, 1) for v in size)
 
 
@@ -227,43 +229,46 @@ _CHECK_COLUMNS = ("controller", "what", "required", "done")
 
 
 def controller_checks(problem: Problem, plan: Plan) -> TableBlock:
-    """Return a table to tick off, for each controller of the arms that take part."""
+    """Return a table of checks to tick off, for each controller of the arms that take part.
+
+    Arms of one language are at one controller, unless controllers are synchronised by handshake.
+    """
     used = {name for operation in plan.operations for name in operation.targets.arms}
     arms = [arm for arm in problem.cell.arms if arm.name in used]
-    alone = problem.cell.controller.sync == "handshake"
-    joined = alone and len(arms) > 1
+    separate = problem.cell.controller.sync == "handshake"
+    joined = separate and len(arms) > 1
     controllers = [
-        (language, arms_of_controller)
-        for language, together in reports_by_language(arms)
-        for arms_of_controller in ([(arm,) for arm in together] if alone else [together])
+        (language, group)
+        for language, language_arms in reports_by_language(arms)
+        for group in ([(arm,) for arm in language_arms] if separate else [language_arms])
     ]
     controllers.sort(key=lambda controller: arms.index(controller[1][0]))
     rows = [
         row
-        for language, arms_of_controller in controllers
-        for row in _check_rows(
-            arms_of_controller, language.checks(ControllerSetup(problem, plan, arms_of_controller, joined))
-        )
+        for language, group in controllers
+        for row in _check_rows(group, language.checks(ControllerSetup(problem, plan, group, joined)))
     ]
-    if alone and not joined:
-        rest = ", ".join(arm.name for arm in problem.cell.arms if arm.name not in used)
-        what = "is at home with its program stopped: this job does not monitor it"
-        rows += [row for arm in arms if rest for row in _check_rows([arm], [(f"{rest} meanwhile", what)])]
+    if separate and not joined:
+        idle = ", ".join(arm.name for arm in problem.cell.arms if arm.name not in used)
+        requirement = "is at home with its program stopped: this job does not monitor it"
+        rows += [
+            row for arm in arms if idle for row in _check_rows([arm], [(f"{idle} meanwhile", requirement)])
+        ]
     if joined:
         rows += _check_rows(arms, _wire_checks(problem, plan, arms))
-    for language, arms_of_controller in controllers:
-        rows += [row for arm in arms_of_controller for row in _check_rows([arm], _sag_checks(arm, language))]
+    for language, group in controllers:
+        rows += [row for arm in group for row in _check_rows([arm], _sag_checks(arm, language))]
     return markup.make_table(_CHECK_COLUMNS, rows)
 
 
 def _check_rows(arms: Sequence[Arm], checks: Sequence[ControllerCheck]) -> list[tuple[Phrase, ...]]:
-    """Return rows of the table for the controllers of some arms."""
+    """Return rows of the table: controllers of the arms, what to check, required state, and a blank."""
     names = ", ".join(arm.name for arm in arms)
-    return [(names, what, how, _FILL_IN) for what, how in checks]
+    return [(names, what, required, _FILL_IN) for what, required in checks]
 
 
 def _sag_checks(arm: Arm, language: ReportOfLanguage) -> list[ControllerCheck]:
-    """Return what compensates the sag of an arm, which must be only one, and with which values."""
+    """Return whether program or controller compensates the sag of an arm (never both), and its stiffness."""
     if arm.sag is None or arm.stiffness is None:
         return []
     compensation_name = language.load_compensation
@@ -277,7 +282,7 @@ def _sag_checks(arm: Arm, language: ReportOfLanguage) -> list[ControllerCheck]:
 
 
 def _wire_checks(problem: Problem, plan: Plan, arms: Sequence[Arm]) -> list[ControllerCheck]:
-    """Return each wire between two controllers, and how it is tested."""
+    """Return a check for each signal wire between two controllers, with the way to test it."""
     names = [arm.name for arm in arms]
     handshake = problem.cell.controller.handshake
     out = [
@@ -285,15 +290,11 @@ def _wire_checks(problem: Problem, plan: Plan, arms: Sequence[Arm]) -> list[Cont
         for wire in handshake.meeting_wires(names)
     ]
     for wire in handshake.running_wires(names):
-        falls = (
-            " and its power switches off"
-            if power_signals(problem, plan, [problem.cell.arm(wire.sink)])
-            else ""
-        )
-        what = (
-            f"unplug while both programs run: arm {wire.sink} stops at once{falls}, then arm {wire.source} "
-        )
-        out.append((f"running wire: {_wire_text(wire)}", f"{what}stops too"))
+        has_power = power_signals(problem, plan, [problem.cell.arm(wire.sink)])
+        power_text = " and its power switches off" if has_power else ""
+        test = f"unplug while both programs run: arm {wire.sink} stops at once{power_text}, "
+        test += f"then arm {wire.source} stops too"
+        out.append((f"running wire: {_wire_text(wire)}", test))
     return out
 
 
@@ -313,7 +314,7 @@ _STOP_WORDS = {
 
 
 def build_sheet(problem: Problem, plan: Plan, proof: Proof | None = None) -> markup.BlockGroup:
-    """Return the whole setup sheet of a plan, with a part for each setup.
+    """Return the whole setup sheet of a plan, with a part for each setup that has a planned operation.
 
     Args:
         problem: Problem.
@@ -345,14 +346,15 @@ def build_sheet(problem: Problem, plan: Plan, proof: Proof | None = None) -> mar
 
 
 def _steps(setup: Setup) -> Block:
-    """Return what the operator does, and what the program then asks."""
+    """Return the operator's steps at the start of a setup, and the question that the program then asks."""
     question = markup.JoinedPhrases(("The program asks: ", markup.Bold(setup.confirmation)))
     return markup.BlockGroup((markup.StepsBlock(tuple(setup.steps)), markup.Paragraph(question)))
 
 
 def _held_stock_claim(setup: Setup, plan: Plan) -> HoldsStock | None:
-    """Return the claim about a held block that the controller needs, None if no arm holds a block."""
+    """Return the first claim in a setup with the load of a block that an arm holds, or None."""
     for index in setup.operations:
+        # a plan that failed has fewer operations than the problem
         for claim in plan.operations[index].targets.claims if index < len(plan.operations) else ():
             if isinstance(claim, HoldsStock):
                 return claim
@@ -362,23 +364,25 @@ def _held_stock_claim(setup: Setup, plan: Plan) -> HoldsStock | None:
 def _work_facts(
     problem: Problem, setup: Setup, plan: Plan, operation: OperationPlan, proof: Proof | None
 ) -> FactsBlock:
+    """Return facts about an operation: from its process and exhibits, signals, waits, and programs."""
     targets = operation.targets
     items: list[SetupRow] = []
     for process in process_reports(problem):
         items += process.setup_rows(setup, plan, operation, proof)
     items += exhibits.setup_items(targets.exhibits)
-    signals = dict.fromkeys(a.signal for a in targets.actions if a.signal)
-    items += (
-        [("signals", _comma_separated([markup.CodePhrase(signal) for signal in signals]))] if signals else []
-    )
-    waits = sum(a.seconds for a in targets.actions)
-    items += [("total waiting time", f"{markup.fixed_decimals(waits, 1)} s")] if waits else []
+    signals = dict.fromkeys(action.signal for action in targets.actions if action.signal)
+    if signals:
+        items.append(("signals", _comma_separated([markup.CodePhrase(signal) for signal in signals])))
+    waiting_time = sum(action.seconds for action in targets.actions)
+    if waiting_time:
+        items.append(("total waiting time", f"{markup.fixed_decimals(waiting_time, 1)} s"))
     for language, arms in reports_by_language(problem.cell.arms):
         items += language.programs(problem, arms)
     return FactsBlock((*items, *_wire_rows(problem)))
 
 
 def _comma_separated(phrases: Sequence[Phrase]) -> Phrase:
+    """Join phrases with commas between them."""
     return markup.JoinedPhrases(tuple(part for phrase in phrases for part in (", ", phrase))[1:])
 
 
@@ -393,11 +397,12 @@ def _wire_rows(problem: Problem) -> list[SetupRow]:
 
 
 def _stop_table(operation: OperationPlan, start: float) -> Block:
+    """Tabulate the actions of an operation, whose clock starts at ``start`` [s] of the motion time."""
     rows: list[tuple[Phrase, ...]] = []
     for action in operation.targets.actions:
-        what = action.text or action.signal or (f"{action.seconds:g} s" if action.kind == "wait" else "")
+        detail = action.text or action.signal or (f"{action.seconds:g} s" if action.kind == "wait" else "")
         time = markup.fixed_decimals(float(operation.time[action.target]) + start, 1)
-        rows.append((time, operation.targets.name(action.target), _STOP_WORDS[action.kind], what))
+        rows.append((time, operation.targets.name(action.target), _STOP_WORDS[action.kind], detail))
     if not rows:
         return markup.Paragraph("none")
     return markup.make_table(("motion time [s]", "at target", "", "what"), rows)

@@ -39,7 +39,8 @@ def time_bar(name: str, run: Keyframes, clock: Clock = (), motion_time: float | 
         name: Name of the problem.
         run: Keyframes.
         clock: Mapping from the clock of the programs.
-        motion_time: Motion time that the report states [s]. Then the bar states the parts of its time.
+        motion_time: Motion time that the report states [s]. If stated, the bar splits its own time into this
+            time and the rest.
     """
     time = run.time - run.time[0]
     end = float(max(time[-1], 1e-3))
@@ -51,9 +52,10 @@ def time_bar(name: str, run: Keyframes, clock: Clock = (), motion_time: float | 
         "clock": [(round(a, 3), round(b, 3)) for a, b in clock],
         "stops": [(round(at - float(run.time[0]), 3), text) for at, text in run.stops],
     }
-    best = min((1, 2, 4, 8, 16, 32), key=lambda v: abs(np.log(end / v / 45.0)))
+    # the speed that plays the replay in about 45 s
+    first_speed = min((1, 2, 4, 8, 16, 32), key=lambda v: abs(np.log(end / v / 45.0)))
     options = "".join(
-        f'<option value="{v}"{" selected" if v == best else ""}>{v:g} ×</option>'
+        f'<option value="{v}"{" selected" if v == first_speed else ""}>{v:g} ×</option>'
         for v in (0.5, 1, 2, 4, 8, 16, 32)
     )
     return (
@@ -71,23 +73,23 @@ def time_bar(name: str, run: Keyframes, clock: Clock = (), motion_time: float | 
 
 
 def embed_json(name: str, data: Any) -> str:
-    """Embed data that a script of the page reads by an id."""
+    """Return the HTML of data that a script of the page reads by the id ``name``."""
     packed = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     return f"<script type='application/json' id='{name}'>{packed}</script>"
 
 
 def _time_parts(end: float, run: Keyframes, motion_time: float | None) -> str:
-    """State the parts of the time ``end`` [s] of a replay.
+    """Return the parts of the duration ``end`` [s] of a replay as text, or nothing without a rest.
 
-    The report's ``motion_time`` [s] is one of them.
+    They are the report's ``motion_time`` [s], the travel of external axes, and the rest.
     """
     if motion_time is None or end - motion_time < 0.05:
         return ""
-    rest = "approach and retreat"
-    rest += " and changes of setup" if SETUP_SEGMENT in run.segment else ""
+    rest_name = "approach and retreat"
+    rest_name += " and changes of setup" if SETUP_SEGMENT in run.segment else ""
     travel = f"{_format_clock(run.travel)} {TRAVEL_TIME}, " if run.travel else ""
-    left = end - motion_time - run.travel
-    return f": {_format_clock(motion_time)} {MOTION_TIME}, {travel}{_format_clock(left)} {rest}"
+    rest_time = end - motion_time - run.travel
+    return f": {_format_clock(motion_time)} {MOTION_TIME}, {travel}{_format_clock(rest_time)} {rest_name}"
 
 
 def _format_clock(seconds: float) -> str:
@@ -97,7 +99,7 @@ def _format_clock(seconds: float) -> str:
 
 
 def replay_clock(run: Keyframes, time: FloatArray, labels: Sequence[str]) -> Clock:
-    """Map the clock of the programs to that of the replay.
+    """Return corresponding times of the programs and of the replay.
 
     Segments with the same label start and end together in both, and so does the whole. The replay shows
     approach and retreat at its own speed, so the clocks differ by more than an offset.
@@ -106,16 +108,21 @@ def replay_clock(run: Keyframes, time: FloatArray, labels: Sequence[str]) -> Clo
         run: Keyframes.
         time: Times of the programs (S,) [s].
         labels: Keys of segments (S,).
+
+    Returns:
+        Pairs of times [s]. Empty if no segment is in both.
     """
-    shown = [
+    remaining_runs = [
         (shown_segment, a, b) for a, b, shown_segment, _ in _segment_runs(run.time - run.time[0], run.segment)
     ]
     out: list[tuple[float, float]] = []
     for label, first, last in _label_runs(labels):
-        index = next((i for i, shown_segment in enumerate(shown) if shown_segment[0].key == label), None)
+        index = next(
+            (i for i, shown_segment in enumerate(remaining_runs) if shown_segment[0].key == label), None
+        )
         if index is not None:
-            _, start, end = shown[index]
-            shown = shown[index + 1 :]
+            _, start, end = remaining_runs[index]
+            remaining_runs = remaining_runs[index + 1 :]
             out += [(float(time[max(first - 1, 0)]), start), (float(time[last]), end)]
     if not out:
         return ()
@@ -123,7 +130,7 @@ def replay_clock(run: Keyframes, time: FloatArray, labels: Sequence[str]) -> Clo
 
 
 def _label_runs(labels: Sequence[str]) -> list[tuple[str, int, int]]:
-    """Return runs of equal labels: label, first and last index."""
+    """Return label, first and last index of each run of equal labels."""
     edges = [i for i in range(1, len(labels)) if labels[i] != labels[i - 1]]
     return [
         (str(labels[a]), a, b - 1)
@@ -133,9 +140,9 @@ def _label_runs(labels: Sequence[str]) -> list[tuple[str, int, int]]:
 
 
 def _segment_runs(time: np.ndarray, segments: tuple[Segment, ...]) -> list[tuple[float, float, Segment, str]]:
-    """Return runs of one segment: start, end, segment, colour.
+    """Return start, end [s], segment and colour of each run of keyframes with the same segment.
 
-    A segment belongs to the path to its keyframe.
+    A segment belongs to the path to its keyframe, so that a run starts at the keyframe before it.
     """
     out: list[tuple[float, float, Segment, str]] = []
     for i in range(1, len(segments)):

@@ -1,8 +1,8 @@
 """Executors: submit a call of a generator function to this process or to another one.
 
-Planning and proof accept an :class:`Executor` as ``executor``. They submit independent work, continue, and
-iterate over the returned items later. The items are the same whatever the executor is: an executor changes
-how long a computation takes, but never its result.
+Planning and proof accept an :class:`Executor` as ``executor``. They submit independent calls, continue, and
+iterate over the items that these calls yield later. An executor changes how long a computation takes, but
+never its result.
 
 >>> items = executor.submit(clearances, model, q)  # starts at once if the executor is parallel
 >>> other_work()
@@ -16,13 +16,14 @@ Item = TypeVar("Item")
 
 
 class Executor(Protocol):
-    """Runs calls of generator functions."""
+    """Runs calls of generator functions, in this process or in parallel to it."""
 
     @property
     def parallel(self) -> bool:
-        """Whether submitted work runs while the caller continues.
+        """Whether submitted calls run while the caller continues.
 
-        If not, work runs only when its items are requested, so submitting optional work early saves nothing.
+        If not, a call runs only when its items are requested, so submitting optional work early saves
+        nothing.
         """
 
     def submit(self, work: Callable[..., Iterator[Item]], *arguments: Any) -> Iterator[Item]:
@@ -38,12 +39,12 @@ class Executor(Protocol):
 
 
 class SerialExecutor:
-    """Runs work in this process, when its items are requested."""
+    """Runs each call in this process, when its items are requested."""
 
     parallel: Final = False
 
     def submit(self, work: Callable[..., Iterator[Item]], *arguments: Any) -> Iterator[Item]:
-        """Return the generator itself, which runs as it is iterated over."""
+        """Return the generator of the call, which runs as the caller iterates over it."""
         return work(*arguments)
 
 

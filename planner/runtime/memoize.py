@@ -1,9 +1,10 @@
 """Memoization of pure functions in a cache that the caller provides.
 
-While a problem is edited, most values that follow from its meshes stay the same from edit to edit. The key
+While a user edits a problem, most values that follow from its meshes stay the same from edit to edit. The key
 of a value is the digest of the function's name, the package version and all arguments, with arrays byte by
-byte, so that different arguments never share a value. A function that reads anything else, such as a file,
-must take its content as an argument. Caching is opt-in (:func:`use_cache`): plans and proofs do not use it.
+byte, so that calls with different arguments never share a value. A function that reads anything else, such as
+a file, must take its content as an argument. Caching is opt-in (:func:`use_cache`): plans and proofs do not
+use it.
 """
 
 import dataclasses
@@ -34,11 +35,12 @@ class Cache(Protocol):
 
 
 _CACHE: Final[ContextVar[Cache | None]] = ContextVar("cache", default=None)
+"""Cache in use, or None."""
 
 
 @contextmanager
 def use_cache(cache: Cache | None) -> Iterator[None]:
-    """Let functions that are :func:`memoized` use ``cache`` inside the block."""
+    """Let :func:`memoized` functions use a cache inside the block; None disables caching."""
     token = _CACHE.set(cache)
     try:
         yield
@@ -47,14 +49,15 @@ def use_cache(cache: Cache | None) -> Iterator[None]:
 
 
 def memoized(function: Callable[P, T]) -> Callable[P, T]:
-    """Memoize a pure function while a cache is in use.
+    """Memoize a pure function while a cache is in use (:func:`use_cache`).
 
-    Arguments are those that :func:`digest` accepts. The function must not return None; exceptions are not
-    cached.
+    Its arguments must be of types that :func:`digest` accepts. The function must not return None. Exceptions
+    are not cached.
     """
 
     @functools.wraps(function)
     def cached(*args: P.args, **kwargs: P.kwargs) -> T:
+        """Return the cached value if there is one, else call the function and cache its value."""
         cache = _CACHE.get()
         if cache is None:
             return function(*args, **kwargs)
@@ -69,7 +72,10 @@ def memoized(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def digest(*values: Any) -> str:
-    """Return the SHA-256 of arrays, numbers, strings, and dataclasses, tuples, lists and mappings of them.
+    """Return the SHA-256 of values, as hexadecimal text.
+
+    Values are arrays, numbers, strings, None, members of enumerations, and dataclasses, tuples, lists and
+    mappings of them.
 
     Raises:
         TypeError: A value is of another type.
@@ -81,7 +87,10 @@ def digest(*values: Any) -> str:
 
 
 def _add(add: Callable[[bytes], None], value: Any) -> None:
-    """Add a value with its type and size, so that different lists of values never give the same bytes."""
+    """Pass a value as bytes to ``add``, such as the update function of a hash.
+
+    Its type and size are added, too, so that different lists of values never give the same bytes.
+    """
     if isinstance(value, np.ndarray) and value.dtype != object:
         add(f"array {value.dtype.str} {value.shape};".encode())
         add(np.ascontiguousarray(value).tobytes())

@@ -22,12 +22,11 @@ def mark_own_process() -> None:
 
 @contextmanager
 def gc_frozen() -> Iterator[None]:
-    """Create objects that live as long as the process, such as modules.
+    """Disable garbage collection in a block that creates permanent objects, such as modules.
 
-    The garbage collector is disabled inside the block, because it would scan the new objects again and again.
-    In the planner's own process (:func:`mark_own_process`) they are frozen at the end of the block: later
-    collections skip them, including those at exit. Together this saves a third of the time of imports and
-    exit.
+    The garbage collector would scan the new objects again and again. In the planner's own process
+    (:func:`mark_own_process`) they are frozen at the end of the block: later collections skip them, including
+    those at exit. Together this saves a third of the time of imports and exit.
     """
     enabled = gc.isenabled()
     gc.disable()
@@ -43,7 +42,7 @@ def gc_frozen() -> Iterator[None]:
 def release_memory() -> None:
     """Return free heap memory to the operating system.
 
-    Freed arrays of less than 32 MB leave holes in the heap, which the C library keeps otherwise
+    Otherwise the C library keeps the holes that freed arrays of less than 32 MB leave in the heap
     (malloc_trim(3), mallopt(3) on M_MMAP_THRESHOLD).
     """
     with suppress(AttributeError):  # a libc without malloc_trim
@@ -52,4 +51,5 @@ def release_memory() -> None:
 
 @functools.cache
 def _libc() -> Any:
+    """Load the C library of this process."""
     return ctypes.CDLL(None)

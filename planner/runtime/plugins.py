@@ -1,13 +1,13 @@
 """Plug-in points: manufacturing processes and robot languages.
 
-A plug-in is a value (:class:`Process` or :class:`Language`) that names its parts by references such as
-``"planner.processes.forming.plan.job:FormingJob"``. A reference is imported on first use. So a lower layer
-(the proof, the report) uses a part of a plug-in without importing the plug-in, and reading a problem
+A plug-in is an object (:class:`Process` or :class:`Language`) that names its parts by references such as
+``"planner.processes.forming.plan.job:FormingJob"``. A reference is imported on first use. A lower layer such
+as the proof can therefore use a part of a plug-in without an import statement for it, and reading a problem
 imports neither planner nor proof.
 
 Plug-ins of Tandem are listed in :data:`BUILT_IN`. Plug-ins of other packages are found by their entry
 points in the groups ``tandem.processes`` and ``tandem.languages``. The name of an entry point is the name
-of the plug-in, its object is a :class:`Process` or a :class:`Language`.
+of the plug-in. The object of an entry point is a :class:`Process` or a :class:`Language`.
 """
 
 import contextlib
@@ -20,12 +20,12 @@ from typing import Any, ClassVar, Final, TypeVar
 
 T = TypeVar("T")
 Reference = str
-"""A module and an object in it, ``"package.module:object"``."""
+"""Name of a module and of an object in it, ``"package.module:object"``."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Process:
-    """A manufacturing process. All members are references.
+    """A manufacturing process. All attributes are references; None stands for a part that it does not have.
 
     Attributes:
         schema: Schema of the operation, a pydantic model with the fields ``name``, ``process`` and ``arms``
@@ -36,8 +36,8 @@ class Process:
         proof: :class:`planner.proof.contribution.ProofOfProcess`: facts and rules.
         report: :class:`planner.report.plugin_contributions.ReportOfProcess`: key figures, charts and setup
             sheet.
-        wider: :data:`planner.reading.size_advice.RequiredWidening`: required increase of an opening that was
-            refused.
+        wider: :data:`planner.reading.size_advice.RequiredWidening`: function that returns how much larger an
+            opening must be that was refused.
     """
 
     GROUP: ClassVar[str] = "tandem.processes"
@@ -107,7 +107,7 @@ BUILT_IN: Final[Mapping[str, Mapping[str, Reference]]] = {
         "trajectories": "planner.languages.trajectories:LANGUAGE",
     },
 }
-"""Plug-ins of Tandem: reference by name, by group. Their order is the order of the plug-ins."""
+"""References of Tandem's plug-ins by name, for each group. Their order is the order of the plug-ins."""
 
 
 class PluginError(Exception):
@@ -120,8 +120,8 @@ class LoadedPlugin:
 
     Attributes:
         plugin: The plug-in, or None if it cannot be used.
-        owner: Its origin: "Tandem", or the name of a package.
-        fault: Why it cannot be used, a sentence without full stop.
+        owner: Origin of the plug-in: "Tandem", or the name of a package.
+        fault: Reason why it cannot be used, a sentence without full stop; "" if it can.
     """
 
     plugin: Any
@@ -130,11 +130,11 @@ class LoadedPlugin:
 
 
 def load(reference: Reference, kind: type[T]) -> T:
-    """Import the object of a reference.
+    """Import the object of a reference, and check its type.
 
     Args:
         reference: Module and object.
-        kind: Type of the object.
+        kind: Required type of the object.
 
     Raises:
         PluginError: The module cannot be imported, has no such object, or the object is of another type.
@@ -151,9 +151,10 @@ def load(reference: Reference, kind: type[T]) -> T:
 
 @functools.cache
 def installed(kind: type[Plugin]) -> Mapping[str, LoadedPlugin]:
-    """Find all plug-ins by name: Tandem's, then those of other packages in alphabetical order.
+    """Load all plug-ins of a kind, by name: Tandem's, then those of other packages in alphabetical order.
 
-    A plug-in of another package cannot be used if it cannot be imported, or if its name is taken.
+    A plug-in of another package that cannot be imported is present with a fault. If two plug-ins have the
+    same name, neither of them can be used.
 
     Args:
         kind: :class:`Process` or :class:`Language`.
@@ -168,28 +169,28 @@ def installed(kind: type[Plugin]) -> Mapping[str, LoadedPlugin]:
     ):
         owner = f"package {point.dist.name}" if point.dist is not None else point.value
         if point.name in plugins:
-            what = f"the {noun} {point.name!r} is claimed by {plugins[point.name].owner} and by {owner}"
+            message = f"the {noun} {point.name!r} is claimed by {plugins[point.name].owner} and by {owner}"
             hint = "uninstall one of them, or give its entry point another name"
-            plugins[point.name] = LoadedPlugin(None, plugins[point.name].owner, f"{what}; {hint}")
+            plugins[point.name] = LoadedPlugin(None, plugins[point.name].owner, f"{message}; {hint}")
             continue
         try:
             plugins[point.name] = LoadedPlugin(load(point.value.partition("[")[0].strip(), kind), owner)
         except PluginError as error:
-            what = f"the {noun} {point.name!r} of {owner} {error}"
+            message = f"the {noun} {point.name!r} of {owner} {error}"
             plugins[point.name] = LoadedPlugin(
-                None, owner, f"{what}; repair or uninstall {owner} ({point.value})"
+                None, owner, f"{message}; repair or uninstall {owner} ({point.value})"
             )
     return plugins
 
 
 def usable(kind: type[T]) -> dict[str, T]:
-    """Return the plug-ins that can be used, by name, in the order of :func:`installed`."""
+    """Return the plug-ins of a kind that can be used, by name, in the order of :func:`installed`."""
     all_plugins = installed(kind)  # type: ignore[arg-type]
     return {name: loaded.plugin for name, loaded in all_plugins.items() if loaded.plugin is not None}
 
 
 def language_of(family: str) -> Language | None:
-    """Return the language that controllers of a family read, or None if there is none."""
+    """Return the language that controllers of a robot family read, or None if there is none."""
     return next((language for language in usable(Language).values() if family in language.families), None)
 
 
@@ -199,56 +200,58 @@ def is_built_in(kind: type[Plugin], name: str) -> bool:
 
 
 def parts(kind: type[Plugin], member: str, part: type[T], names: frozenset[str] | None = None) -> Iterator[T]:
-    """Load one part of each plug-in that has it.
+    """Yield the part with a name of each plug-in that has such a part.
 
-    Two plug-ins may share a part. It is returned once.
+    A part that two plug-ins share is yielded once.
 
     Args:
         kind: :class:`Process` or :class:`Language`.
-        member: Name of the part, such as ``"proof"``.
-        part: Type of the part.
-        names: Plug-ins of other packages to include, by name. Tandem's are always included.
+        member: Attribute of the plug-in that refers to the part, such as ``"proof"``.
+        part: Required type of the part.
+        names: Names of the plug-ins of other packages to include, None for all. Tandem's are always included.
 
     Raises:
         PluginError: A part cannot be loaded.
     """
-    seen: set[Reference] = set()
+    yielded: set[Reference] = set()
     for name, plugin in usable(kind).items():
         reference = getattr(plugin, member)
         is_included = is_built_in(kind, name) or names is None or name in names
-        if reference is not None and reference not in seen and is_included:
-            seen.add(reference)
+        if reference is not None and reference not in yielded and is_included:
+            yielded.add(reference)
             yield part_of(kind, name, member, part)
 
 
 def part_of(kind: type[Plugin], name: str, member: str, part: type[T]) -> T:
-    """Load one part of a plug-in that has it.
+    """Load one part of a plug-in. The plug-in must be usable and must have such a part.
 
     Args:
         kind: :class:`Process` or :class:`Language`.
-        name: Name of a plug-in that can be used.
-        member: Name of the part, such as ``"proof"``.
-        part: Type of the part.
+        name: Name of the plug-in.
+        member: Attribute of the plug-in that refers to the part, such as ``"proof"``.
+        part: Required type of the part.
 
     Raises:
-        PluginError: The part cannot be loaded. Here the message is a sentence without full stop.
+        PluginError: The part cannot be loaded. The message is a sentence without full stop, not a clause.
     """
     loaded = installed(kind)[name]  # type: ignore[arg-type]
     try:
         return load(getattr(loaded.plugin, member), part)
     except PluginError as error:
-        what = f"the {member} of the {kind.__name__.lower()} {name!r} of {loaded.owner} {error}"
-        raise PluginError(f"{what}; repair or uninstall {loaded.owner}") from error
+        message = f"the {member} of the {kind.__name__.lower()} {name!r} of {loaded.owner} {error}"
+        raise PluginError(f"{message}; repair or uninstall {loaded.owner}") from error
 
 
 @functools.cache
 def loadable(kind: type[Plugin], member: str, part: type[T]) -> Mapping[str, T]:
-    """Load one part of every plug-in, by name, and leave out parts that are missing or cannot be loaded.
+    """Return the part with a name of every plug-in, by name of the plug-in.
+
+    Plug-ins without such a part, and parts that cannot be loaded, are left out.
 
     Args:
         kind: :class:`Process` or :class:`Language`.
-        member: Name of the part, such as ``"codes"``.
-        part: Type of the part.
+        member: Attribute of the plug-in that refers to the part, such as ``"codes"``.
+        part: Required type of the part.
     """
     out = {}
     for name, plugin in usable(kind).items():

@@ -1,9 +1,10 @@
 """A second process that runs calls of generator functions for its parent, one after the other.
 
 ``python -m planner.runtime.second_process PARENT WARM_UP`` reads pickled calls from standard input and writes
-the pickled items of each to standard output. Output of libraries goes to standard error instead. ``WARM_UP``
-is ``module:function``. The process calls this function first, for example to import heavy modules, so this
-module does not depend on the code that it runs. The process ends with its parent, however the parent ends.
+the pickled items of each call to standard output. Output of libraries goes to standard error instead.
+``PARENT`` is the process id of the parent. ``WARM_UP`` is ``module:function``. The process calls this
+function first, for example to import heavy modules, so this module does not depend on the code that it runs.
+The process ends with its parent, however the parent ends.
 """
 
 import ctypes
@@ -32,37 +33,40 @@ PR_SET_PDEATHSIG: Final = 1
 OOM_SCORE: Final = "500"
 """Score (oom_score_adj) that makes the kernel kill a worker before its parent when memory runs out."""
 SMALL_BYTES: Final = 1 << 16
-"""Arrays of fewer bytes are part of the pickle. Longer ones follow it without a copy."""
+"""Size [bytes] below which arrays are part of the pickle. Larger ones follow it without a copy."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Serve calls until standard input ends."""
+    """Serve calls until standard input ends. The arguments are the parent's process id and ``WARM_UP``."""
     parent, warm_up = arguments
     exit_with_parent(int(parent))
     mark_own_process()
     with os.fdopen(os.dup(1), "wb") as answers:
-        os.dup2(2, 1)
+        os.dup2(2, 1)  # whatever a library prints goes to standard error
         with gc_frozen():
             module, _, function = warm_up.partition(":")
             getattr(import_module(module), function)()
         while (order := _receive(sys.stdin.buffer)) is not None:
-            work, given = order
+            generator_function, call_arguments = order
             try:
-                parts = _pack((True, tuple(work(*given))))
+                parts = _pack((True, tuple(generator_function(*call_arguments))))
             except BaseException:  # Drake raises SystemExit; the parent repeats the call and gets the error
                 parts = _pack((False, ()))
-            del order, work, given
+            del order, generator_function, call_arguments  # release memory before the wait for the next call
             _send(answers, parts)
     return 0
 
 
 def exit_with_parent(parent: int) -> None:
-    """Ask the kernel to kill this process when its parent ends.
+    """Ask the kernel to kill this process when its parent ends, and before its parent if memory runs out.
 
     A thread that waits for the pipe to close would not run while a solver holds the interpreter.
 
     Args:
         parent: Process id of the parent. This process exits at once if the parent has ended already.
+
+    Raises:
+        OSError: The kernel refuses the request.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
@@ -81,9 +85,10 @@ def module_path() -> str:
 class SecondProcess:
     """An :class:`~planner.runtime.executor.Executor` that runs calls in a second process; a context manager.
 
-    The items are the same, bit by bit, as in this process. A call runs in this process instead, and raises
-    here, if it fails in the second process, if it cannot be pickled, if the second process was killed, or if
-    it has not started there when its items are requested. The same thread must enter and exit the context.
+    The items are the same, bit by bit, as in this process. A call runs in this process instead if it cannot
+    be pickled, if it has not started in the second process when its items are requested, if it fails there,
+    or if the second process was killed. Exceptions are therefore raised in this process. The same thread must
+    enter and exit the context.
     """
 
     parallel: Final = True
@@ -121,7 +126,7 @@ class SecondProcess:
         return self._items(self._thread.submit(self._call, parts), work, arguments)
 
     def _call(self, parts: Sequence[Any]) -> tuple[bool, tuple[Any, ...]]:
-        """Run a pickled call in the second process; whether it succeeded, and its items."""
+        """Run a pickled call in the second process, and return whether it succeeded, and its items."""
         if self._process.stdin is None or self._process.stdout is None:
             raise RuntimeError("the second process has no pipes")
         try:
@@ -135,8 +140,9 @@ class SecondProcess:
     def _items(
         pending: Future[tuple[bool, tuple[Any, ...]]], work: Callable[..., Iterator[Item]], arguments: Any
     ) -> Iterator[Item]:
-        done, items = (False, ()) if pending.cancel() else pending.result()
-        yield from items if done else work(*arguments)
+        """Yield the items of a call; run it in this process if it has not started, or has failed."""
+        succeeded, items = (False, ()) if pending.cancel() else pending.result()
+        yield from items if succeeded else work(*arguments)
 
 
 @contextmanager
@@ -160,19 +166,21 @@ def open_executor(processes: int, warm_up: str) -> Iterator[Executor]:
 
 
 def _pack(content: object) -> list[Any]:
-    """Pickle an object; its long arrays follow the pickle as buffers that are not copied."""
-    long: list[memoryview] = []
+    """Return the pickle of an object, followed by its large arrays as buffers that are not copied."""
+    large_arrays: list[memoryview] = []
 
     def in_band(buffer: pickle.PickleBuffer) -> bool:
+        """Return whether an array is part of the pickle; keep it otherwise."""
         raw = buffer.raw()
         if raw.nbytes >= SMALL_BYTES:
-            long.append(raw)
+            large_arrays.append(raw)
         return raw.nbytes < SMALL_BYTES
 
-    return [pickle.dumps(content, protocol=5, buffer_callback=in_band), *long]
+    return [pickle.dumps(content, protocol=5, buffer_callback=in_band), *large_arrays]
 
 
 def _send(stream: Any, parts: Sequence[Any]) -> None:
+    """Write a packed object: a line with the sizes of its parts [bytes], and the parts."""
     stream.write(json.dumps([len(part) for part in parts]).encode() + b"\n")
     for part in parts:
         stream.write(part)

@@ -268,6 +268,10 @@ def page(name: str, service: CurrentService) -> HTMLResponse:
 def _page(
     name: str, title: str, service: Any, status: int = 200, fault: str = "", **variables: str
 ) -> HTMLResponse:
+    """Render a page.
+
+    ``fault`` is an error message that the page shows, ``variables`` are further values of its template.
+    """
     text = TEMPLATES.get_template(f"{name}.html").render(
         title=title,
         page=name,
@@ -318,11 +322,11 @@ def create_app(service: Service) -> FastAPI:
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         del app
         service.start()
-        news = asyncio.create_task(service.hub.run())
+        event_task = asyncio.create_task(service.hub.run())
         try:
             yield
         finally:
-            news.cancel()
+            event_task.cancel()
             await asyncio.to_thread(service.close)
 
     app = FastAPI(
@@ -344,16 +348,16 @@ def create_app(service: Service) -> FastAPI:
         app.add_exception_handler(kind, _store_error)
     app.add_exception_handler(Exception, _internal_error)
     options = service.options
-    names = None if options.tokens_required else LOOPBACK | {options.host}
+    host_names = None if options.tokens_required else LOOPBACK | {options.host}
     app.add_middleware(HeadMiddleware)
     app.add_middleware(
-        RequestGuard, upload_mb=service.limits.upload_mb, open_hosts=names, closed=service.closed_refusal
+        RequestGuard, upload_mb=service.limits.upload_mb, open_hosts=host_names, closed=service.closed_refusal
     )
     all_routes = [*app.routes, *(route for router in ROUTERS for route in router.routes)]
     paths = [getattr(route, "path", "") for route in all_routes]
     app.add_middleware(metrics.MetricsMiddleware, routes=paths)
     app.add_middleware(logs.RequestLogMiddleware)
-    if options.tokens_required:  # without tokens, what a proxy passes on is refused
+    if options.tokens_required:  # without tokens, forwarded requests are refused
         app.add_middleware(ProxyHeadersMiddleware, trusted_hosts=list(options.trusted_proxies))
     app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
     return app
@@ -362,10 +366,8 @@ def create_app(service: Service) -> FastAPI:
 def _openapi(app: FastAPI) -> dict[str, Any]:
     """Return the OpenAPI document, with the schemas of problem files among its components."""
     if app.openapi_schema is None:
-        from planner.service.catalogue import (
-            OPENAPI_REFERENCE,
-            problem_schema,  # loads all processes
-        )
+        # Imported here, because it loads all processes.
+        from planner.service.catalogue import OPENAPI_REFERENCE, problem_schema
 
         document = get_openapi(
             title=app.title, version=app.version, description=app.description, routes=app.routes
@@ -374,15 +376,14 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
         for name in ("HTTPValidationError", "ValidationError"):  # no answer uses them
             document["components"]["schemas"].pop(name, None)
         refusal = {PROBLEM_JSON: {"schema": {"$ref": "#/components/schemas/Refusal"}}}
-        refusal_texts = [str(row["description"]) for row in REFUSALS.values()]
-        for path in document["paths"].values():
-            for method in path.values():
-                description = method["responses"].get("422", {}).get("description")
-                if (
-                    description != REFUSALS[422]["description"]
-                ):  # FastAPI adds 422 to every route with parameters
-                    method["responses"].pop("422", None)
-                for status, answer in method["responses"].items():
+        refusal_texts = [str(entry["description"]) for entry in REFUSALS.values()]
+        for path_item in document["paths"].values():
+            for operation in path_item.values():
+                description = operation["responses"].get("422", {}).get("description")
+                # FastAPI adds its own 422 to every route with parameters.
+                if description != REFUSALS[422]["description"]:
+                    operation["responses"].pop("422", None)
+                for status, answer in operation["responses"].items():
                     # refusals are problem documents, whatever the type of a successful answer
                     if (status[0] == "4" and status != "416") or answer["description"] in refusal_texts:
                         answer["content"] = refusal
@@ -398,18 +399,20 @@ async def _refused_error(request: Request, error: Exception) -> JSONResponse:
 
 
 async def _validation_error(request: Request, error: Exception) -> JSONResponse:
+    """Answer 422 with one issue for each request parameter that FastAPI rejected."""
     if not isinstance(error, RequestValidationError):
         raise error
     issues = []
-    for fault in error.errors():
-        field = ".".join(str(step) for step in fault["loc"][1:]) or "body"
-        got = "" if fault["type"] == "missing" else f", got {str(fault.get('input'))[:80]!r}"
-        message = f"{field}: {fault['msg']}{got}. Correct the value."
+    for error_entry in error.errors():
+        field = ".".join(str(part) for part in error_entry["loc"][1:]) or "body"
+        got = "" if error_entry["type"] == "missing" else f", got {str(error_entry.get('input'))[:80]!r}"
+        message = f"{field}: {error_entry['msg']}{got}. Correct the value."
         issues.append(Issue("service.request", message, field=field))
     return await _refused_error(request, RefusedError(422, issues))
 
 
 async def _http_error(request: Request, error: Exception) -> JSONResponse:
+    """Answer an error of the framework, such as 404 or 405, as a problem document."""
     if not isinstance(error, HTTPException):
         raise error
     headers = dict(error.headers or {})
@@ -433,6 +436,7 @@ async def _client_disconnected(request: Request, error: Exception) -> JSONRespon
 
 
 async def _store_error(request: Request, error: Exception) -> JSONResponse:
+    """Answer an error of the database or the disk: with its refusal if there is one, else with 500."""
     refused = refusal_of_error(error)
     if refused is None:
         return await _internal_error(request, error)
@@ -443,16 +447,18 @@ async def _store_error(request: Request, error: Exception) -> JSONResponse:
 
 
 async def _internal_error(request: Request, error: Exception) -> JSONResponse:
-    known = _request_fields(request)
-    LOG.error("%s %s failed", request.method, request.url.path, exc_info=error, extra=known)
+    request_fields = _request_fields(request)
+    LOG.error("%s %s failed", request.method, request.url.path, exc_info=error, extra=request_fields)
     issue = Issue("internal.error", "the service failed. Its log contains the details. Report this error.")
-    headers = {logs.HEADER: known["request"]} if known["request"] else {}  # bypasses the middleware
+    # This answer bypasses the middleware that adds the header.
+    headers = {logs.HEADER: request_fields["request"]} if request_fields["request"] else {}
     return await _refused_error(request, RefusedError(500, issue, headers))
 
 
 def _request_fields(request: Request) -> dict[str, Any]:
-    known = getattr(request.state, "request_id", None)
-    return {"request": known, "method": request.method, "path": request.url.path}
+    """Return the extra fields of a log record: request id, method and path."""
+    request_id = getattr(request.state, "request_id", None)
+    return {"request": request_id, "method": request.method, "path": request.url.path}
 
 
 STREAM_SHUTDOWN_S: Final = 3
@@ -481,10 +487,9 @@ def serve(
         except (OSError, ssl.SSLError) as error:
             message = f"certificate {certificate} with key {key}: cannot be used ({error}). Give PEM files."
             raise issue_error("service.start", message, field="certificate") from error
+    # Each connection needs a file descriptor, so the soft limit is raised to the hard limit.
     _, max_files = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(
-        resource.RLIMIT_NOFILE, (max_files, max_files)
-    )  # each connection needs a file descriptor
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max_files, max_files))
     service = Service(options, worker_pool_factory(options))
     config = uvicorn.Config(
         create_app(service),
@@ -528,9 +533,9 @@ def strip_query(record: logging.LogRecord) -> bool:
 
 
 class _Server(uvicorn.Server):
-    """Server that ends event streams and uploads in progress as soon as it is asked to stop.
+    """Server that ends event streams and the reading of uploads as soon as it is asked to stop.
 
-    Nobody waits for them.
+    Otherwise the shutdown would wait for them.
     """
 
     def __init__(self, config: uvicorn.Config, service: Service) -> None:
@@ -556,5 +561,6 @@ def worker_pool_factory(options: Options) -> Callable[[], WorkerPool]:
     if options.cluster is None:
         return lambda: BatchWorkers(count, memory_mb=memory_mb)
     address = options.cluster
-    prepared = [ClusterPlanners(address, count, memory_mb)]  # reports errors at the start
-    return lambda: prepared.pop() if prepared else ClusterPlanners(address, count, memory_mb)
+    # The first pool is created here, so that errors are reported before the service starts.
+    first_pool = [ClusterPlanners(address, count, memory_mb)]
+    return lambda: first_pool.pop() if first_pool else ClusterPlanners(address, count, memory_mb)

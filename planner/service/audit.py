@@ -60,17 +60,18 @@ def record_act(
     token = db.execute(select(TOKENS.c.name, TOKENS.c.team).where(TOKENS.c.id == token_id)).first()
     name, team = (LOCAL, None) if token is None else token.tuple()
     database.lock(db, "audit")
-    last = db.execute(select(func.max(AUDIT.c.number))).scalar() or 0
-    row = {"number": last + 1, "token": token_id, "who": actor or name, "team": team}
+    last_number = db.execute(select(func.max(AUDIT.c.number))).scalar() or 0
+    row = {"number": last_number + 1, "token": token_id, "who": actor or name, "team": team}
     row |= {"act": event.act, "job": event.job}
     details_json = json.dumps(dict(event.details), ensure_ascii=False, sort_keys=True)
     db.execute(insert(AUDIT).values(**row, at=database.clock(), about=details_json))
 
 
 def record_download(database: Database, token_id: str, job: str, details: Mapping[str, Any]) -> None:
-    """Record that programs of a job are downloaded, with the number of its last release, if any.
+    """Record that programs of a job are downloaded, unless the same entry was written in the last hour.
 
-    A new release makes the next download a different one.
+    The entry contains the number of the job's last release, if any. A download after a new release is
+    therefore recorded again.
 
     Args:
         database: Database of the log.
@@ -82,15 +83,16 @@ def record_download(database: Database, token_id: str, job: str, details: Mappin
         number = db.execute(select(JOBS.c.releases).where(JOBS.c.id == job)).scalar()
         details = {**details, "release_number": number} if number else details
         details_json = json.dumps(dict(details), ensure_ascii=False, sort_keys=True)
-        same = (
+        same_download = (
             AUDIT.c.job == job,
             AUDIT.c.token == token_id,
             AUDIT.c.act == "downloaded",
             AUDIT.c.about == details_json,
         )
-        now = database.clock()  # entries by a clock that was ahead are outside this window
+        now = database.clock()
+        # The upper bound excludes entries that were written while the clock was ahead.
         recent = (AUDIT.c.at > now - DOWNLOAD_REPEAT_S, AUDIT.c.at < now + DOWNLOAD_REPEAT_S)
-        query = select(AUDIT.c.number).where(*same, *recent).limit(1)
+        query = select(AUDIT.c.number).where(*same_download, *recent).limit(1)
         if db.execute(query).first() is not None:
             return
     with database.write() as db:
@@ -109,7 +111,7 @@ def page(
 
     Args:
         database: Database of the log.
-        principal: Principal. Entries of its team are listed, or of its token if it has no team.
+        principal: Caller. Entries of its team are listed, or of its token if it has no team.
         job: Only entries of this job.
         acts: Only these actions; empty for all.
         cursor: Only entries with a smaller number, from the previous page.
@@ -123,7 +125,9 @@ def page(
     )
     with database.read() as db:
         rows = _rows(db, team_filter, job, acts, cursor, count + 1)
-    return [_out(row) for row in rows[:count]], rows[count - 1]["number"] if len(rows) > count else None
+    return [_entry_model(row) for row in rows[:count]], rows[count - 1]["number"] if len(
+        rows
+    ) > count else None
 
 
 def all_entries(database: Database, job: str | None, acts: tuple[str, ...], count: int) -> list[AuditOut]:
@@ -136,7 +140,7 @@ def all_entries(database: Database, job: str | None, acts: tuple[str, ...], coun
         count: Maximum number of entries.
     """
     with database.read() as db:
-        return [_out(row) for row in _rows(db, None, job, acts, None, count)]
+        return [_entry_model(row) for row in _rows(db, None, job, acts, None, count)]
 
 
 def delete_old_entries(database: Database, db: Connection, older_s: float) -> None:
@@ -158,6 +162,7 @@ def delete_old_entries(database: Database, db: Connection, older_s: float) -> No
 def _rows(
     db: Connection, team_filter: Any, job: str | None, acts: tuple[str, ...], cursor: int | None, count: int
 ) -> list[RowMapping]:
+    """Select the newest ``count`` entries that meet all conditions. None or empty means no condition."""
     query = select(AUDIT).order_by(AUDIT.c.number.desc()).limit(count)
     for condition in (
         team_filter,
@@ -169,8 +174,8 @@ def _rows(
     return list(db.execute(query).mappings())
 
 
-def _out(row: RowMapping) -> AuditOut:
-    about = json.loads(row["about"])
+def _entry_model(row: RowMapping) -> AuditOut:
+    details = json.loads(row["about"])
     return AuditOut(
         number=row["number"],
         at=utc(row["at"]),
@@ -178,5 +183,5 @@ def _out(row: RowMapping) -> AuditOut:
         team=row["team"],
         act=row["act"],
         job=row["job"],
-        about=about,
+        about=details,
     )

@@ -166,12 +166,13 @@ def _make_private(folder: Path) -> None:
 
 
 def _copy_snapshot(data: Path, url: str, folder: Path) -> Backup:
-    """Copy a snapshot of the database and all files that it references."""
-    source, target, copy = (
-        ContentStore(data / FILES_FOLDER),
-        ContentStore(folder / FILES_FOLDER),
-        folder / DATABASE_FILE,
-    )
+    """Copy a snapshot of the database and all files that it references into a backup.
+
+    If a file disappears meanwhile, another snapshot is taken, at most `MAX_SNAPSHOTS` times.
+    """
+    source = ContentStore(data / FILES_FOLDER)
+    target = ContentStore(folder / FILES_FOLDER)
+    copy = folder / DATABASE_FILE
     for _ in range(MAX_SNAPSHOTS):
         copy.unlink(missing_ok=True)
         copy.touch(mode=0o600)
@@ -185,7 +186,7 @@ def _copy_snapshot(data: Path, url: str, folder: Path) -> Backup:
 
 
 def _write_snapshot(url: str, copy: Path) -> None:
-    """Write a snapshot of the database."""
+    """Write the content of the database at ``url`` at one instant into the SQLite file ``copy``."""
     try:
         engine = open_engine(url)
     except (SQLAlchemyError, ImportError) as error:
@@ -210,6 +211,7 @@ def _write_snapshot(url: str, copy: Path) -> None:
 
 
 def _write_postgresql_snapshot(engine: Engine, url: str, copy: Path) -> None:
+    """Copy all tables of a PostgreSQL store in one transaction. ``url`` appears in error messages only."""
     options = {"isolation_level": "REPEATABLE READ", "postgresql_readonly": True}
     with engine.connect().execution_options(**options) as source, source.begin():
         version = version_of(source)
@@ -236,6 +238,7 @@ def _fill_database(url: str, copy: Path) -> None:
 
 
 def _copy_rows(source: Connection, target: Connection) -> None:
+    """Copy all tables except the version of the tables, which the target already has."""
     for table in METADATA.sorted_tables:
         if table is SCHEMA:
             continue
@@ -246,7 +249,7 @@ def _copy_rows(source: Connection, target: Connection) -> None:
 
 @contextlib.contextmanager
 def _exclusive_transaction(url: str) -> Iterator[Connection]:
-    """Open a transaction that has exclusive use of a database while its tables are created."""
+    """Open a transaction during which no service creates or changes the tables of the database."""
     try:
         engine = open_engine(url)
         try:
@@ -269,7 +272,7 @@ def _check_no_journal(path: Path) -> None:
     """
     if path.exists() and path.stat().st_size:
         return  # the journals belong to it
-    journals = [f"{path.name}{end}" for end in JOURNAL_SUFFIXES if os.path.lexists(f"{path}{end}")]
+    journals = [f"{path.name}{suffix}" for suffix in JOURNAL_SUFFIXES if os.path.lexists(f"{path}{suffix}")]
     if journals:
         problem = f"{', '.join(journals)} belong to a {path.name} that is missing"
         remedy = "Give --data or --database another path, or move these files to that database."
@@ -277,6 +280,7 @@ def _check_no_journal(path: Path) -> None:
 
 
 def _check_empty(connection: Connection) -> None:
+    """Check that a database contains no tables of a store."""
     if has_store(connection):
         raise _backup_error("the database already contains tables of Tandem. Give --database an empty one.")
 
@@ -324,7 +328,7 @@ def _read_version_and_job_count(connection: Connection, copy: Path) -> tuple[int
 
 
 def _read_file_sizes(connection: Connection, copy: Path) -> dict[str, int]:
-    """Read the sizes [bytes] of the files of a copied store, by SHA-256."""
+    """Read the sizes [bytes] of the files of a copied store, by SHA-256. Refuse invalid rows."""
     sizes: dict[str, int] = {}
     for sha, size in connection.execute(text("SELECT DISTINCT sha, size FROM tandem_files ORDER BY sha")):
         if not is_sha(sha) or not isinstance(size, int) or size < 0:
@@ -360,13 +364,23 @@ def _check_tables(folder: Path, copy: Path) -> None:
 
 
 def _copy_files(sizes: Mapping[str, int], source: ContentStore, target: ContentStore) -> str | None:
-    """Copy files that the target lacks. Return the SHA-256 of the first missing one, or None."""
+    """Copy the files that the target does not have yet, and verify their hashes.
+
+    Args:
+        sizes: Sizes of the files [bytes], by SHA-256. Only the hashes are used.
+        source: Store to copy from.
+        target: Store to copy to.
+
+    Returns:
+        SHA-256 of the first file that the source does not have, or None.
+    """
+    # All files are marked as used before the first copy, and again long before a sweep may delete them.
     marked_at = -GRACE_S
     for sha in sizes:
         if time.monotonic() - marked_at > GRACE_S / 4:
             marked_at = time.monotonic()
             for used_sha in sizes:
-                with contextlib.suppress(OSError):  # a read-only store is not swept either
+                with contextlib.suppress(OSError):  # nobody deletes files of a read-only store either
                     os.utime(source.path(used_sha))
         if target.has(sha):
             continue
@@ -382,21 +396,22 @@ def _copy_files(sizes: Mapping[str, int], source: ContentStore, target: ContentS
 
 
 def _check_description(folder: Path) -> None:
+    """Check that a backup is complete and has a supported format."""
     try:
         description = json.loads((folder / DESCRIPTION_FILE).read_text("utf-8"))
         format_version = description["format"]
     except FileNotFoundError as error:
-        what = f"folder {folder}: is not a complete backup: it has no {DESCRIPTION_FILE}"
-        raise _backup_error(f"{what}. Name a folder that `tandem backup` created.") from error
+        problem = f"folder {folder}: is not a complete backup: it has no {DESCRIPTION_FILE}"
+        raise _backup_error(f"{problem}. Name a folder that `tandem backup` created.") from error
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise _backup_error(
             f"backup {folder}: {DESCRIPTION_FILE} cannot be read. Use another backup."
         ) from error
     if format_version != FORMAT_VERSION:
-        what = (
+        problem = (
             f"backup {folder}: unsupported format (got {str(format_version)[:20]}, allowed {FORMAT_VERSION})"
         )
-        raise _backup_error(f"{what}. Update tandem-planner on this machine.")
+        raise _backup_error(f"{problem}. Update tandem-planner on this machine.")
 
 
 @contextlib.contextmanager

@@ -41,8 +41,8 @@ def elements() -> dict[str, dict[str, Any]]:
     """List the bundled building elements.
 
     Returns:
-        For each name: ``about`` (first comment of the file), ``kind`` of its panels, ``file`` of the element,
-        and ``files``: all files that it references, and itself.
+        For each name: ``about`` (first comment of the file), ``kind`` of its panels, ``file`` (name of the
+        element file) and ``files`` (names of the element file and of all files that it references).
     """
     return dict(sorted(_elements()))
 
@@ -89,17 +89,18 @@ def file(name: str, filename: str) -> Path:
         files |= _element_files(_path(name, "element.yaml"))
     path = files.get(filename)
     if path is None:
-        what = f"bundled problem {name[:80]!r}: file {filename[:80]!r} not found. List its files."
-        raise RefusedError(404, Issue("service.unknown_file", what, field="name"))
+        message = f"bundled problem {name[:80]!r}: file {filename[:80]!r} not found. List its files."
+        raise RefusedError(404, Issue("service.unknown_file", message, field="name"))
     return path
 
 
 def _unknown_problem(name: str) -> RefusedError:
-    what = f"bundled problem {name[:80]!r}: not found. List the bundled problems."
-    return RefusedError(404, Issue("service.not_found", what, field="name"))
+    message = f"bundled problem {name[:80]!r}: not found. List the bundled problems."
+    return RefusedError(404, Issue("service.not_found", message, field="name"))
 
 
 def _problems() -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield name and description of each bundled problem, as :func:`problems` returns them."""
     for path, data in _bundled_with_key("tandem"):
         folder = path.parent.name
         if "operations" not in data:
@@ -122,6 +123,7 @@ def _problems() -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _elements() -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield name and description of each bundled element, as :func:`elements` returns them."""
     for path, data in _bundled_with_key("element"):
         folder = path.parent.name
         key = folder if path.name == "element.yaml" else f"{folder}/{path.stem}"
@@ -137,7 +139,10 @@ def _elements() -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _bundled_with_key(key: str) -> Iterator[tuple[Path, dict[str, Any]]]:
-    """Yield bundled files whose data have a top-level key. Templates, cells and tables do not have one."""
+    """Yield path and data of the bundled files that contain a top-level key.
+
+    The key tells problems and elements from templates, cells and tables.
+    """
     for path in sorted(data_dir("problems").glob("*/*.yaml")):
         data = {} if path.parent.name in _FOLDERS_WITHOUT_EXAMPLES else _load_yaml(path)
         if key in data:
@@ -145,7 +150,7 @@ def _bundled_with_key(key: str) -> Iterator[tuple[Path, dict[str, Any]]]:
 
 
 def _head_comment(text: str) -> str:
-    """Return the comment at the head of a problem file, without scripts and command lines."""
+    """Return the comment at the head of a problem file, without sentences about scripts and command lines."""
     lines = []
     for line in text.splitlines():
         if not line.startswith("#"):
@@ -160,6 +165,7 @@ def _head_comment(text: str) -> str:
 
 
 def _path(name: str, default_name: str) -> Path:
+    """Return the path of an example: ``default_name`` in its own folder, or the file ``NAME.yaml``."""
     location = data_dir("problems") / name
     return location / default_name if location.is_dir() else location.with_suffix(".yaml")
 
@@ -192,6 +198,7 @@ def _element_files(path: Path) -> dict[str, Path]:
 
 
 def _referenced_files(data: Any, folder: Path) -> Iterator[tuple[str, Path]]:
+    """Yield name and path of the bundled files that data reference. Paths are relative to ``folder``."""
     if isinstance(data, dict):
         for key, value in data.items():
             if key in FILE_KEYS and isinstance(value, str):
@@ -206,6 +213,7 @@ def _referenced_files(data: Any, folder: Path) -> Iterator[tuple[str, Path]]:
 
 
 def _with_base_names(data: Any) -> Any:
+    """Replace each path of a file in data by its last component, at all levels."""
     if isinstance(data, dict):
         return {
             key: Path(value).name if key in FILE_KEYS and isinstance(value, str) else _with_base_names(value)

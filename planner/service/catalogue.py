@@ -51,6 +51,7 @@ def entries(kind: Kind) -> dict[str, dict[str, Any]]:
 
 
 def _robots() -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield name and data of each robot, converted from SI units to mm and degrees."""
     for name in robot_names():
         data = robot(name)
         limits = np.stack([data.lower, data.upper], axis=1) / DEG
@@ -77,6 +78,7 @@ def _cells() -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _tools() -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield each kind of tool with the docstring and the JSON schema of its model."""
     for model in TOOL_MODELS:
         schema = model.model_json_schema()
         kind = str(schema["properties"]["kind"]["const"])
@@ -84,11 +86,12 @@ def _tools() -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _materials() -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield name, kind, title and sources of each wire, foam and sheet metal."""
     wires, foams_, sheets = wire_materials().values(), foams().values(), sheet_metals().values()
-    rows = [("wire", m.name, m.title, m.sources) for m in wires]
-    rows += [("foam", m.name, m.title, m.sources) for m in foams_]
-    rows += [("sheet", m.name, m.title, m.sources) for m in sheets]
-    for kind, name, title, sources in rows:
+    materials = [("wire", m.name, m.title, m.sources) for m in wires]
+    materials += [("foam", m.name, m.title, m.sources) for m in foams_]
+    materials += [("sheet", m.name, m.title, m.sources) for m in sheets]
+    for kind, name, title, sources in materials:
         yield name, {"kind": kind, "title": title, "sources": dict(sources)}
 
 
@@ -113,6 +116,7 @@ def problem_schema(template: str = "#/$defs/{model}") -> tuple[dict[str, Any], d
     definitions: dict[str, Any] = document["$defs"]
     choices: list[dict[str, Any]] = []
     for model in registry.schemas().values():
+        # Operations of every process may have the sections ``setup`` and ``forces``.
         definition = definitions[_model_name(references[model, "validation"])]
         definition["properties"]["setup"] = dict(references[SetupFile, "validation"])
         forces_definition = definitions[_model_name(references[ForcesFile, "validation"])]
@@ -138,14 +142,14 @@ def process_schema(name: str) -> dict[str, Any]:
     Raises:
         RefusedError: 404, no such process.
     """
-    known = registry.schemas()
-    if name not in known:
-        names = ", ".join(known)
+    schemas = registry.schemas()
+    if name not in schemas:
+        names = ", ".join(schemas)
         raise RefusedError(
             404, Issue("service.not_found", f"process {name[:80]!r}: unknown (allowed {names})", field="name")
         )
     _, definitions = problem_schema()
-    return {"$ref": f"#/$defs/{known[name].__name__}", "$defs": definitions}
+    return {"$ref": f"#/$defs/{schemas[name].__name__}", "$defs": definitions}
 
 
 def _model_name(reference: Any) -> str:

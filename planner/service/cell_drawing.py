@@ -1,8 +1,8 @@
 """Drawing of a cell: bodies by frame, their poses, and the targets with the postures of the arms.
 
-Lengths are in mm, angles in degrees. Poses are rows of twelve numbers (the upper three rows of the matrix)
-in the world. The cell model computes poses from joint values, so that the drawing code needs no kinematics.
-It loads Drake.
+Lengths are in mm, angles in degrees. A pose is a list of twelve numbers in the world: the upper three rows
+of its matrix. The cell model computes poses from joint values, so that the web page needs no kinematics.
+The module loads Drake.
 """
 
 import dataclasses
@@ -44,8 +44,8 @@ class TargetSampling:
     """Targets of an operation that are sampled for a drawing, and what is computed from them.
 
     Attributes:
-        max_samples: Approximate number of targets to sample: their tool points and postures, or why there is
-            none.
+        max_samples: Approximate number of targets to sample. The drawing contains the tool points of each and
+            its posture, or the issues if there is none.
         freedom: Freedom to map over the sampled targets, or None.
         reach: Add the reach of each arm over a fixed block.
     """
@@ -68,8 +68,8 @@ def view(
         problem: Problem.
         operation: Index of the operation.
         sampling: Sampled targets, or None to draw the cell alone.
-        make: Source of targets, or None to compute them.
-        plan: Plan whose path through the map is added.
+        make: Function that creates targets, or None for the default.
+        plan: Plan whose path through the freedom map is added, or None.
 
     Returns:
         Fields of :class:`planner.service.cell_models.CellOut`, and issues that prevented parts of the
@@ -95,7 +95,7 @@ def view(
         placed = stated is not None or setup.stock.held_by is not None
     else:
         setup, stock_pose, model, placed = sampled.setup, sampled.stock_pose, sampled.model, sampled.placed
-    q = {arm.name: arm.home[None] for arm in setup.cell.arms}
+    joints = {arm.name: arm.home[None] for arm in setup.cell.arms}
     out: dict[str, Any] = {
         "operation": operation,
         "operations": [item.name for item in problem.operations],
@@ -106,7 +106,7 @@ def view(
         "bodies": _bodies(problem, setup, model, stock_pose),
     }
     if sampling is not None and sampled is not None:
-        target_fields, q = _targets(sampled, q)
+        target_fields, joints = _targets(sampled, joints)
         out |= target_fields
         freedom_units = freedom_ranges.freedom_units(sampled.targets, placed and setup.stock.held_by is None)
         out["freedoms"] = [
@@ -125,7 +125,7 @@ def view(
     scene_data = scenes.extract_scene(
         model if sampled is None else model.with_bases(_track_bases(sampled, out["targets"]))
     )
-    poses = scenes.scene_poses(scene_data, setup, stock_pose, q)
+    poses = scenes.scene_poses(scene_data, setup, stock_pose, joints)
     out["poses"] = {body: _pose_rows(poses[body]) for body in {item["body"] for item in out["bodies"]}}
     return out, issues
 
@@ -156,7 +156,14 @@ class _SampledOperation:
 def _sample_operation(
     problem: Problem, operation: int, make: TargetFactory | None, target_count: int, brief: bool
 ) -> _SampledOperation:
-    """Prepare targets and scene as a quick check does, or with all targets of a plan if not ``brief``.
+    """Prepare the targets and the planning scene of an operation as a quick check does.
+
+    Args:
+        problem: Problem.
+        operation: Index of the operation.
+        make: Function that creates targets, or None for the default.
+        target_count: Approximate number of targets to sample.
+        brief: Create the reduced targets of a quick check. False creates all targets of a plan.
 
     Raises:
         TandemError: There are no targets, or no position of the external axes.
@@ -202,7 +209,11 @@ def _arm(setup: Setup, model: CellModel, name: str, works: bool) -> dict[str, An
 
 
 def _movables(problem: Problem, setup: Setup, model: CellModel) -> list[dict[str, Any]]:
-    """List what fields of the problem place, the bodies that move along, and the pose of each field."""
+    """List stock, arms and obstacles with the problem fields that place them and the bodies that they move.
+
+    Returns:
+        Fields of :class:`planner.service.cell_models.CellMove`, one dictionary for each.
+    """
     out = []
     if setup.number == 1 and setup.stock.held_by is None:
         fields = [_field("stock.place", model.stock_pose)]
@@ -234,53 +245,63 @@ def _field(name: str, pose: FloatArray) -> dict[str, Any]:
 
 
 def _bodies(problem: Problem, setup: Setup, model: CellModel, stock_pose: FloatArray) -> list[dict[str, Any]]:
-    """Return triangles in body frames, merged by colour.
+    """Return the triangles of all bodies and of the nominal part, in body frames and merged by colour.
 
-    Robots are drawn by their collision hulls if their visual meshes have too many triangles.
+    Robots are drawn by their collision hulls if the visual meshes exceed `MAX_TRIANGLES`.
 
     Raises:
         TandemError: More than `MAX_TRIANGLES` triangles.
     """
-    part = [decimate(mesh, MAX_MESH_TRIANGLES) for _, mesh in part_meshes(problem.part) if len(mesh.faces)]
+    simplified_part = [
+        decimate(mesh, MAX_MESH_TRIANGLES) for _, mesh in part_meshes(problem.part) if len(mesh.faces)
+    ]
     for hulls in (False, True):
-        parts = _meshes_by_body(
+        meshes_by_body = _meshes_by_body(
             (*scenes.extract_scene(model, hulls).pieces, *scenes.setup_pieces(setup, stock_pose))
         )
-        count = sum(len(mesh.faces) for body_meshes in (*parts.values(), part) for mesh in body_meshes)
-        if count <= MAX_TRIANGLES:
+        triangle_count = sum(
+            len(mesh.faces)
+            for body_meshes in (*meshes_by_body.values(), simplified_part)
+            for mesh in body_meshes
+        )
+        if triangle_count <= MAX_TRIANGLES:
             break
-    if count > MAX_TRIANGLES:
-        what = (
-            f"cell: too many triangles to draw, even with simplified meshes (got {count:,}, "
+    if triangle_count > MAX_TRIANGLES:
+        message = (
+            f"cell: too many triangles to draw, even with simplified meshes (got {triangle_count:,}, "
             f"allowed {MAX_TRIANGLES:,}). Use fewer meshes, or export them coarser."
         )
-        raise issue_error("service.too_large", what, field="cell", value=count, limit=MAX_TRIANGLES)
+        raise issue_error(
+            "service.too_large", message, field="cell", value=triangle_count, limit=MAX_TRIANGLES
+        )
     obstacles = {body.name for body in setup.cell.obstacles}
     out = [
         _body(name, _kind(name, obstacles), color, body_meshes)
-        for (name, color), body_meshes in parts.items()
+        for (name, color), body_meshes in meshes_by_body.items()
     ]
-    return [*out, _body("stock", "part", None, part)] if part else out
+    return [*out, _body("stock", "part", None, simplified_part)] if simplified_part else out
 
 
 def _meshes_by_body(pieces: Iterable[scenes.VisiblePiece]) -> dict[tuple[str, tuple[float, ...]], list[Mesh]]:
     """Return meshes in body frames, by body and colour. Fine meshes are simplified."""
-    parts: dict[tuple[str, tuple[float, ...]], list[Mesh]] = {}
+    meshes_by_body: dict[tuple[str, tuple[float, ...]], list[Mesh]] = {}
     for piece in pieces:
         moved = piece.solid.moved(piece.pose)
         mesh = decimate(Mesh(moved.vertices, moved.faces), MAX_MESH_TRIANGLES)
-        parts.setdefault((piece.body, piece.color), []).append(mesh)
-    return parts
+        meshes_by_body.setdefault((piece.body, piece.color), []).append(mesh)
+    return meshes_by_body
 
 
 def _kind(name: str, obstacles: Iterable[str]) -> str:
+    """Return the kind of a body, as in :class:`planner.service.cell_models.CellBody`, from its name."""
     if name in obstacles:
         return "obstacle"
-    last = name.rpartition("/")[2]
-    return last if last in ("stock", "support", "tool", "edge") else "link"
+    last_component = name.rpartition("/")[2]
+    return last_component if last_component in ("stock", "support", "tool", "edge") else "link"
 
 
 def _body(name: str, kind: str, color: tuple[float, ...] | None, meshes: Sequence[Mesh]) -> dict[str, Any]:
+    """Merge meshes [m] into the fields of one :class:`planner.service.cell_models.CellBody` [mm]."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     faces = [mesh.faces + start for mesh, start in zip(meshes, starts[:-1], strict=True)]
     vertices = np.concatenate([mesh.vertices for mesh in meshes]) / MM
@@ -296,67 +317,79 @@ def _body(name: str, kind: str, color: tuple[float, ...] | None, meshes: Sequenc
 def _targets(
     sampled: _SampledOperation, home: Mapping[str, FloatArray]
 ) -> tuple[dict[str, Any], dict[str, FloatArray]]:
-    """Return sampled targets with their faults, and joints {arm: (1 + P, 6)}.
+    """Find a posture for each sampled target.
 
-    The first row is home, the others are the postures in the order of the targets.
+    Args:
+        sampled: Operation with its sampled targets.
+        home: Home joints {arm: (1, 6)} [rad].
+
+    Returns:
+        Fields of the drawing that describe the targets, and joints {arm: (1 + P, 6)} [rad]. The first row is
+        home. The others are the P postures that were found, in the order of the targets.
     """
-    scene, targets, rows = sampled.scene, sampled.targets, sampled.rows
-    results = freedom_ranges.find_postures(scene, targets, rows)
-    sampled_targets = select_targets(targets, rows)
+    scene, targets, target_indices = sampled.scene, sampled.targets, sampled.rows
+    results = freedom_ranges.find_postures(scene, targets, target_indices)
+    sampled_targets = select_targets(targets, target_indices)
     nominal = scene.tcp_poses(
         dataclasses.replace(sampled_targets, track_positions={}), sampled_targets.neutral_values()
     )
     edge = scene.edge_points(sampled_targets, np.arange(sampled_targets.count))
-    out, wires, postures = [], [], []
-    for k, (row, posture_or_faults) in enumerate(zip(rows.tolist(), results, strict=True)):
+    target_entries, wires, postures = [], [], []
+    for k, (target_index, posture_or_faults) in enumerate(zip(target_indices.tolist(), results, strict=True)):
         has_posture = isinstance(posture_or_faults, dict)
         points = {arm: nominal[arm][k, :3, 3] for arm in targets.arms}
         if isinstance(posture_or_faults, dict):
-            chains = scene.at_target(targets, row).chains
-            points = {arm: chains[arm].pose(q)[:3, 3] for arm, q in posture_or_faults.items()}
+            chains = scene.at_target(targets, target_index).chains
+            points = {
+                arm: chains[arm].pose(joints_by_arm)[:3, 3]
+                for arm, joints_by_arm in posture_or_faults.items()
+            }
             postures.append(posture_or_faults)
             if edge is not None:
                 wires.append(np.round(edge[k, spread_rows(edge.shape[1], WIRE_POINT_COUNT)] / MM, 1).tolist())
-        out.append(
+        target_entries.append(
             {
-                "index": row,
-                "name": targets.name(row),
+                "index": target_index,
+                "name": targets.name(target_index),
                 "points_mm": {arm: _numbers(point / MM) for arm, point in points.items()},
                 "posture": len(postures) if has_posture else None,
                 "faults": [] if isinstance(posture_or_faults, dict) else posture_or_faults,
             }
         )
-    q = {
-        arm: np.concatenate([joints, *(posture.get(arm, joints[0])[None] for posture in postures)])
-        for arm, joints in home.items()
+    joints_by_arm = {
+        arm: np.concatenate([home_joints, *(posture.get(arm, home_joints[0])[None] for posture in postures)])
+        for arm, home_joints in home.items()
     }
     fields: dict[str, Any] = {
         "of": targets.count,
         "thinned": targets.is_subsampled,
-        "targets": out,
-        "joints_deg": {arm: np.round(joints / DEG, 3).tolist() for arm, joints in q.items()},
+        "targets": target_entries,
+        "joints_deg": {
+            arm: np.round(home_joints / DEG, 3).tolist() for arm, home_joints in joints_by_arm.items()
+        },
     }
-    return (fields | {"wires_mm": wires} if wires else fields), q
+    return (fields | {"wires_mm": wires} if wires else fields), joints_by_arm
 
 
 def _track_bases(
-    sampled: _SampledOperation, target_rows: Sequence[Mapping[str, Any]]
+    sampled: _SampledOperation, target_entries: Sequence[Mapping[str, Any]]
 ) -> dict[str, FloatArray]:
-    """Return bases {arm: (1 + P, 4, 4)} of arms on coordinated tracks.
+    """Return the base poses {arm: (1 + P, 4, 4)} of arms on coordinated tracks.
 
-    The first is at the station, the others are at each target with a posture, in order.
+    The first pose is that at the station. The others are those at the P targets with a posture, in order.
     """
-    rows = np.array(
-        [target["index"] for target in target_rows if target["posture"] is not None], dtype=np.intp
+    target_indices = np.array(
+        [target["index"] for target in target_entries if target["posture"] is not None], dtype=np.intp
     )
-    out = {}
+    bases = {}
     for name, values in sampled.targets.track_positions.items():
         arm = sampled.setup.cell.arm(name)
-        out[name] = scenes.track_base(arm, np.append(arm.track_position or 0.0, values[rows]))
-    return out
+        bases[name] = scenes.track_base(arm, np.append(arm.track_position or 0.0, values[target_indices]))
+    return bases
 
 
 def _freedom_map_fields(freedom_map: freedom_ranges.ReachableFreedomMap) -> dict[str, Any]:
+    """Convert a freedom map to the fields of :class:`planner.service.cell_models.FreedomMap` but ``path``."""
     grid = freedom_map.grid
     unit, scale = freedom_ranges.DISPLAY_UNITS[freedom_map.unit]
     return {
@@ -373,6 +406,7 @@ def _freedom_map_fields(freedom_map: freedom_ranges.ReachableFreedomMap) -> dict
 
 
 def _reach_fields(sampled: _SampledOperation) -> dict[str, Any]:
+    """Compute the reach of each arm over the block, or nothing if the operation has no reach field."""
     stock = sampled.setup.stock
     field = reach_field.compute_reach_field(sampled.scene, sampled.targets, stock.lower, stock.upper)
     if field is None:
@@ -395,48 +429,53 @@ def _plan_path_fields(
     freedom_map: freedom_ranges.ReachableFreedomMap,
     plan: Plan | None,
 ) -> dict[str, Any]:
-    """Return the values of a plan at the targets of a map, None at targets that the plan lacks.
+    """Return the values that a plan gave to the freedom of a map, at the sampled targets.
 
-    Empty if the plan is for other targets, or for none of these.
+    The field ``path`` has None at targets that are missing in the plan. The result is empty if there is no
+    plan, if poses of targets with equal names differ, or if the plan contains none of the values.
     """
     if plan is None or operation >= len(plan.operations):
         return {}
     planned = plan.operations[operation]
-    rows = {planned.targets.name(row): row for row in range(planned.targets.count)}
-    plan_rows = [rows.get(sampled.targets.name(row)) for row in sampled.rows.tolist()]
-    names = [freedom.name for freedom in planned.targets.freedoms]
-    out: list[float | None] = []
+    plan_row_by_name = {planned.targets.name(row): row for row in range(planned.targets.count)}
+    plan_rows = [plan_row_by_name.get(sampled.targets.name(row)) for row in sampled.rows.tolist()]
+    freedom_names = [freedom.name for freedom in planned.targets.freedoms]
+    plan_values: list[float | None] = []
     for row, plan_row in zip(sampled.rows.tolist(), plan_rows, strict=True):
         if plan_row is None:
-            out.append(None)
+            plan_values.append(None)
             continue
         for arm, pose in sampled.targets.pose.items():
             if arm not in planned.targets.pose or not np.allclose(
                 pose[row], planned.targets.pose[arm][plan_row]
             ):
                 return {}
-        if freedom_map.freedom in names:
-            out.append(float(planned.values[plan_row, names.index(freedom_map.freedom)]))
+        if freedom_map.freedom in freedom_names:
+            plan_values.append(float(planned.values[plan_row, freedom_names.index(freedom_map.freedom)]))
         elif freedom_map.freedom.startswith(freedom_ranges.STOCK_SHIFT_PREFIX):
             axis = freedom_ranges.STOCK_SHIFT_AXES.index(
                 freedom_map.freedom.removeprefix(freedom_ranges.STOCK_SHIFT_PREFIX)
             )
-            out.append(float((plan.stock_poses[sampled.setup.number - 1] - sampled.stock_pose)[axis, 3]))
+            plan_values.append(
+                float((plan.stock_poses[sampled.setup.number - 1] - sampled.stock_pose)[axis, 3])
+            )
     scale = freedom_ranges.DISPLAY_UNITS[freedom_map.unit][1]
-    path = [None if value is None else round(value / scale, 6) for value in out]
+    path = [None if value is None else round(value / scale, 6) for value in plan_values]
     return {"path": path} if any(value is not None for value in path) else {}
 
 
-def _rounded_rows(values: FloatArray) -> list[list[float | None]]:
-    return [[round(float(v), 1) if np.isfinite(v) else None for v in row] for row in values]
+def _rounded_rows(table: FloatArray) -> list[list[float | None]]:
+    """Round a table to one decimal. Values that are not finite become None."""
+    return [[round(float(v), 1) if np.isfinite(v) else None for v in row] for row in table]
 
 
 def _pose_rows(poses: FloatArray) -> list[list[float]]:
-    """Return poses (B, 4, 4) as twelve numbers each, positions in mm."""
+    """Return poses (B, 4, 4) [m] as twelve numbers each: the upper three matrix rows, positions in mm."""
     rows = np.array(poses[:, :3, :], dtype=np.float64)
     rows[..., 3] /= MM
     return [[round(float(v), 5) for v in row] for row in rows.reshape(len(rows), 12)]
 
 
 def _numbers(values: FloatArray) -> list[float]:
+    """Round an array (N,) to three decimals."""
     return [round(float(value), 3) for value in values]

@@ -8,7 +8,7 @@ from planner.issues import Issue
 from planner.service.models import Sent
 
 ValueGrid = list[list[float | None]]
-"""Numbers by target and value. None where a value does not exist."""
+"""A table with one row per target and one column per value of the freedom. None where no number exists."""
 
 
 class CellField(Sent):

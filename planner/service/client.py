@@ -126,20 +126,22 @@ class Client(tandem_client.Client):
         return Served(problem, plan, proof, programs, files, str(job["id"]))
 
     def _bundle(self, problem: Any, files: Mapping[str, Content]) -> tuple[bytes, dict[str, bytes]]:
+        """Return the problem file and its files for an upload. Problems of this package bring their files."""
         if not isinstance(problem, Problem | spec.Problem):
             return super()._bundle(problem, files)
-        whole = problem_file.bundle(pipeline.ensure_problem(problem))
-        text, sent = super()._bundle(whole.pop("problem.yaml"), files)
-        return text, {**sent, **whole}
+        bundled_files = problem_file.bundle(pipeline.ensure_problem(problem))
+        text, uploads = super()._bundle(bundled_files.pop("problem.yaml"), files)
+        return text, {**uploads, **bundled_files}
 
     def _issue(self, data: Mapping[str, Any]) -> Issue:
-        """Convert an issue from JSON. Fields that only newer services send are dropped."""
-        known = {name: value for name, value in data.items() if name in ISSUE_FIELDS}
-        if known["code"] not in all_codes():
-            known |= {"code": "service.answer", "message": f"[{data['code']}] {data['message']}"}
-        return Issue.from_dict(known)
+        """Convert an issue from JSON. Unknown fields of newer services are dropped, their codes replaced."""
+        fields = {name: value for name, value in data.items() if name in ISSUE_FIELDS}
+        if fields["code"] not in all_codes():
+            fields |= {"code": "service.answer", "message": f"[{data['code']}] {data['message']}"}
+        return Issue.from_dict(fields)
 
     def _proof(self, data: Mapping[str, Any], part: str) -> Proof:
+        """Convert ``proof.json`` to a proof without arrays. ``part`` is the simulated part as OBJ text."""
         names = {field.name for field in dataclasses.fields(RuleResult)}  # a newer service may send others
         rules = tuple(
             RuleResult(**{name: value for name, value in rule.items() if name in names})

@@ -107,7 +107,7 @@ def own_draft(draft: str, _: AuthorisedOwner, principal: CurrentPrincipal, servi
     """Return the id of a draft that the caller or its team owns (dependency).
 
     Raises:
-        RefusedError: 404.
+        RefusedError: 404, the draft does not exist or belongs to others.
     """
     if not JOB_ID.fullmatch(draft) or not service.auth.sees(principal, service.drafts.owner(draft)):
         raise unknown_draft(draft)
@@ -131,10 +131,10 @@ def parse_versions(
         service: Service.
 
     Returns:
-        Ids of drafts, and version numbers.
+        Pairs of draft id and version number, in the same order.
 
     Raises:
-        RefusedError: 404, the caller has no such version.
+        RefusedError: 404, the caller has no such draft or version.
     """
     versions = []
     for draft, _, number in (version.partition("@") for version in given):
@@ -147,8 +147,8 @@ def mark_sent(sent: Sequence[tuple[str, int]], jobs: Sequence[JobOut], service: 
     """Record for each version that it was submitted as the job at the same position.
 
     Args:
-        sent: Ids of drafts, and version numbers.
-        jobs: Jobs in the same order.
+        sent: Pairs of draft id and version number.
+        jobs: Jobs in the same order. If one sequence is longer, its further items are ignored.
         service: Service.
     """
     for (draft, number), job in zip(sent, jobs, strict=False):
@@ -251,8 +251,8 @@ async def save(
     412 if the draft was saved since the version in `If-Match`, so that no change is overwritten unseen.
     """
     if save_request.if_match is None:
-        what = "If-Match: is missing. Send the ETag of the version that you edited."
-        raise RefusedError(428, Issue("service.draft", what, field="If-Match"))
+        message = "If-Match: is missing. Send the ETag of the version that you edited."
+        raise RefusedError(428, Issue("service.draft", message, field="If-Match"))
     owner = principal.token
     tags = [tag.strip().removeprefix("W/") for tag in save_request.if_match.split(",")]
     edit = DraftEdit(tags, save_request.without or (), save_request.title, save_request.instead)
@@ -348,8 +348,8 @@ def file(
     """The file, unchanged."""
     blob = service.drafts.version(draft_id, number)[1].get(name)
     if blob is None:
-        what = f"version {number} of draft {draft_id}: file {name[:200]!r} not found. List its files."
-        raise RefusedError(404, Issue("service.unknown_file", what, field="name"))
+        message = f"version {number} of draft {draft_id}: file {name[:200]!r} not found. List its files."
+        raise RefusedError(404, Issue("service.unknown_file", message, field="name"))
     return _file_response(request, service, blob)
 
 
@@ -359,6 +359,7 @@ def _file_response(request: Request, service: CurrentService, blob: Blob) -> Res
 
 
 def _draft_model(row: RowMapping, response: Response | None = None) -> DraftOut:
+    """Convert the database row of a draft to its API model, and set the ``ETag`` of a response."""
     fields: dict[str, Any] = {name: row[name] for name in ("id", "kind", "title", "version")}
     if response is not None:
         response.headers["ETag"] = entity_tag(row)

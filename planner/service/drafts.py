@@ -3,7 +3,7 @@
 A draft is stored unchanged, valid or not. The last `MAX_VERSIONS` versions are kept, with the name of the
 person who saved each and the time. Saving requires the version that was edited (optimistic locking), so
 that no other person's change is overwritten. Content is stored with the files of jobs. It is therefore
-stored once, charged, swept and backed up in the same way.
+stored once, counted in the owner's storage, deleted when unused and backed up like these.
 """
 
 import dataclasses
@@ -74,19 +74,21 @@ class DraftStore:
             upload: Problem and files.
 
         Raises:
-            RefusedError: 413, or 429 if the owner has too many drafts.
+            RefusedError: 413 if the problem is too large, 429 if the owner has too many drafts.
         """
         _check_size(upload)
         draft = secrets.token_hex(16)
         with self._database.write() as db:
             self._database.lock(db, f"drafts {principal.token}")
-            mine = select(func.count()).select_from(DRAFTS).where(DRAFTS.c.owner == principal.token)
-            max_drafts, draft_count = self._limits.drafts, int(db.execute(mine).scalar_one())
+            draft_count_query = (
+                select(func.count()).select_from(DRAFTS).where(DRAFTS.c.owner == principal.token)
+            )
+            max_drafts, draft_count = self._limits.drafts, int(db.execute(draft_count_query).scalar_one())
             if draft_count >= max_drafts:
-                what = (
+                problem = (
                     f"too many drafts, cells, tools and templates (got {draft_count}, allowed {max_drafts}). "
                 )
-                raise too_many(f"{what}Delete some.", 60, max_drafts)
+                raise too_many(f"{problem}Delete some.", 60, max_drafts)
             now = self._database.clock()
             row = {
                 "id": draft,
@@ -100,7 +102,7 @@ class DraftStore:
             return draft_row(db, draft)
 
     def save(self, draft: str, principal: Principal, upload: ProblemUpload, edit: DraftEdit) -> RowMapping:
-        """Save the next version of a draft. An unchanged upload creates no version.
+        """Save the next version of a draft. If problem and files are unchanged, no version is created.
 
         Args:
             draft: Id of the draft.
@@ -109,7 +111,8 @@ class DraftStore:
             edit: Edited version, dropped files and new title.
 
         Raises:
-            RefusedError: 404, 412 if the draft was saved since, 413, 422.
+            RefusedError: 404, 412 if the draft was saved since, 413 if the problem is too large, 422 if there
+                are too many files.
         """
         _check_size(upload)
         with self._database.write() as db:
@@ -129,7 +132,7 @@ class DraftStore:
                 raise RefusedError(422, Issue("service.request", f"{problem}. Remove some.", field="files"))
             if (
                 upload.problem.sha != last["problem"]
-                or {n: b.sha for n, b in new_files.items()} != last_files
+                or {name: blob.sha for name, blob in new_files.items()} != last_files
             ):
                 number = row["version"] + 1
                 self._add_version(db, draft, number, principal, upload.problem, new_files)
@@ -155,7 +158,7 @@ class DraftStore:
             return draft_row(db, draft)
 
     def mark_sent(self, draft: str, number: int, job: str) -> RowMapping:
-        """Record that a version was submitted as a job, unless a newer version was.
+        """Record that a version was submitted as a job, unless a newer version was submitted before.
 
         Args:
             draft: Id of the draft.
@@ -294,6 +297,7 @@ class DraftStore:
     def _add_version(
         self, db: Connection, draft: str, number: int, principal: Principal, problem: Blob, files: Any
     ) -> None:
+        """Insert a version and record its content: ``problem``, and ``files`` as stored files by name."""
         blobs = {blob.sha: blob for blob in (problem, *files.values())}
         put_files(db, draft, blobs)
         file_rows = [{"name": name, "sha": blob.sha} for name, blob in sorted(files.items())]
@@ -304,8 +308,8 @@ class DraftStore:
 
 def unknown_draft(draft: str) -> RefusedError:
     """Return the refusal for an unknown draft: 404."""
-    what = f"draft {draft[:40]!r}: not found. It was deleted, or belongs to others. List the drafts."
-    return RefusedError(404, Issue("service.draft", what))
+    message = f"draft {draft[:40]!r}: not found. It was deleted, or belongs to others. List the drafts."
+    return RefusedError(404, Issue("service.draft", message))
 
 
 def entity_tag(row: RowMapping) -> str:
@@ -334,8 +338,8 @@ def version_row(db: Connection, draft: str, number: int) -> RowMapping:
     key_filter = (DRAFT_VERSIONS.c.draft == draft, DRAFT_VERSIONS.c.number == number)
     row = db.execute(select(DRAFT_VERSIONS).where(*key_filter)).mappings().first()
     if row is None:
-        what = f"draft {draft[:40]}: version {number} not found. List its versions."
-        raise RefusedError(404, Issue("service.draft", what, field="number"))
+        message = f"draft {draft[:40]}: version {number} not found. List its versions."
+        raise RefusedError(404, Issue("service.draft", message, field="number"))
     return row
 
 
@@ -351,8 +355,8 @@ def token_id_by_name(db: Connection, name: str) -> str:
     """
     token_id: str | None = db.execute(select(TOKENS.c.id).where(TOKENS.c.name == name)).scalar()
     if token_id is None:
-        what = f"name: no such token (got {name[:80]!r}). List the tokens with tandem token list."
-        raise issue_error("service.token", what, field="name")
+        message = f"name: no such token (got {name[:80]!r}). List the tokens with tandem token list."
+        raise issue_error("service.token", message, field="name")
     return token_id
 
 
@@ -373,6 +377,7 @@ def _set_title(db: Connection, draft: str, title: str, replaced_title: str | Non
 
 
 def _draft_query() -> Any:
+    """Return the query of drafts, with the name of the owner's token and the job that still exists."""
     columns = (func.coalesce(TOKENS.c.name, LOCAL).label("made_by"), JOBS.c.id.label("sent_as"))
     named = outerjoin(DRAFTS, TOKENS, DRAFTS.c.owner == TOKENS.c.id)
     job_exists = and_(DRAFTS.c.job == JOBS.c.id, JOBS.c.cancel <= CANCELLED)
@@ -384,10 +389,12 @@ def _version_files(version: RowMapping) -> dict[str, str]:
     return {file["name"]: file["sha"] for file in json.loads(version["files"])}
 
 
-def _delete_old_versions(db: Connection, draft: str, last: int) -> None:
-    """Delete the versions up to ``last``, and the files that only these reference."""
+def _delete_old_versions(db: Connection, draft: str, last_number: int) -> None:
+    """Delete the versions up to ``last_number``, and the files that only these reference."""
     draft_filter = DRAFT_VERSIONS.c.draft == draft
-    if not db.execute(delete(DRAFT_VERSIONS).where(draft_filter, DRAFT_VERSIONS.c.number <= last)).rowcount:
+    if not db.execute(
+        delete(DRAFT_VERSIONS).where(draft_filter, DRAFT_VERSIONS.c.number <= last_number)
+    ).rowcount:
         return
     used_shas: set[str] = set()
     for row in db.execute(select(DRAFT_VERSIONS).where(draft_filter)).mappings():

@@ -1,4 +1,8 @@
-"""Response models for the problems of an element: its panels and the jobs that cut its raw blocks."""
+"""Response models for the problems of an element: its panels and its raw-block jobs.
+
+A panel may be cut together with others (``cut_in`` in ``element.json``). It then shows the job that plans
+all of them, until it has its own job.
+"""
 
 import json
 from collections.abc import Mapping
@@ -31,7 +35,7 @@ class PlannedProblem(NamedTuple):
 
 
 def last_jobs(db: Connection, element: str) -> dict[str, PlannedProblem]:
-    """Read the last job of each planned panel, by panel id."""
+    """Read the last job of each planned panel and raw-block job of an element, by its id."""
     query = (
         select(JOBS, HAS_THUMBNAIL, ELEMENT_JOBS.c.panel, ELEMENT_JOBS.c.like)
         .add_columns(RELEASES.c.withdrawn, RELEASES.c.number)
@@ -44,7 +48,7 @@ def last_jobs(db: Connection, element: str) -> dict[str, PlannedProblem]:
 
 
 def last_report(db: Connection, element: str) -> JobOut | None:
-    """Read the last report on an element, or None."""
+    """Read the last job that reports on an element, even if it is being deleted, or None."""
     report_jobs = select(ELEMENT_JOBS.c.job).where(
         ELEMENT_JOBS.c.element == element, ELEMENT_JOBS.c.role == "report"
     )
@@ -55,6 +59,7 @@ def last_report(db: Connection, element: str) -> JobOut | None:
 
 
 def _job_fields(planned: PlannedProblem | None) -> dict[str, Any]:
+    """Return the fields of :class:`planner.service.models.PlannedOut` that come from a job, if any."""
     if planned is None:
         return {}
     job = planned.row
@@ -74,7 +79,7 @@ def _job_fields(planned: PlannedProblem | None) -> dict[str, Any]:
 def panel_model(
     row: Mapping[str, Any], planned: Mapping[str, PlannedProblem], marks: progress.ElementProgress
 ) -> PanelOut:
-    """Combine a panel of ``element.json`` with its last job, or that of its row, and its mark.
+    """Combine a panel of ``element.json`` with its mark and the last job that cuts it.
 
     Args:
         row: Panel from ``element.json``.
@@ -82,16 +87,16 @@ def panel_model(
         marks: Progress of the element.
     """
     name = str(row["id"])
-    cut_in = str(row["cut_in"]["job"]) if "cut_in" in row and name not in planned else None
-    fields = _job_fields(planned.get(cut_in or name))
-    if cut_in is not None:
+    row_job = str(row["cut_in"]["job"]) if "cut_in" in row and name not in planned else None
+    fields = _job_fields(planned.get(row_job or name))
+    if row_job is not None:
         fields = {key: value for key, value in fields.items() if key not in _FIELDS_OF_OWN_JOB}
     return PanelOut(
         id=name,
         order=int(row["order"]) if "order" in row else None,
         block_mm=[float(row[f"block_{axis}_mm"]) for axis in "xyz"],
         cut_min=_minutes(row),
-        cut_in=cut_in,
+        cut_in=row_job,
         mark=marks.state(name),
         **fields,
     )
@@ -123,6 +128,11 @@ def _minutes(row: Mapping[str, Any]) -> dict[str, float]:
 
 
 def finished_job(name: str, row: RowMapping) -> JobResult:
-    """Convert the end of a panel's job for the report."""
+    """Convert the row of an ended job to the result that a report on the element reads.
+
+    Args:
+        name: Id of the panel or raw-block job.
+        row: Database row of the job.
+    """
     issues = tuple(Issue.from_dict(issue) for issue in json.loads(row["issues"]))
     return JobResult(name, row["state"], issues, json.loads(row["metrics"]), row["seconds"] or 0.0)

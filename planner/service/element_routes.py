@@ -72,11 +72,11 @@ def visible_element_id(element: str, principal: Principal, service: Service) -> 
         service: Service.
 
     Raises:
-        RefusedError: 404.
+        RefusedError: 404, the element does not exist or belongs to others.
     """
     if not JOB_ID.fullmatch(element) or not service.auth.sees(principal, service.elements.owner(element)):
-        what = f"element {element[:40]!r}: not found. List the elements."
-        raise RefusedError(404, Issue("service.unknown_job", what))
+        message = f"element {element[:40]!r}: not found. List the elements."
+        raise RefusedError(404, Issue("service.unknown_job", message))
     record_jobs(element)
     return element
 
@@ -96,9 +96,9 @@ async def create(request: Request, owner: AuthorisedOwner, service: CurrentServi
     """Upload an element file as ``problem``, with all ``files`` that it names: meshes, templates, cells."""
     upload = await store_upload(request, service.storage, owner, service.limits)
     request_key = idempotency.hashed_key(owner, key, "elements", upload.content)
-    known = await anyio.to_thread.run_sync(service.elements.created_before, request_key)
-    if known is not None:
-        return known
+    earlier = await anyio.to_thread.run_sync(service.elements.created_before, request_key)
+    if earlier is not None:
+        return earlier
     return await service.run_in_turn(
         request, owner, lambda reading: service.elements.create(owner, upload, reading, request_key)
     )

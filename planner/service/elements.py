@@ -106,7 +106,7 @@ class ElementService(Protocol):
         uploads: Mapping[str, Blob],
         document: str | None = None,
     ) -> dict[str, dict[str, Blob]]:
-        """Store the files of the jobs for what was read."""
+        """Store the files of the jobs that results of reading describe, by the names of the results."""
         ...
 
     def new_job(
@@ -118,7 +118,7 @@ class ElementService(Protocol):
         limits: PlanningLimits = SERVICE_LIMITS_ONLY,
         of: ElementRole | None = None,
     ) -> NewJob:
-        """Describe the job for what was read."""
+        """Describe the job for a result of reading."""
         ...
 
 
@@ -153,10 +153,14 @@ class ElementStore:
             The element, or None if there is none yet.
 
         Raises:
-            RefusedError: 422.
+            RefusedError: 422, the key was sent with another request.
         """
-        known = self._jobs.created_before(idempotency_key)
-        return ElementOut(**self.get(known[0].id).model_dump(include=_HEAD_FIELDS)) if known else None
+        earlier_jobs = self._jobs.created_before(idempotency_key)
+        return (
+            ElementOut(**self.get(earlier_jobs[0].id).model_dump(include=_HEAD_FIELDS))
+            if earlier_jobs
+            else None
+        )
 
     def create(
         self,
@@ -220,18 +224,24 @@ class ElementStore:
         reading: UploadReading,
         idempotency_key: IdempotencyKey | None,
     ) -> ElementOut:
-        read = self._service.examine_element(upload.problem.sha, upload.files, fields, reading)
-        of = ElementRole("division", about=read.summary)
+        """Create the job that divides an element, with new values by field path.
+
+        The job takes over marks, title, tags and notes of ``present``, if that element is divided again.
+        """
+        reading_result = self._service.examine_element(upload.problem.sha, upload.files, fields, reading)
+        role = ElementRole("division", about=reading_result.summary)
         files = {
-            **self._service.store_job_files(owner, {ELEMENT_FILE: read}, upload.files)[ELEMENT_FILE],
+            **self._service.store_job_files(owner, {ELEMENT_FILE: reading_result}, upload.files)[
+                ELEMENT_FILE
+            ],
             **({} if present is None else present.marks),
         }
-        new_job = self._service.new_job(owner, read.name, read, files, of=of)
+        new_job = self._service.new_job(owner, reading_result.name, reading_result, files, of=role)
         if present is not None:
             title, tags, notes = present.job.title, tuple(present.job.tags), present.job.notes
             new_job = dataclasses.replace(new_job, title=title, tags=tags, notes=notes)
         job = self._jobs.create(new_job, idempotency_key)
-        return self._head(job, json.dumps(read.summary), 0)
+        return self._head(job, json.dumps(reading_result.summary), 0)
 
     def page(
         self, owners: Sequence[str], job_filter: JobFilter, count: int
@@ -245,16 +255,20 @@ class ElementStore:
         """
         jobs, next_cursor = self._jobs.page(owners, job_filter, count, "division")
         job_ids = [job.id for job in jobs]
-        about = select(ELEMENT_JOBS.c.job, ELEMENT_JOBS.c.about).where(ELEMENT_JOBS.c.job.in_(job_ids))
-        planned = (
+        details_query = select(ELEMENT_JOBS.c.job, ELEMENT_JOBS.c.about).where(
+            ELEMENT_JOBS.c.job.in_(job_ids)
+        )
+        counts_query = (
             select(ELEMENT_JOBS.c.element, func.count(ELEMENT_JOBS.c.panel.distinct()))
             .where(ELEMENT_JOBS.c.element.in_(job_ids), ELEMENT_JOBS.c.role == "panel")
             .group_by(ELEMENT_JOBS.c.element)
         )
         with self._database.read() as db:
-            texts = dict(row.tuple() for row in db.execute(about))
-            counts: dict[str, int] = dict(row.tuple() for row in db.execute(planned))
-        return [self._head(job, texts.get(job.id, "{}"), counts.get(job.id, 0)) for job in jobs], next_cursor
+            details = dict(row.tuple() for row in db.execute(details_query))
+            counts: dict[str, int] = dict(row.tuple() for row in db.execute(counts_query))
+        return [
+            self._head(job, details.get(job.id, "{}"), counts.get(job.id, 0)) for job in jobs
+        ], next_cursor
 
     def owner(self, element: str) -> str | None:
         """Return the token that owns an element, or None if it does not exist or is being deleted."""
@@ -284,7 +298,7 @@ class ElementStore:
         if DIVISION_DATA not in files:
             return ElementPanels(**head)
         marks, next_steps = self._progress(files)
-        jobs = [
+        block_jobs = [
             element_problems.block_job_model(job, planned, marks)
             for job in progress.block_jobs(marks.data).values()
         ]
@@ -296,12 +310,12 @@ class ElementStore:
         }
         panels = [item.model_copy(update={"block": blocks.get(item.id, "")}) for item in panels]
         minutes: Counter[str] = Counter()
-        for item in (*panels, *jobs):
+        for item in (*panels, *block_jobs):
             minutes.update(item.cut_min)
         return ElementPanels(
             **head,
             panels=panels,
-            block_jobs=jobs,
+            block_jobs=block_jobs,
             counts=dict(
                 Counter([*(item.state for item in panels), *(item.mark for item in panels if item.mark)])
             ),
@@ -330,7 +344,7 @@ class ElementStore:
         Raises:
             RefusedError: 404, 413, 422, 429, 499 or 507.
         """
-        yield
+        yield  # wait for a turn before the first part of the reading
         name, files = self._divided_files(element)
         data = self._data(files[DIVISION_DATA].sha)
         with self._database.read() as db:
@@ -341,7 +355,7 @@ class ElementStore:
         panel_ids = _selected_ids(has_own_job, last_jobs, chosen)
         if not panel_ids:
             return []
-        problem_files = {f: b for f, b in files.items() if f.startswith(_PROBLEM_PREFIXES)}
+        problem_files = {path: blob for path, blob in files.items() if path.startswith(_PROBLEM_PREFIXES)}
         results = yield from self._service.examine_panels(problem_files, panel_ids, reading)
         with self._database.read() as db:  # jobs may have changed while the panels were read
             last_jobs = element_problems.last_jobs(db, element)
@@ -357,26 +371,18 @@ class ElementStore:
             planned_panels,
         )
         new_jobs: dict[str, NewJob] = {}
-        keys = {panel_id: panel.row["key"] for panel_id, panel in last_jobs.items()}
+        last_keys = {panel_id: panel.row["key"] for panel_id, panel in last_jobs.items()}
         for panel_id in _in_reference_order(panel_ids, references):
             reference = references.get(panel_id)
-            reference_job = (
-                None
-                if reference is None
-                else new_jobs[reference].id
-                if reference in new_jobs
-                else last_jobs[reference].job
-            )
-            key = (
-                ""
-                if reference is None
-                else new_jobs[reference].key
-                if reference in new_jobs
-                else keys[reference]
-            )
-            of = ElementRole("panel", element, panel_id, reference_job, reference_key=key)
+            reference_job: str | None = None
+            reference_key = ""
+            if reference is not None and reference in new_jobs:
+                reference_job, reference_key = new_jobs[reference].id, new_jobs[reference].key
+            elif reference is not None:
+                reference_job, reference_key = last_jobs[reference].job, last_keys[reference]
+            role = ElementRole("panel", element, panel_id, reference_job, reference_key=reference_key)
             new_jobs[panel_id] = self._service.new_job(
-                owner, f"{name}-{panel_id}", results[panel_id], stored[panel_id], of=of
+                owner, f"{name}-{panel_id}", results[panel_id], stored[panel_id], of=role
             )
         return self._jobs.create_all(list(new_jobs.values()), idempotency_key)
 
@@ -396,25 +402,24 @@ class ElementStore:
             note: Note for the audit log.
 
         Raises:
-            RefusedError: 404, 409 if none can be released, 422.
+            RefusedError: 404, 409 if none can be released, 422 if an id has no own job.
         """
         _, files = self._divided_files(element)
         with self._database.read() as db:
             unknown_ids = sorted(shown.keys() - element_problems.last_jobs(db, element).keys())
         if unknown_ids:
             message = f"panels: no own job for {_quoted_names(unknown_ids)}. See the panels of the element."
-            rows = {
-                str(panel_id["id"]): panel_id.get("cut_in")
-                for panel_id in self._data(files[DIVISION_DATA].sha)["panels"]
+            cut_in_by_panel = {
+                str(row["id"]): row.get("cut_in") for row in self._data(files[DIVISION_DATA].sha)["panels"]
             }
-            rows_of_panels = [
-                f"{panel_id} in {row['job']}"
+            common_jobs = [
+                f"{panel_id} in {cut_in['job']}"
                 for panel_id in unknown_ids
-                if (row := rows.get(panel_id)) is not None
+                if (cut_in := cut_in_by_panel.get(panel_id)) is not None
             ]
             hint = (
-                f"cut together with others: {', '.join(rows_of_panels[:5])}. Release that job."
-                if rows_of_panels
+                f"cut together with others: {', '.join(common_jobs[:5])}. Release that job."
+                if common_jobs
                 else None
             )
             raise RefusedError(422, Issue("service.request", message, field="panels", hint=hint))
@@ -427,9 +432,9 @@ class ElementStore:
         )
         if not releases:
             issues = [
-                dataclasses.replace(panel_id, message=f"{panel}: {panel_id.message}")
-                for panel in sorted(refused)
-                for panel_id in refused[panel].issues
+                dataclasses.replace(issue, message=f"{panel_id}: {issue.message}")
+                for panel_id in sorted(refused)
+                for issue in refused[panel_id].issues
             ]
             raise RefusedError(409, issues)
         return ElementReleases(
@@ -532,8 +537,8 @@ class ElementStore:
                 panel_id: panel for panel_id, panel in panels.items() if panel.row["state"] not in OPEN_STATES
             }
             if not ended_panels:
-                what = f"element {name}: no planned panel. Plan panels first."
-                raise RefusedError(404, Issue("service.unknown_file", what))
+                message = f"element {name}: no planned panel. Plan panels first."
+                raise RefusedError(404, Issue("service.unknown_file", message))
             report_files = {
                 f"problem/element/{f}": b for f, b in files.items() if not f.startswith("problem/")
             }
@@ -555,10 +560,10 @@ class ElementStore:
         ).encode()
         (panel_list,) = self._service.storage.put(owner, [io.BytesIO(text)])
         report_files[f"problem/{PLANNED_FILE}"] = panel_list
-        rows = json.dumps(sorted((file, blob.sha) for file, blob in report_files.items()))
-        digest = hashlib.sha256(rows.encode()).hexdigest()
-        of = ElementRole("report", element)
-        new_job = self._service.new_job(owner, name, ReadingResult((), name, digest), report_files, of=of)
+        file_hashes = json.dumps(sorted((file, blob.sha) for file, blob in report_files.items()))
+        digest = hashlib.sha256(file_hashes.encode()).hexdigest()
+        role = ElementRole("report", element)
+        new_job = self._service.new_job(owner, name, ReadingResult((), name, digest), report_files, of=role)
         return self._jobs.create(new_job, idempotency_key)
 
     def _divided_files(self, element: str) -> tuple[str, dict[str, Blob]]:
@@ -570,9 +575,11 @@ class ElementStore:
         _, job = self._jobs.get(element)
         files = self._jobs.files(element)
         if DIVISION_DATA not in files:
-            what = f"element {job.name}: is not divided (state {job.state}). "
-            what += "Try again when it is." if job.state in OPEN_STATES else "See its issues and change it."
-            raise RefusedError(404, Issue("service.unknown_file", what))
+            message = f"element {job.name}: is not divided (state {job.state}). "
+            message += (
+                "Try again when it is." if job.state in OPEN_STATES else "See its issues and change it."
+            )
+            raise RefusedError(404, Issue("service.unknown_file", message))
         return job.name, files
 
     def _read_data(self, sha: str) -> Mapping[str, Any]:
@@ -580,7 +587,11 @@ class ElementStore:
         return data
 
     def _progress(self, files: Mapping[str, Blob]) -> tuple[progress.ElementProgress, list[str]]:
-        """Read the progress of an element, as data and as lines of text."""
+        """Return the progress of an element, as data and as lines of text with the next steps.
+
+        Args:
+            files: Files of the element's job, by name.
+        """
         with tempfile.TemporaryDirectory(dir=self._service.scratch, prefix="element-") as folder:
             out = Path(folder)
             for name in (DIVISION_DATA, MARKS_FILE, "stock.csv"):
@@ -595,8 +606,11 @@ class ElementStore:
 
     @staticmethod
     def _head(job: JobOut, about: str, planned: int) -> ElementOut:
-        known = json.loads(about)
-        return ElementOut(**job.model_dump(), kind=known["kind"], fields=known["fields"], planned=planned)
+        """Return an element without its panels, from its job and the column ``about`` of its division."""
+        division = json.loads(about)
+        return ElementOut(
+            **job.model_dump(), kind=division["kind"], fields=division["fields"], planned=planned
+        )
 
 
 def _quoted_names(names: Sequence[str]) -> str:
@@ -612,11 +626,11 @@ def _selected_ids(
 ) -> list[str]:
     """Select panels and raw-block jobs to plan, in the order of ``has_own_job``.
 
-    If ``chosen`` is None, panels that another job cuts are left out. Panels with a queued or running job
-    are never planned twice.
+    If ``chosen`` is None, these are all that were not planned yet or whose job was cancelled or crashed,
+    without panels that another job cuts. Panels with a queued or running job are never planned twice.
 
     Raises:
-        RefusedError: 422, the element does not have an id.
+        RefusedError: 422, the element does not have a chosen id.
     """
     if chosen is None:
         return [
@@ -640,15 +654,19 @@ def _selected_ids(
 
 def _in_reference_order(panel_ids: Sequence[str], references: Mapping[str, str]) -> list[str]:
     """Order panels so that each follows the panel whose plan is its reference plan."""
+    todo = set(panel_ids)
     out: dict[str, None] = {}
 
     def add_with_references(panel_id: str) -> None:
         chain = [panel_id]
-        while (like := references.get(chain[-1])) is not None and like in todo and like not in out:
-            chain.append(like)
+        while (
+            (reference_id := references.get(chain[-1])) is not None
+            and reference_id in todo
+            and reference_id not in out
+        ):
+            chain.append(reference_id)
         out.update(dict.fromkeys(reversed(chain)))
 
-    todo = set(panel_ids)
     for panel_id in panel_ids:
         add_with_references(panel_id)
     return list(out)

@@ -53,26 +53,27 @@ class Estimates:
             now: Present time [s since 1970].
         """
         job_count, stages = self._medians(json.dumps(job.processes), owners)
-        stage_times = [StageTime(stage=name, seconds=round(s, 3)) for name, s in stages.items()]
+        stage_times = [StageTime(stage=name, seconds=round(seconds, 3)) for name, seconds in stages.items()]
         total = round(sum(stages.values()), 3) if job_count else None
         if job.state != "running" or job.started is None:
             return EstimateOut(elapsed_s=None, left_s=None, whole_s=total, like=job_count, stages=stage_times)
         elapsed = round(max(now - job.started.timestamp(), 0.0), 3)  # clocks may have been set back
         remaining = None
         if job_count:
-            names = list(stages)
-            stage_index = names.index(job.stage) if job.stage in names else 0
-            stage_elapsed = max(elapsed - sum(stages[name] for name in names[:stage_index]), 0.0)
-            stage_median = stages[names[stage_index]] if names else 0.0
+            stage_names = list(stages)
+            stage_index = stage_names.index(job.stage) if job.stage in stage_names else 0
+            stage_elapsed = max(elapsed - sum(stages[name] for name in stage_names[:stage_index]), 0.0)
+            stage_median = stages[stage_names[stage_index]] if stage_names else 0.0
             remaining = max(
                 stage_median - stage_elapsed, stage_median * (1 - job.fraction) if job.fraction else 0.0
             )
-            remaining = round(remaining + sum(stages[name] for name in names[stage_index + 1 :]), 3)
+            remaining = round(remaining + sum(stages[name] for name in stage_names[stage_index + 1 :]), 3)
         return EstimateOut(
             elapsed_s=elapsed, left_s=remaining, whole_s=total, like=job_count, stages=stage_times
         )
 
     def _medians(self, processes: str, owners: Sequence[str]) -> tuple[int, dict[str, float]]:
+        """Return :meth:`_read_medians`, cached for `CACHE_S`."""
         key = (processes, *sorted(owners))
         with self._lock:
             cached_at, job_count, stages = self._known.get(key, (-CACHE_S, 0, {}))
@@ -80,37 +81,48 @@ class Estimates:
                 return job_count, stages
         job_count, stages = self._read_medians(processes, owners)
         with self._lock:
-            if len(self._known) > 1000:
+            if len(self._known) > 1000:  # bounds the memory
                 self._known.clear()
             self._known[key] = (time.monotonic(), job_count, stages)
         return job_count, stages
 
     def _read_medians(self, processes: str, owners: Sequence[str]) -> tuple[int, dict[str, float]]:
+        """Compute median stage times from the stored events of similar jobs.
+
+        Args:
+            processes: Processes of the job, as the JSON text of the database.
+            owners: Tokens whose jobs are evaluated.
+
+        Returns:
+            Number of jobs that were evaluated, and the median time [s] of each stage, in order.
+        """
         similar = (JOBS.c.owner.in_(owners), JOBS.c.processes == processes, JOBS.c.state == "verified")
-        last = select(JOBS.c.id).where(*similar, JOBS.c.from_store == 0).order_by(JOBS.c.finished.desc())
+        job_query = select(JOBS.c.id).where(*similar, JOBS.c.from_store == 0).order_by(JOBS.c.finished.desc())
         with self._database.read() as db:
-            jobs = db.execute(last.limit(MAX_SIMILAR_JOBS)).scalars().all()
+            jobs = db.execute(job_query.limit(MAX_SIMILAR_JOBS)).scalars().all()
             kinds = EVENTS.c.kind.in_(("state", "progress"))
             query = select(EVENTS).where(EVENTS.c.job.in_(jobs), kinds).order_by(EVENTS.c.job, EVENTS.c.seq)
-            rows = list(db.execute(query).mappings())
-        times: dict[str, dict[str, float]] = {job: {} for job in jobs}
-        for event, next_event in itertools.pairwise(rows):
+            events = list(db.execute(query).mappings())
+        times_by_job: dict[str, dict[str, float]] = {job: {} for job in jobs}
+        for event, next_event in itertools.pairwise(events):
             if event["job"] == next_event["job"]:
-                _add_stage_time(times, event, max(next_event["at"] - event["at"], 0.0))
-        times = {job: stage_times for job, stage_times in times.items() if stage_times}
-        order = dict.fromkeys(name for stage_times in times.values() for name in stage_times)
+                _add_stage_time(times_by_job, event, max(next_event["at"] - event["at"], 0.0))
+        times_by_job = {job: stage_times for job, stage_times in times_by_job.items() if stage_times}
+        order = dict.fromkeys(name for stage_times in times_by_job.values() for name in stage_times)
         medians = {
-            n: statistics.median(stage_times.get(n, 0.0) for stage_times in times.values()) for n in order
+            name: statistics.median(stage_times.get(name, 0.0) for stage_times in times_by_job.values())
+            for name in order
         }
-        return len(times), {name: seconds for name, seconds in medians.items() if seconds}
+        return len(times_by_job), {name: seconds for name, seconds in medians.items() if seconds}
 
 
-def _add_stage_time(times: dict[str, dict[str, float]], event: RowMapping, seconds: float) -> None:
+def _add_stage_time(times_by_job: dict[str, dict[str, float]], event: RowMapping, seconds: float) -> None:
     """Add the time from an event to the next one to the stage of the event.
 
-    A job that starts again, for instance after a restart of the service, is counted from there.
+    If a job starts again, for instance after a restart of the service, its earlier times are dropped.
+    ``times_by_job`` contains times [s] by job and stage.
     """
-    event_data, stage_times = json.loads(str(event["data"])), times[str(event["job"])]
+    event_data, stage_times = json.loads(str(event["data"])), times_by_job[str(event["job"])]
     if event["kind"] == "state":
         if event_data.get("state") == "running":
             stage_times.clear()

@@ -1,7 +1,7 @@
 """Cache of values in files, shared by several processes.
 
-No other program writes into the folder. If a process is killed, the cache stays intact. Values are pickles
-that this service wrote itself.
+No other program writes into the folder, so that the pickles can be trusted. If a process is killed, the
+cache stays intact.
 """
 
 import os
@@ -32,12 +32,14 @@ class FileCache:
         return None
 
     def put(self, name: str, value: Any, others: Sequence[str] = ()) -> None:
-        """Store a value. Each name is written whole or not at all. A full disk is ignored.
+        """Store a value under one or more names. Each file is written whole or not at all.
+
+        Values larger than half the cache are not stored. Errors of the disk are ignored.
 
         Args:
             name: Name.
             value: Value that can be pickled.
-            others: Further names of the same value.
+            others: Further names of the same value, as hard links.
         """
         content = pickle.dumps(value, pickle.HIGHEST_PROTOCOL)
         if len(content) > MAX_CACHE_BYTES // 2:
@@ -59,6 +61,7 @@ class FileCache:
         for path in self._folder.iterdir():
             with suppress(OSError):  # another process has removed it
                 status = path.stat()
+                # Names of the same value share its size.
                 entries.append((status.st_mtime, status.st_size / status.st_nlink, path))
         total = sum(file_size for _, file_size, _ in entries)
         for _, file_size, path in sorted(entries):

@@ -22,9 +22,12 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 HEADER_TIMEOUT_S: Final = 10.0
-"""Maximum time [s] until a request head is complete, from its first byte or the connection on."""
+"""Maximum time [s] until a request head is complete.
+
+It counts from the start of the connection, or from the first byte of a further request.
+"""
 HEAD_REQUEST_KEY: Final = "tandem.head"
-"""Key of an ASGI scope: the answer is sent without a body."""
+"""Key of an ASGI scope whose answer is sent without a body."""
 COMPRESSIBLE_TYPES: Final = ("text/", "application/json", "application/yaml", "model/obj")
 """Prefixes of the content types that are compressed."""
 MIN_COMPRESSED_BYTES: Final = 1024
@@ -154,6 +157,7 @@ def stored_file_response(
 
 
 def _should_compress(request: Request, path: Path, media_type: str) -> bool:
+    """Report whether a file is sent compressed. Range requests refer to the uncompressed file."""
     if (
         not _accepts_gzip(request)
         or "range" in request.headers
@@ -164,6 +168,7 @@ def _should_compress(request: Request, path: Path, media_type: str) -> bool:
 
 
 def _accepts_gzip(request: Request) -> bool:
+    """Report whether the header ``Accept-Encoding`` lists gzip with a weight other than 0."""
     encodings = [
         encoding.replace(" ", "").lower()
         for encoding in request.headers.get("accept-encoding", "").split(",")
@@ -190,13 +195,13 @@ class TemporaryFileResponse(FileResponse):
     def __init__(
         self, content: bytes, folder: Path, media_type: str, filename: str | None, headers: Mapping[str, str]
     ) -> None:
-        handle, name = tempfile.mkstemp(dir=folder)
+        handle, path = tempfile.mkstemp(dir=folder)
         try:
             with os.fdopen(handle, "wb") as out:
                 out.write(content)
-            super().__init__(name, media_type=media_type, filename=filename, headers=headers)
+            super().__init__(path, media_type=media_type, filename=filename, headers=headers)
         except BaseException:
-            Path(name).unlink()
+            Path(path).unlink()
             raise
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

@@ -40,7 +40,7 @@ class IdempotencyKey:
 
     Attributes:
         owner: Token that sent it.
-        key: SHA-256 of the key.
+        key: SHA-256 of the header's value.
         content: SHA-256 of the request content.
     """
 
@@ -50,13 +50,13 @@ class IdempotencyKey:
 
 
 def checked_header(keys: Sequence[str]) -> str | None:
-    """Return the key of a request, or None.
+    """Return the key of a request, or None if the header is missing.
 
     Args:
-        keys: Values of the header.
+        keys: Values of all headers ``Idempotency-Key``.
 
     Raises:
-        RefusedError: 422.
+        RefusedError: 422, there are several keys, or the key is invalid.
     """
     if not keys:
         return None
@@ -109,13 +109,13 @@ def earlier_jobs(db: Connection, key: IdempotencyKey) -> list[str]:
 
 
 def record_jobs(database: Database, db: Connection, key: IdempotencyKey, jobs: Sequence[str]) -> None:
-    """Record the jobs that a request created.
+    """Record the jobs that a request created. They replace those of an expired or deleted earlier request.
 
     Args:
         database: Database.
         db: Open write transaction.
         key: Idempotency key.
-        jobs: Ids of the jobs.
+        jobs: Ids of the jobs, in the order of the answer.
     """
     db.execute(delete(KEYS).where(KEYS.c.owner == key.owner, KEYS.c.hash == key.key))
     for number, job in enumerate(jobs):

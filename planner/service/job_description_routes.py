@@ -75,17 +75,18 @@ async def delete_many(
     body = await read_body(request, Deleting)
 
     def delete_each() -> Deleted:
-        done: dict[str, bool] = {}
+        was_deleted: dict[str, bool] = {}
         for job in dict.fromkeys(body.jobs):
             try:
                 service.jobs.cancel(visible_job(job, principal, service).id, owner, also_delete=True)
-                done[job] = True
+                was_deleted[job] = True
             except RefusedError as refused:
                 if refused.status != 404:
                     raise
-                done[job] = False
+                was_deleted[job] = False
         return Deleted(
-            deleted=[j for j, ok in done.items() if ok], unknown=[j for j, ok in done.items() if not ok]
+            deleted=[job for job, deleted in was_deleted.items() if deleted],
+            unknown=[job for job, deleted in was_deleted.items() if not deleted],
         )
 
     return await anyio.to_thread.run_sync(delete_each)

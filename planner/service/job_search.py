@@ -126,25 +126,26 @@ def page_cursor(order: JobOrder, row: RowMapping) -> str:
 
 
 def _after_cursor(order: JobOrder, cursor: str) -> ColumnElement[bool]:
+    """Return the condition for jobs after a :func:`page_cursor` in a list of the same order."""
     if ("~" in cursor) != (order == "title"):
         message = "cursor: belongs to a list with another order. Start from the first page."
         raise RefusedError(422, Issue("service.request", message, field="cursor"))
     if order == "title":
-        text, job = cursor.split("~")
+        encoded_label, job_id = cursor.split("~")
         try:
-            label = base64.urlsafe_b64decode(text + "=" * (-len(text) % 4)).decode()
+            label = base64.urlsafe_b64decode(encoded_label + "=" * (-len(encoded_label) % 4)).decode()
         except ValueError as error:
             message = "cursor: is invalid. Start from the first page."
             raise RefusedError(422, Issue("service.request", message, field="cursor")) from error
-        if "\0" in label:
+        if "\0" in label:  # PostgreSQL refuses such texts
             label = label.replace("\0", "")
-        return or_(JOBS.c.label > label, and_(JOBS.c.label == label, JOBS.c.id > job))
+        return or_(JOBS.c.label > label, and_(JOBS.c.label == label, JOBS.c.id > job_id))
     if order == "newest":
         return older_than_cursor(JOBS.c.created, JOBS.c.id, cursor)
-    position, job = _split_cursor(cursor)
+    position, job_id = _split_cursor(cursor)
     if order == "turn":
-        return or_(JOBS.c.turn > position, and_(JOBS.c.turn == position, JOBS.c.id > job))
-    return or_(JOBS.c.created > position, and_(JOBS.c.created == position, JOBS.c.id > job))
+        return or_(JOBS.c.turn > position, and_(JOBS.c.turn == position, JOBS.c.id > job_id))
+    return or_(JOBS.c.created > position, and_(JOBS.c.created == position, JOBS.c.id > job_id))
 
 
 def older_than_cursor(
@@ -174,5 +175,6 @@ def cursor_of(time: float, row_id: str) -> str:
 
 
 def _split_cursor(cursor: str) -> tuple[float, str]:
+    """Return the time or turn and the id that a :func:`cursor_of` contains."""
     time, _, row_id = cursor.partition("-")
     return float(time), row_id

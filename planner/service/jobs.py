@@ -87,7 +87,7 @@ class ElementRole:
         element: Id of the element, or None for a division, whose id is that of the element.
         panel: Id of the panel or raw-block job.
         like: Id of the job whose plan is the reference plan.
-        about: Kind and changeable fields of a division.
+        about: Kind of panels and changeable fields, for a division.
         reference_key: Key of the job whose plan is the reference plan, or empty.
     """
 
@@ -154,7 +154,7 @@ class NewJob:
 
 
 class Jobs:
-    """The jobs of one database."""
+    """The jobs of one database, within the limits of the service."""
 
     def __init__(self, database: Database, limits: ServiceLimits) -> None:
         self._database, self._limits = database, limits
@@ -217,13 +217,15 @@ class Jobs:
             return self._created_before(db, idempotency_key)
 
     def _created_before(self, db: Connection, idempotency_key: IdempotencyKey | None) -> list[JobOut]:
+        """Return the jobs of an earlier request, as :meth:`created_before`, in an open transaction."""
         job_ids = [] if idempotency_key is None else idempotency.earlier_jobs(db, idempotency_key)
         record_jobs(*job_ids)
         return [job_out(job_row(db, job), self._jobs_ahead(db, job)) for job in job_ids]
 
     def _insert_job(self, db: Connection, new: NewJob) -> JobOut:
+        """Insert a queued job with its files, role and first events. It may get its answer from the store."""
         job, now = new.id, time.time()
-        row = {
+        columns = {
             "id": job,
             "owner": new.owner,
             "name": new.name,
@@ -238,12 +240,12 @@ class Jobs:
             "issues": issues_json(new.issues),
             **job_search.description_columns(new.name, new.title, new.tags, new.notes),
         }
-        db.execute(insert(JOBS).values(row))
+        db.execute(insert(JOBS).values(columns))
         put_files(db, job, new.files)
         if new.of is not None:
-            kept = {"element": new.of.element or job, "role": new.of.role, "panel": new.of.panel}
-            about = {"like": new.of.like, "about": json.dumps(new.of.about)}
-            db.execute(insert(ELEMENT_JOBS).values({"job": job, **kept, **about}))
+            role_columns = {"element": new.of.element or job, "role": new.of.role, "panel": new.of.panel}
+            details = {"like": new.of.like, "about": json.dumps(new.of.about)}
+            db.execute(insert(ELEMENT_JOBS).values({"job": job, **role_columns, **details}))
         record_event(db, job, "state", {"state": "queued"})
         if new.issues:
             record_event(db, job, "issues", {"issues": [issue_json(issue) for issue in new.issues]})
@@ -294,12 +296,16 @@ class Jobs:
         with self._database.read() as db:
             rows = db.execute(job_search.apply_filter(query, job_filter).limit(count + 1)).mappings().all()
             turns = select(JOBS.c.turn).where(JOBS.c.state == "queued").order_by(JOBS.c.turn)
-            waiting = db.execute(turns).scalars().all() if any(r["state"] == "queued" for r in rows) else ()
-        last = job_search.page_cursor(job_filter.order, rows[count - 1]) if len(rows) > count else None
-        positions = [bisect_left(waiting, row["turn"]) if row["state"] == "queued" else None for row in rows]
+            queued_turns = (
+                db.execute(turns).scalars().all() if any(r["state"] == "queued" for r in rows) else ()
+            )
+        next_cursor = job_search.page_cursor(job_filter.order, rows[count - 1]) if len(rows) > count else None
+        positions = [
+            bisect_left(queued_turns, row["turn"]) if row["state"] == "queued" else None for row in rows
+        ]
         return [
             job_out(*row_and_position) for row_and_position in zip(rows[:count], positions, strict=False)
-        ], last
+        ], next_cursor
 
     def describe(self, job: str, change: Mapping[str, Any]) -> JobOut:
         """Change title, tags and notes of a job.
@@ -329,41 +335,44 @@ class Jobs:
     def cancel(self, job: str, token_id: str, also_delete: bool = False) -> JobOut:
         """Cancel a job: at once if it is queued, through its worker if it is running.
 
-        Ended jobs are not changed.
+        Ended jobs are not changed, unless they are deleted.
 
         Args:
             job: Id of the job.
             token_id: Token that cancels.
-            also_delete: Delete the job too.
+            also_delete: Delete the job too, a running one as soon as its worker has stopped.
+
+        Returns:
+            The job after the change, or before its deletion.
         """
         with self._database.write() as db:
             self._database.lock(db, job)
             row = job_row(db, job)
             if row["state"] == "queued":
-                changed = db.execute(
+                result = db.execute(
                     update(JOBS)
                     .where(JOBS.c.id == job, JOBS.c.state == "queued")
                     .values(state="cancelled", finished=time.time(), cancel=CANCELLED)
                 )
-                if changed.rowcount:
+                if result.rowcount:
                     record_event(db, job, "state", {"state": "cancelled"})
             cancel_state = DELETED if also_delete else max(CANCELLED, row["cancel"])
             db.execute(
                 update(JOBS).where(JOBS.c.id == job, JOBS.c.state == "running").values(cancel=cancel_state)
             )
-            done = job_out(job_row(db, job, deleted_too=True))
+            job_after = job_out(job_row(db, job, deleted_too=True))
             act: AuditAct = "deleted" if also_delete else "cancelled"
             audited = {}
-            if also_delete and done.state not in OPEN_STATES:
-                audited = {job_id.id: job_id.name for job_id in delete_job(db, job)}
+            if also_delete and job_after.state not in OPEN_STATES:
+                audited = {deleted_job.id: deleted_job.name for deleted_job in delete_job(db, job)}
             elif also_delete or (row["state"] in OPEN_STATES and not row["cancel"]):
-                audited = {job: done.name}
+                audited = {job: job_after.name}
             for job_id, name in audited.items():
                 event = audit.AuditEvent(act, job_id, {"name": name})
                 audit.record_act(self._database, db, token_id, event)
-        if row["state"] == "queued" and done.state == "cancelled":
+        if row["state"] == "queued" and job_after.state == "cancelled":
             metrics.count_outcome("cancelled")
-        return done
+        return job_after
 
     def move_to_front(self, job: str) -> JobOut:
         """Move a queued job before the other queued jobs of its owner.
@@ -383,11 +392,13 @@ class Jobs:
             if row["state"] != "queued":
                 message = f"job {job}: cannot come first (state {row['state']}, allowed queued)"
                 raise RefusedError(409, Issue("service.state", message, field="state"))
-            waits = (JOBS.c.owner == owner, JOBS.c.state == "queued", JOBS.c.turn <= row["turn"])
-            query = select(JOBS.c.id, JOBS.c.turn).where(*waits).order_by(JOBS.c.turn, JOBS.c.id)
-            rows = db.execute(query).all()
-            earlier_jobs = [job_id.id for job_id in rows if job_id.id != job]
-            for job_id, turn in zip([job, *earlier_jobs], [row.turn for row in rows], strict=True):
+            condition = (JOBS.c.owner == owner, JOBS.c.state == "queued", JOBS.c.turn <= row["turn"])
+            query = select(JOBS.c.id, JOBS.c.turn).where(*condition).order_by(JOBS.c.turn, JOBS.c.id)
+            queued = db.execute(query).all()
+            # The turns stay the same and are handed out in the new order.
+            earlier_jobs = [queued_job.id for queued_job in queued if queued_job.id != job]
+            turns = [queued_job.turn for queued_job in queued]
+            for job_id, turn in zip([job, *earlier_jobs], turns, strict=True):
                 db.execute(update(JOBS).where(JOBS.c.id == job_id).values(turn=turn))
             return job_out(job_row(db, job), self._jobs_ahead(db, job))
 
@@ -421,21 +432,21 @@ class Jobs:
             self._check_open_limit(db, owner)
             kept_files = or_(FILES.c.name.startswith("problem/"), FILES.c.name == MARKS_FILE)
             db.execute(delete(FILES).where(FILES.c.job == job, not_(kept_files)))
-            fresh = {"state": "queued", "stage": "", "fraction": 0.0, "issues": "[]", "metrics": "{}"}
-            cleared = dict.fromkeys(("started", "finished", "seconds", "host", "lease"))
+            initial = {"state": "queued", "stage": "", "fraction": 0.0, "issues": "[]", "metrics": "{}"}
+            nulls = dict.fromkeys(("started", "finished", "seconds", "host", "lease"))
             zeroed = dict.fromkeys(("attempts", "cancel", "from_store"), 0)
             now = time.time()
-            values = {**fresh, **cleared, **zeroed, "created": now, "turn": now}
+            values = {**initial, **nulls, **zeroed, "created": now, "turn": now}
             db.execute(update(JOBS).where(JOBS.c.id == job).values(**values))
             record_event(db, job, "issues", {"issues": [], "all": True})
             record_event(db, job, "state", {"state": "queued"})
             answered = answer_from_store(db, job, row["key"])
-            done = job_out(job_row(db, job), self._jobs_ahead(db, job))
-            event = audit.AuditEvent("retried", job, {"name": done.name})
+            job_after = job_out(job_row(db, job), self._jobs_ahead(db, job))
+            event = audit.AuditEvent("retried", job, {"name": job_after.name})
             audit.record_act(self._database, db, token_id, event)
         if answered:
-            metrics.count_outcome(done.state, FROM_STORE)
-        return done
+            metrics.count_outcome(job_after.state, FROM_STORE)
+        return job_after
 
     def files(self, job: str) -> dict[str, Blob]:
         """Return the files of a job, by name."""
@@ -443,19 +454,19 @@ class Jobs:
             return job_files(db, job)
 
     def used_shas(self, shas: list[str]) -> set[str]:
-        """Return those of the hashes that a job references."""
+        """Return the hashes among ``shas`` that a job or draft references."""
         with self._database.read() as db:
             return set(db.execute(select(FILES.c.sha).where(FILES.c.sha.in_(shas)).distinct()).scalars())
 
     def owned_sizes(self, owner: str) -> dict[str, int]:
         """Return the sizes [bytes] of all content that an owner's jobs and drafts reference, by SHA-256."""
-        named = (
+        queries = (
             select(FILES.c.sha, FILES.c.size)
             .join_from(FILES, table, FILES.c.job == table.c.id)
             .where(table.c.owner == owner)
             for table in (JOBS, DRAFTS)
         )
-        query = union(*named)
+        query = union(*queries)
         with self._database.read() as db:
             return dict(row.tuple() for row in db.execute(query).all())
 
@@ -468,12 +479,13 @@ class Jobs:
     def oldest_waiting(self) -> float | None:
         """Return the creation time [s since 1970] of the oldest queued job, or None."""
         with self._database.read() as db:
-            came: float | None = db.execute(
+            created: float | None = db.execute(
                 select(func.min(JOBS.c.created)).where(JOBS.c.state == "queued")
             ).scalar()
-        return came
+        return created
 
     def _jobs_ahead(self, db: Connection, job: str) -> int | None:
+        """Return the number of queued jobs that are planned before a job, or None if it is not queued."""
         row = job_row(db, job)
         if row["state"] != "queued":
             return None
@@ -481,10 +493,11 @@ class Jobs:
         return int(db.execute(select(func.count()).select_from(JOBS).where(earlier)).scalar_one())
 
     def _check_limits(self, db: Connection, new: Sequence[NewJob]) -> None:
+        """Check that an owner may store new jobs."""
         owner = new[0].owner
         self._check_open_limit(db, owner, sum(new_job.of is None for new_job in new))
-        mine = select(func.count()).select_from(JOBS).where(JOBS.c.owner == owner)
-        job_count = int(db.execute(mine).scalar_one())
+        count_query = select(func.count()).select_from(JOBS).where(JOBS.c.owner == owner)
+        job_count = int(db.execute(count_query).scalar_one())
         if job_count + len(new) > self._limits.kept_jobs:
             addition = f" and {len(new)} new ones" if len(new) > 1 else ""
             message = (
@@ -494,21 +507,24 @@ class Jobs:
             raise too_many(message, 60, self._limits.kept_jobs)
 
     def _check_open_limit(self, db: Connection, owner: str, new_count: int = 1) -> None:
-        mine = select(func.count()).select_from(JOBS).where(JOBS.c.owner == owner)
-        panels = select(ELEMENT_JOBS.c.job).where(ELEMENT_JOBS.c.role == "panel")
-        opened = and_(JOBS.c.owner == owner, JOBS.c.state.in_(OPEN_STATES))
-        elements = (
+        """Check that an owner may have more open jobs. All panels of one element count as one job."""
+        count_query = select(func.count()).select_from(JOBS).where(JOBS.c.owner == owner)
+        panel_jobs = select(ELEMENT_JOBS.c.job).where(ELEMENT_JOBS.c.role == "panel")
+        open_filter = and_(JOBS.c.owner == owner, JOBS.c.state.in_(OPEN_STATES))
+        planned_elements = (
             select(func.count(ELEMENT_JOBS.c.element.distinct()))
             .join_from(ELEMENT_JOBS, JOBS, ELEMENT_JOBS.c.job == JOBS.c.id)
-            .where(opened, ELEMENT_JOBS.c.role == "panel")
+            .where(open_filter, ELEMENT_JOBS.c.role == "panel")
         )
-        waiting = int(db.execute(mine.where(opened, JOBS.c.id.not_in(panels))).scalar_one())
-        waiting += int(db.execute(elements).scalar_one())
-        if waiting + max(new_count, 1) > self._limits.open_jobs:
+        open_count = int(
+            db.execute(count_query.where(open_filter, JOBS.c.id.not_in(panel_jobs))).scalar_one()
+        )
+        open_count += int(db.execute(planned_elements).scalar_one())
+        if open_count + max(new_count, 1) > self._limits.open_jobs:
             addition = f" and {new_count} new ones" if new_count > 1 else ""
             max_open = self._limits.open_jobs
             message = (
-                f"too many open jobs (got {waiting}{addition}, allowed {max_open}). Wait, or cancel some."
+                f"too many open jobs (got {open_count}{addition}, allowed {max_open}). Wait, or cancel some."
             )
             raise too_many(message, 10, max_open)
 
@@ -540,8 +556,10 @@ def put_files(db: Connection, job: str, files: Mapping[str, Blob]) -> None:
     """
     if files:
         db.execute(delete(FILES).where(FILES.c.job == job, FILES.c.name.in_(list(files))))
-        rows = [{"job": job, "name": n, "sha": blob.sha, "size": blob.size} for n, blob in files.items()]
-        db.execute(insert(FILES), rows)
+        file_rows = [
+            {"job": job, "name": name, "sha": blob.sha, "size": blob.size} for name, blob in files.items()
+        ]
+        db.execute(insert(FILES), file_rows)
 
 
 def job_files(db: Connection, job: str) -> dict[str, Blob]:
@@ -576,10 +594,10 @@ def delete_job(db: Connection, job: str) -> list[DeletedJob]:
     deleted = []
     for job_id in dict.fromkeys((job, *reports)):
         row = db.execute(select(JOBS.c.id, JOBS.c.owner, JOBS.c.name).where(JOBS.c.id == job_id)).first()
-        done = db.execute(
+        result = db.execute(
             delete(JOBS).where(JOBS.c.id == job_id)
         )  # first: a release in progress locks this row
-        if row is not None and done.rowcount:
+        if row is not None and result.rowcount:
             deleted.append(DeletedJob(*row))
         for table in (EVENTS, FILES, KEYS, LINKS, RELEASES):
             db.execute(delete(table).where(table.c.job == job_id))
@@ -588,11 +606,11 @@ def delete_job(db: Connection, job: str) -> list[DeletedJob]:
 
 
 def answer_from_store(db: Connection, job: str, key: str) -> bool:
-    """Copy the answer of a job with the same key, if there is one.
+    """Copy state, results and issues of an ended job with the same key to a new job, if there is one.
 
     Args:
         db: Open write transaction.
-        job: Id of the job without an answer.
+        job: Id of the new job.
         key: Hash of everything that the answer depends on.
 
     Returns:
@@ -656,6 +674,7 @@ def job_out(row: RowMapping, ahead: int | None = None) -> JobOut:
 
 
 def _release(row: RowMapping) -> Release | None:
+    """Return the last release in a row of :func:`jobs_query`, or None if the job was never released."""
     if row["release_who"] is None:
         return None
     return release_of({name: row[f"release_{name}"] for name in _RELEASE_COLUMNS})
@@ -685,12 +704,14 @@ HAS_THUMBNAIL: Final = (
 
 def jobs_query() -> Select[Any]:
     """Return the query of jobs with all columns that :func:`job_out` needs."""
-    more = [
+    further_columns = [
         TOKENS.c.name.label("made_by"),
         *(RELEASES.c[name].label(f"release_{name}") for name in _RELEASE_COLUMNS),
     ]
-    with_names = select(JOBS, HAS_THUMBNAIL, *more).outerjoin_from(JOBS, TOKENS, JOBS.c.owner == TOKENS.c.id)
-    return with_names.outerjoin(RELEASES, LAST_RELEASE)
+    with_owners = select(JOBS, HAS_THUMBNAIL, *further_columns).outerjoin_from(
+        JOBS, TOKENS, JOBS.c.owner == TOKENS.c.id
+    )
+    return with_owners.outerjoin(RELEASES, LAST_RELEASE)
 
 
 def job_row(db: Connection, job: str, deleted_too: bool = False) -> RowMapping:
@@ -777,13 +798,13 @@ class EventBroker:
                 self._wake(await anyio.to_thread.run_sync(self._last_numbers, list(self._listening)))
             if time.monotonic() >= next_check:
                 next_check = time.monotonic() + ACCESS_CHECK_S
-                pairs = {
+                token_job_pairs = {
                     (listener.token, job)
                     for job, listeners in self._listening.items()
                     for listener in listeners
                 }
                 with contextlib.suppress(Exception):
-                    self._end_streams(await anyio.to_thread.run_sync(self._without_access, pairs))
+                    self._end_streams(await anyio.to_thread.run_sync(self._without_access, token_job_pairs))
 
     def close(self) -> None:
         """End all streams."""
@@ -803,8 +824,8 @@ class EventBroker:
             RefusedError: 429, too many streams.
         """
         if self._of_owner.get(owner, 0) >= self._limits.streams:
-            what = f"too many open event streams (allowed {self._limits.streams}). Close some."
-            raise too_many(what, 10)
+            message = f"too many open event streams (allowed {self._limits.streams}). Close some."
+            raise too_many(message, 10)
         self._of_owner[owner] = self._of_owner.get(owner, 0) + 1
         try:
             yield
@@ -823,6 +844,9 @@ class EventBroker:
             job: Id of the job.
             after: Number of the last event that the client has.
             token: Token of the listener.
+
+        Yields:
+            Events and comments as lines of the stream.
         """
         listener = _Listener(token, after)
         self._listening.setdefault(job, set()).add(listener)
@@ -851,33 +875,35 @@ class EventBroker:
                 self._listening.pop(job, None)
 
     def _wake(self, numbers: dict[str, int]) -> None:
+        """Wake the listeners that lack events, by the number of the last event of each job."""
         for job, listeners in self._listening.items():
             for listener in listeners:
                 if numbers.get(job, -1) != listener.last_seq:
                     listener.wake_event.set()
 
     def _end_streams(self, lost_access: Set[tuple[str, str]]) -> None:
+        """End the streams of listeners whose pair of token and job is in ``lost_access``."""
         for job, listeners in self._listening.items():
             for listener in listeners:
                 if (listener.token, job) in lost_access:
                     listener.access_lost = True
                     listener.wake_event.set()
 
-    def _without_access(self, pairs: Set[tuple[str, str]]) -> set[tuple[str, str]]:
+    def _without_access(self, token_job_pairs: Set[tuple[str, str]]) -> set[tuple[str, str]]:
         """Return those pairs of token and job where the token is invalid or may no longer see the job.
 
         This takes two queries for all pairs. Streams of deleted jobs end by themselves.
         """
-        pairs = {(token, job) for token, job in pairs if token != LOCAL}
-        valid_teams = self._auth.teams(sorted({token for token, _ in pairs}))
-        jobs = sorted({job for _, job in pairs})
+        token_job_pairs = {(token, job) for token, job in token_job_pairs if token != LOCAL}
+        valid_teams = self._auth.teams(sorted({token for token, _ in token_job_pairs}))
+        job_ids = sorted({job for _, job in token_job_pairs})
         owners: dict[str, tuple[str, str | None]] = {}
         query = select(JOBS.c.id, JOBS.c.owner, TOKENS.c.team).outerjoin_from(
             JOBS, TOKENS, JOBS.c.owner == TOKENS.c.id
         )
         with self._database.read() as db:
-            for start in range(0, len(jobs), JOBS_PER_QUERY):
-                batch = query.where(JOBS.c.id.in_(jobs[start : start + JOBS_PER_QUERY]))
+            for start in range(0, len(job_ids), JOBS_PER_QUERY):
+                batch = query.where(JOBS.c.id.in_(job_ids[start : start + JOBS_PER_QUERY]))
                 owners |= {row.id: (row.owner, row.team) for row in db.execute(batch)}
 
         def sees(token: str, job: str) -> bool:
@@ -886,9 +912,10 @@ class EventBroker:
                 owner == token or (team is not None and team == valid_teams[token])
             )
 
-        return {(token, job) for token, job in pairs if not sees(token, job)}
+        return {(token, job) for token, job in token_job_pairs if not sees(token, job)}
 
     def _last_numbers(self, jobs: list[str]) -> dict[str, int]:
+        """Return the number of the last event of each job. Deleted jobs are missing."""
         numbers: dict[str, int] = {}
         with self._database.read() as db:
             for start in range(0, len(jobs), JOBS_PER_QUERY):

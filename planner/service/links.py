@@ -1,4 +1,4 @@
-"""Links that open something of one job without a token: a file, or a read-only page of the job.
+"""Links that require no token and open a file of one job, or a read-only page of the job.
 
 Both are signed with a secret that all hosts of one database share (HMAC, RFC 2104). A view link is also a
 row of the store, with its creator and its end. The row is deleted when the link is withdrawn or found
@@ -32,7 +32,10 @@ MAX_VIEW_LINK_S: Final = 30 * 86400
 MAX_VIEW_LINKS: Final = 20
 """Maximum number of view links of one job that are in force at once."""
 MAX_CLOCK_SKEW_S: Final = 60.0
-"""Maximum time [s] by which the clock may be before the creation of a link that opens something."""
+"""Maximum time [s] by which the creation of a view link may lie in the future.
+
+A link with a later creation time was made while the clock was wrong, and is refused.
+"""
 VIEWABLE_FILES: Final = ("report.html", "replay.html")
 """Files of a job that a view link opens."""
 
@@ -91,7 +94,7 @@ class Links:
             seconds: Lifetime [s].
 
         Raises:
-            RefusedError: 409, the job has too many.
+            RefusedError: 409, the job has too many view links.
         """
         link_id = secrets.token_hex(16)
         with self._database.write() as db:
@@ -102,8 +105,8 @@ class Links:
             if count >= MAX_VIEW_LINKS:
                 message = f"job {job.id}: too many view links (got {count}, allowed {MAX_VIEW_LINKS}). "
                 raise RefusedError(409, Issue("service.link", f"{message}Withdraw one first."))
-            row = {"id": link_id, "job": job.id, "token": principal.token, "who": principal.name}
-            db.execute(insert(LINKS).values(**row, created=now, expires=now + float(seconds)))
+            columns = {"id": link_id, "job": job.id, "token": principal.token, "who": principal.name}
+            db.execute(insert(LINKS).values(**columns, created=now, expires=now + float(seconds)))
             created, expires = db.execute(
                 select(LINKS.c.created, LINKS.c.expires).where(LINKS.c.id == link_id)
             ).one()
@@ -121,8 +124,8 @@ class Links:
         with self._database.read() as db:
             rows = db.execute(query.order_by(LINKS.c.created.desc(), LINKS.c.id)).mappings().all()
         return [
-            LookLink(id=r["id"], by=r["who"], created=utc(r["created"]), expires=utc(r["expires"]))
-            for r in rows
+            LookLink(id=row["id"], by=row["who"], created=utc(row["created"]), expires=utc(row["expires"]))
+            for row in rows
         ]
 
     def withdraw(self, job: JobOut, link_id: str, principal: Principal) -> None:
@@ -134,7 +137,7 @@ class Links:
             principal: Caller.
 
         Raises:
-            RefusedError: 404.
+            RefusedError: 404, the job has no such link.
         """
         link_filter = and_(LINKS.c.id == link_id, LINKS.c.job == job.id)
         with self._database.write() as db:
@@ -158,7 +161,7 @@ class Links:
             Token that made the link, and the end of the link.
 
         Raises:
-            RefusedError: 404.
+            RefusedError: 404, the link is unknown, expired or withdrawn, or its signature is wrong.
         """
         if not _equal_signatures(self._hmac("tandem look", job, link_id), signature):
             raise view_link_refusal()
@@ -171,13 +174,13 @@ class Links:
             row = db.execute(query.where(link_filter)).first()
         if row is None:
             raise view_link_refusal()
-        maker, expires, expired, created_before = row
+        creator, expires, expired, created_before = row
         if expired:  # a clock that is set back must not revive the link
             with self._database.write() as db:
                 db.execute(delete(LINKS).where(link_filter, LINKS.c.expires <= self._database.clock()))
         if expired or not created_before:
             raise view_link_refusal()
-        return maker, utc(expires)
+        return creator, utc(expires)
 
     def _hmac(self, *signed: str | int) -> str:
         return hmac.new(self._secret, json.dumps(signed).encode(), hashlib.sha256).hexdigest()
@@ -197,5 +200,7 @@ def view_link_refusal() -> RefusedError:
 
     All causes give an equal refusal, so that guessing reveals nothing.
     """
-    what = "link: expired, withdrawn or incomplete. Copy the whole link again, or ask the person who sent it."
-    return RefusedError(404, Issue("service.link", what))
+    message = (
+        "link: expired, withdrawn or incomplete. Copy the whole link again, or ask the person who sent it."
+    )
+    return RefusedError(404, Issue("service.link", message))

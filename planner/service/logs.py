@@ -39,7 +39,7 @@ MAX_FRAMES: Final = 30
 _ID: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:-]{0,127}")
 """An identifier that is accepted from the header."""
 _TOKEN: Final = re.compile(r"tandem_[0-9a-f]{16}_[A-Za-z0-9_-]*")
-"""A token, or the beginning of one."""
+"""An API token, or the beginning of one."""
 _PASSWORD: Final = re.compile(r"://[^\s/@]*@")
 """User and password in a URL."""
 _PASSWORD_OPTION: Final = re.compile(r"(password\s*=\s*)(?:'(?:[^'\\]|\\.)*'?|[^\s&]+)", re.IGNORECASE)
@@ -153,7 +153,10 @@ class JsonLinesFormatter(logging.Formatter):
         jobs = [*getattr(record, "jobs", ()), *(request.jobs if request else ())][:MAX_JOBS]
         line |= {"request": request_id} if request_id else {}
         line |= {"jobs": jobs} if jobs else {}
-        line |= {k: self._redact(v, hide_paths=False) if isinstance(v, str) else v for k, v in fields.items()}
+        line |= {
+            name: self._redact(value, hide_paths=False) if isinstance(value, str) else value
+            for name, value in fields.items()
+        }
         if record.exc_info and record.exc_info[1] is not None:
             line["errors"] = list(self._errors(record.exc_info[1]))
         return json.dumps(line)
@@ -164,12 +167,15 @@ class JsonLinesFormatter(logging.Formatter):
         while error is not None and id(error) not in seen:
             seen.add(id(error))
             frames = list(traceback.walk_tb(error.__traceback__))[-MAX_FRAMES:]
-            trace = [f"{f.f_globals.get('__name__')}:{f.f_code.co_name}:{line}" for f, line in frames]
+            trace = [
+                f"{frame.f_globals.get('__name__')}:{frame.f_code.co_name}:{line}" for frame, line in frames
+            ]
             message = self._redact(str(error), hide_paths=True)
             yield {"type": type(error).__name__, "message": message, "trace": trace}
             error = error.__cause__ or (None if error.__suppress_context__ else error.__context__)
 
     def _redact(self, text: str, hide_paths: bool) -> str:
+        """Replace hidden texts, tokens, passwords and, if requested, absolute paths. Shorten long texts."""
         for secret, replacement in self._hidden.items():
             text = text.replace(secret, replacement)
         text = _PASSWORD_OPTION.sub(r"\1(password)", _PASSWORD.sub("://", _TOKEN.sub("(token)", text)))

@@ -73,13 +73,13 @@ def count_outcome(state: str, source: str = "planned") -> None:
 
     Args:
         state: Final state.
-        source: ``planned`` or `STORE`.
+        source: ``planned``, or :data:`planner.service.jobs.FROM_STORE`.
     """
     OUTCOMES.labels(state, source).inc()
 
 
 def observe_stage(stage: str, seconds: float) -> None:
-    """Count a stage of a job.
+    """Record how long a stage of a job took.
 
     Args:
         stage: Name of the stage.
@@ -89,7 +89,7 @@ def observe_stage(stage: str, seconds: float) -> None:
 
 
 def observe_wait(seconds: float) -> None:
-    """Count the time [s] that a job was queued. It may be negative by the clocks of two hosts."""
+    """Record how long [s] a job was queued. If clocks of two hosts differ, the time may be negative."""
     WAIT_S.observe(max(seconds, 0.0))
 
 
@@ -105,20 +105,20 @@ def metrics_text(
         workers: Number of worker processes.
         planning: Whether jobs are being planned.
     """
-    now = CollectorRegistry()
+    current_registry = CollectorRegistry()
     age = 0.0 if oldest is None else max(time.time() - oldest, 0.0)
-    for name, what, value in (
+    for name, help_text, value in (
         ("tandem_queue_age_seconds", "Age of the oldest queued job, 0 without one.", age),
         ("tandem_files_bytes", "Stored files.", files_bytes),
         ("tandem_workers", "Worker processes.", workers),
         ("tandem_planning", "Whether jobs are being planned (1 or 0).", float(planning)),
     ):
-        Gauge(name, what, registry=now).set(value)
-    Gauge("tandem_info", "Version.", ("version",), registry=now).labels(__version__).set(1)
-    states = Gauge("tandem_jobs", "Jobs in the store by state.", ("state",), registry=now)
+        Gauge(name, help_text, registry=current_registry).set(value)
+    Gauge("tandem_info", "Version.", ("version",), registry=current_registry).labels(__version__).set(1)
+    states = Gauge("tandem_jobs", "Jobs in the store by state.", ("state",), registry=current_registry)
     for state in get_args(State):
         states.labels(state).set(jobs.get(state, 0))
-    return bytes(generate_latest(now) + generate_latest(REGISTRY))
+    return bytes(generate_latest(current_registry) + generate_latest(REGISTRY))
 
 
 class MetricsMiddleware:

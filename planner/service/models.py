@@ -330,7 +330,7 @@ class Database:
             self._engine = open_engine(url)
             self.sqlite = self._engine.dialect.name == "sqlite"
             with self._engine.execution_options(write=True).begin() as connection:
-                if not self.sqlite:
+                if not self.sqlite:  # one host at a time may create the tables
                     connection.execute(text("SELECT pg_advisory_xact_lock(7223)"))
                 create_or_check(connection, METADATA)
         except (SchemaVersionError, NoVersionError) as error:
@@ -351,7 +351,7 @@ class Database:
     @contextmanager
     def write(self) -> Iterator[Connection]:
         """Open a transaction that writes all or nothing."""
-        if self.sqlite:
+        if self.sqlite:  # has a single writer, for which threads of this process wait in turn
             with self._lock, self._writer.begin() as connection:
                 yield connection
         else:
@@ -436,14 +436,14 @@ def open_engine(url: str) -> Engine:
         name = parts.database or ""
         if "\0" in url or (kind == "sqlite" and name in ("", ":memory:")):
             raise ArgumentError("names no file")  # an in-memory database ends with its connection
-        waits = {"timeout": MAX_WAIT_S} if kind == "sqlite" else {"connect_timeout": MAX_CONNECT_S}
+        connect_args = {"timeout": MAX_WAIT_S} if kind == "sqlite" else {"connect_timeout": MAX_CONNECT_S}
         engine = create_engine(
             url,
             pool_size=POOL_SIZE,
             max_overflow=POOL_SIZE,
             pool_timeout=MAX_WAIT_S,
             pool_pre_ping=kind != "sqlite",
-            connect_args=waits,
+            connect_args=connect_args,
             hide_parameters=True,  # keeps token hashes and user data out of logged errors
         )
     except (ValueError, TypeError) as error:  # a port or an option that is not a number
@@ -466,6 +466,7 @@ def _prepare_sqlite(connection: Any, record: Any) -> None:
 
 
 def _begin_sqlite(connection: Connection) -> None:
+    """Begin a transaction. One that writes takes the lock at once, so that it cannot fail half-way."""
     writes = connection.get_execution_options().get("write", False)
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
@@ -483,12 +484,12 @@ def cannot_open(url: str, error: Exception) -> Issue:
         error: Error of the database.
     """
     if isinstance(error, ImportError):
-        what = "the PostgreSQL driver is missing. Run pip install 'tandem-planner[service,postgres]'."
+        message = "the PostgreSQL driver is missing. Run pip install 'tandem-planner[service,postgres]'."
     elif isinstance(error, DBAPIError):
-        what = f"cannot be opened ({error_reason(error)}). Check that it is running and writable."
+        message = f"cannot be opened ({error_reason(error)}). Check that it is running and writable."
     else:
-        what = "invalid URL. Give sqlite:///FILE or postgresql://USER:PASSWORD@HOST/NAME."
-    return Issue("service.database", f"database {redacted_url(url)}: {what}", field="database")
+        message = "invalid URL. Give sqlite:///FILE or postgresql://USER:PASSWORD@HOST/NAME."
+    return Issue("service.database", f"database {redacted_url(url)}: {message}", field="database")
 
 
 def redacted_url(url: str) -> str:

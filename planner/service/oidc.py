@@ -110,7 +110,7 @@ class OidcSettings:
         client: Client id that is registered there.
         secret: Client secret.
         grants: Values of the claim, and their grants.
-        claim: Name of the claim.
+        claim: Name of the claim of the ID token that decides, such as the groups of an account.
         scope: Requested OpenID scopes.
     """
 
@@ -182,9 +182,14 @@ _GRANT_PATTERN: Final = re.compile(
 
 
 def _parse_grant(text: str, team: str | None) -> tuple[str, Grant]:
-    """Parse a value of the claim and its grant.
+    """Parse an option ``--oidc-role``.
 
-    The team is that of all accounts unless the text names another.
+    Args:
+        text: ``VALUE=ROLE@TEAM`` or ``VALUE=SCOPE@TEAM:TAG``.
+        team: Team of all accounts, which applies if the text names none.
+
+    Returns:
+        Value of the claim, and its grant.
 
     Raises:
         TandemError: The text is invalid.
@@ -209,10 +214,10 @@ def _parse_grant(text: str, team: str | None) -> tuple[str, Grant]:
         if scope
         else next(token_role for token_role in TOKEN_ROLES if token_role == permission)
     )
-    given = Grant(role, team if own_team is None else own_team, scope, tag, own_team is not None)
-    if fault := scope_issue(role, given.team, scope, tag):
-        raise _option_error("oidc-role", f"invalid (got {text[:80]!r}): {fault.message}")
-    return match["value"], given
+    grant = Grant(role, team if own_team is None else own_team, scope, tag, own_team is not None)
+    if issue := scope_issue(role, grant.team, scope, tag):
+        raise _option_error("oidc-role", f"invalid (got {text[:80]!r}): {issue.message}")
+    return match["value"], grant
 
 
 def _option_error(field: str, problem: str) -> TandemError:
@@ -331,7 +336,14 @@ class LogIn:
         return dataclasses.replace(principal, expires=time.time() + SESSION_S), log_in_state.next
 
     def _account_keys(self, account: str) -> dict[str | None, str]:
-        """Return the keys of an account in each team of a grant, and in that of all accounts (None)."""
+        """Return the names under which the store keeps an account: one for each team.
+
+        Args:
+            account: Issuer and subject of the ID token.
+
+        Returns:
+            Names by the own team of a grant. None is the key for grants without an own team.
+        """
         teams = {grant.team for _, grant in self.oidc.grants if grant.has_own_team}
         return {None: account, **{team: f"{account} team {team}" for team in sorted(filter(None, teams))}}
 
@@ -363,13 +375,13 @@ class LogIn:
         """
         trusted = self.oidc.claim != "email" or claims.get("email_verified") is True
         claim = claims.get(self.oidc.claim) if trusted else None
-        listed = [claim] if isinstance(claim, str) else claim if isinstance(claim, list) else []
-        values = set(map(str, listed))
+        claim_values = [claim] if isinstance(claim, str) else claim if isinstance(claim, list) else []
+        values = set(map(str, claim_values))
         matching = [grant for value, grant in self.oidc.grants if value != ANY_ACCOUNT and value in values]
         matching = matching or [grant for value, grant in self.oidc.grants if value == ANY_ACCOUNT]
         if not matching:
-            what = f"account {display_name(claims)}: has no role on this service. Ask its operator."
-            raise RefusedError(403, Issue("service.role", what, field=self.oidc.claim))
+            message = f"account {display_name(claims)}: has no role on this service. Ask its operator."
+            raise RefusedError(403, Issue("service.role", message, field=self.oidc.claim))
         return min(matching, key=lambda grant: PERMISSION_ORDER.index(grant.scope or grant.role))
 
     def _claims(self, token: str, metadata: Mapping[str, Any], keys: KeySet, nonce: str) -> dict[str, Any]:
@@ -424,7 +436,10 @@ class LogIn:
     def _provider_metadata(self, refresh: bool = False) -> tuple[dict[str, Any], KeySet]:
         """Return metadata and keys of the provider (OpenID Connect Discovery 1.0), cached unless ``refresh``.
 
-        Metadata that were queried a moment ago are not refreshed.
+        Metadata that were queried less than `RETRY_AFTER_FAILURE_S` ago are not refreshed.
+
+        Raises:
+            RefusedError: 502, the provider does not answer correctly, or failed a moment ago.
         """
         with self._lock:
             now = time.monotonic()
@@ -451,6 +466,7 @@ class LogIn:
             return metadata, keys
 
     def _client(self, redirect: str) -> OAuth2Client:
+        """Return a client for one log-in, which returns to the address ``redirect``."""
         return OAuth2Client(
             self.oidc.client,
             self.oidc.secret,
@@ -461,6 +477,7 @@ class LogIn:
         )
 
     def _encode_state(self, log_in_state: LogInState) -> str:
+        """Return the content of the cookie: the state in base64, a dot, and its signature."""
         body = base64.urlsafe_b64encode(json.dumps(dataclasses.asdict(log_in_state)).encode()).decode()
         return f"{body}.{self._signature(body)}"
 
@@ -468,8 +485,9 @@ class LogIn:
         return hmac.new(self._secret, f"tandem log-in {body}".encode(), hashlib.sha256).hexdigest()
 
     def _decode_state(self, cookie: str | None) -> LogInState:
-        body, _, seal = (cookie or "").partition(".")
-        if not hmac.compare_digest(seal.encode(), self._signature(body).encode()):
+        """Verify and decode the cookie of a log-in."""
+        body, _, signature = (cookie or "").partition(".")
+        if not hmac.compare_digest(signature.encode(), self._signature(body).encode()):
             raise log_in_refusal("was not started in this browser. Start at the log-in page.")
         log_in_state = LogInState(**json.loads(base64.urlsafe_b64decode(body)))
         if log_in_state.until < time.time():
@@ -483,7 +501,11 @@ def local_path(path: str) -> str:
 
 
 def display_name(claims: Mapping[str, Any]) -> str:
-    """Return the display name of an account."""
+    """Return the display name of an account: the first of `NAME_CLAIMS` that is present and trusted.
+
+    Args:
+        claims: Claims of the ID token, with a non-empty ``sub``.
+    """
     names = {name: _printable(claims[name]) for name in NAME_CLAIMS if claims.get(name)}
     if claims.get("email_verified") is not True:
         names.pop("email", None)
@@ -513,5 +535,5 @@ def _check_encrypted(address: str) -> None:
 
 
 def _provider_unavailable(error: Exception) -> RefusedError:
-    what = f"log-in: the provider does not answer correctly ({type(error).__name__}). Try again later."
-    return RefusedError(502, Issue("service.log_in", what))
+    message = f"log-in: the provider does not answer correctly ({type(error).__name__}). Try again later."
+    return RefusedError(502, Issue("service.log_in", message))

@@ -124,17 +124,15 @@ class Releases:
             last_jobs = read_last_jobs(db)
         for panel, shown in panels.items():
             try:
-                _check_unchanged_job(
-                    last_jobs.get(panel), shown.job
-                )  # before anything about that job is revealed
+                # First, so that nothing is revealed about a job that is not of this element.
+                _check_unchanged_job(last_jobs.get(panel), shown.job)
                 verified[panel] = self._verify_job(shown.job, shown.digest)
             except RefusedError as error:
                 refused[panel] = error
         with self._database.write() as db:
             last_jobs = read_last_jobs(db)  # again, because verifying many files takes time
-            for panel in sorted(
-                verified, key=lambda panel_id: verified[panel_id].job
-            ):  # common lock order, no deadlocks
+            # All hosts lock jobs in the same order, which prevents deadlocks.
+            for panel in sorted(verified, key=lambda panel_id: verified[panel_id].job):
                 try:
                     _check_unchanged_job(last_jobs.get(panel), verified[panel].job)
                     releases[panel] = self._write(db, verified[panel], principal, person, note)
@@ -145,10 +143,14 @@ class Releases:
         return releases, refused
 
     def _verify_job(self, job: str, digest: str | None = None) -> _VerifiedJob:
-        """Verify a job whose programs are to be released, and its digest if one is given.
+        """Verify the programs of a job that is to be released against its proof and the store.
+
+        Args:
+            job: Id of the job.
+            digest: Digest of the problem as the person saw it, or None if it need not be compared.
 
         Raises:
-            RefusedError: 404 or 409.
+            RefusedError: 404, or 409 if the job is not proven, damaged or changed.
         """
         with self._database.read() as db:
             files, row = job_files(db, job), job_row(db, job)  # in this order: an existing job had its files
@@ -182,11 +184,12 @@ class Releases:
         values |= {"programs": json.dumps(verified.programs), "at": self._database.clock()}
         db.execute(insert(RELEASES).values(**values))
         db.execute(update(JOBS).where(JOBS.c.id == job).values(releases=number))
-        return _out(row, _existing_row(_last_release_row(db, job)))
+        return _release_model(row, _existing_row(_last_release_row(db, job)))
 
     def _record_release(
         self, db: Connection, released: ReleaseOut, principal: Principal, extra_details: Mapping[str, str]
     ) -> None:
+        """Write a release to the audit log, with ``extra_details`` such as the panel."""
         details = released.model_dump(mode="json", include={"name", "note", "digest", "proof", "programs"})
         event = audit.AuditEvent("released", released.job, details | dict(extra_details))
         audit.record_act(self._database, db, principal.token, event, released.by)
@@ -207,22 +210,24 @@ class Releases:
         with self._database.write() as db:
             self._database.lock(db, job)
             row = _locked_job(db, job)
-            last = _last_release_row(db, job)
-            if last is None or last["withdrawn"] is not None:
+            last_release = _last_release_row(db, job)
+            if last_release is None or last_release["withdrawn"] is not None:
                 problem = (
-                    "is not released" if last is None else f"already withdrawn by {last['withdrawn_who']}"
+                    "is not released"
+                    if last_release is None
+                    else f"already withdrawn by {last_release['withdrawn_who']}"
                 )
                 message = f"job {job}: {problem}. There is nothing to withdraw."
                 raise RefusedError(409, Issue("service.release", message))
             values = {"withdrawn_token": principal.token, "withdrawn_who": person, "reason": reason}
-            release_filter = (RELEASES.c.job == job, RELEASES.c.number == last["number"])
+            release_filter = (RELEASES.c.job == job, RELEASES.c.number == last_release["number"])
             db.execute(
                 update(RELEASES).where(*release_filter).values(**values, withdrawn=self._database.clock())
             )
-            about = {"name": row["name"], "reason": reason, "released_by": last["who"]}
-            event = audit.AuditEvent("withdrew", job, about)
+            details = {"name": row["name"], "reason": reason, "released_by": last_release["who"]}
+            event = audit.AuditEvent("withdrew", job, details)
             audit.record_act(self._database, db, principal.token, event, person)
-            return _out(row, _existing_row(_last_release_row(db, job)))
+            return _release_model(row, _existing_row(_last_release_row(db, job)))
 
     def all(self, job: str) -> list[ReleaseOut]:
         """Return the releases of a job, newest first.
@@ -233,7 +238,7 @@ class Releases:
         query = select(RELEASES).where(RELEASES.c.job == job).order_by(RELEASES.c.number.desc())
         with self._database.read() as db:
             row = job_row(db, job)
-            return [_out(row, release_row) for release_row in db.execute(query).mappings()]
+            return [_release_model(row, release_row) for release_row in db.execute(query).mappings()]
 
     def statement(self, job: JobOut, files: Mapping[str, Blob]) -> ReleaseStatement:
         """Return the release state of a job's programs, as it is sent with them.
@@ -243,6 +248,7 @@ class Releases:
             files: Files of the job.
         """
         last_release = self.all(job.id)[:1]
+        # The fields of a job that was never released. A last release replaces them.
         fields: dict[str, Any] = {"released": False, "says": "not released", "job": job.id, "name": job.name}
         if not last_release:
             fields |= {"digest": job.digest, "programs": _program_hashes(files), "release": None}
@@ -259,8 +265,12 @@ class Releases:
     def _proven_programs(self, row: RowMapping, files: Mapping[str, Blob]) -> dict[str, str]:
         """Return the SHA-256 of the programs by name, after comparing them with the proof and with the store.
 
+        Args:
+            row: Database row of the job.
+            files: Stored files of the job, by name.
+
         Raises:
-            RefusedError: 409.
+            RefusedError: 409, the job is not proven, or a program is damaged or differs from the proof.
         """
         job, programs = row["id"], _program_hashes(files)
         if row["state"] != "verified" or not programs or PROOF not in files:
@@ -272,19 +282,17 @@ class Releases:
                 raise _not_releasable(job, problem, "Inform the operator of the service.")
         try:
             proof = json.loads(self._files.read(files[PROOF].sha))
-            ok, digest, proven_programs = (
-                proof["ok"],
-                proof["problem_digest"],
-                dict(proof.get("programs") or {}),
-            )
+            ok = proof["ok"]
+            digest = proof["problem_digest"]
+            proven_programs = dict(proof.get("programs") or {})
         except (ValueError, KeyError, TypeError) as error:
             raise _not_releasable(job, "its proof cannot be read", "Plan it again.") from error
-        faults = {
+        applies_by_problem = {
             "the verdict of its proof is not verified": ok is not True,
             "its proof belongs to another problem": digest != row["digest"],
             "its proof names other programs, or none": proven_programs != programs,
         }
-        for problem, applies in faults.items():
+        for problem, applies in applies_by_problem.items():
             if applies:
                 raise _not_releasable(job, problem, "Plan it again with this version.")
         return programs
@@ -307,15 +315,17 @@ class Releases:
         Raises:
             RefusedError: 500, a file in the store is damaged.
         """
-        out = {}
+        contents = {}
         for name, blob in programs.items():
             content = self._read_intact(blob)
             if content is None:
-                what = f"job {job}: {name} in the store is damaged and not sent. Inform the operator of the "
-                what += "service, and plan the job again."
-                raise RefusedError(500, Issue("service.damaged", what, field=name))
-            out[name] = content
-        return out
+                message = (
+                    f"job {job}: {name} in the store is damaged and not sent. Inform the operator of the "
+                )
+                message += "service, and plan the job again."
+                raise RefusedError(500, Issue("service.damaged", message, field=name))
+            contents[name] = content
+        return contents
 
 
 def is_program(name: str) -> bool:
@@ -333,7 +343,7 @@ def release_state(last: Release | None) -> str:
 
 
 def _program_hashes(files: Mapping[str, Blob]) -> dict[str, str]:
-    return {n.removeprefix(PROGRAMS): blob.sha for n, blob in sorted(files.items()) if is_program(n)}
+    return {name.removeprefix(PROGRAMS): blob.sha for name, blob in sorted(files.items()) if is_program(name)}
 
 
 def _last_release_row(db: Connection, job: str) -> RowMapping | None:
@@ -342,6 +352,7 @@ def _last_release_row(db: Connection, job: str) -> RowMapping | None:
 
 
 def _existing_row(row: RowMapping | None) -> RowMapping:
+    """Return the row of a release that the same transaction has written or read, which must exist."""
     if row is None:
         raise TypeError("a release that was just written is not there")
     return row
@@ -358,41 +369,42 @@ def _locked_job(db: Connection, job: str) -> RowMapping:
 
 
 def _responsible_person(principal: Principal, name: str | None) -> str:
-    """Return the name of the person who is responsible for a release.
+    """Return the name of the person who releases or withdraws.
 
     Raises:
-        RefusedError: 422.
+        RefusedError: 422, the name is missing, or differs from that of the token.
     """
     if principal.token == LOCAL:
         if name:
             return name
-        what = "name: is missing. Give the name of the person, because this service requires no tokens."
+        message = "name: is missing. Give the name of the person, because this service requires no tokens."
     elif name in (None, principal.name):
         return principal.name
     else:
-        what = (
+        message = (
             f"name: differs from the token (got {(name or '')[:80]!r}, allowed {principal.name}). Leave it "
             "out."
         )
-    raise RefusedError(422, Issue("service.request", what, field="name"))
+    raise RefusedError(422, Issue("service.request", message, field="name"))
 
 
 def _check_unchanged_job(last_job: str | None, shown: str) -> None:
     """Check that the job of a panel is still the one that was shown.
 
     Raises:
-        RefusedError: 409.
+        RefusedError: 409, the panel was planned again, or its job was deleted.
     """
     if last_job != shown:
-        what = "its job was deleted" if last_job is None else f"it was planned again as job {last_job}"
-        raise RefusedError(409, Issue("service.release", f"{what}. Review it again."))
+        problem = "its job was deleted" if last_job is None else f"it was planned again as job {last_job}"
+        raise RefusedError(409, Issue("service.release", f"{problem}. Review it again."))
 
 
 def _not_releasable(job: str, problem: str, remedy: str) -> RefusedError:
     return RefusedError(409, Issue("service.release", f"job {job}: {problem}. {remedy}"))
 
 
-def _out(job: RowMapping, row: RowMapping) -> ReleaseOut:
-    of = {name: row[name] for name in ("job", "digest", "proof")}
+def _release_model(job: RowMapping, row: RowMapping) -> ReleaseOut:
+    """Convert the database rows of a job and of its release to the API model of the release."""
+    columns = {name: row[name] for name in ("job", "digest", "proof")}
     programs = json.loads(row["programs"])
-    return ReleaseOut(**dict(release_of(row)), **of, name=job["name"], programs=programs)
+    return ReleaseOut(**dict(release_of(row)), **columns, name=job["name"], programs=programs)

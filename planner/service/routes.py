@@ -139,7 +139,7 @@ def count_unauthenticated(request: Request, service: Service, action: str) -> No
     Args:
         request: Request.
         service: Service.
-        action: What the client does, for the message.
+        action: What the client does, as the predicate of the message.
 
     Raises:
         RefusedError: 429.
@@ -178,6 +178,7 @@ def authenticate(
 def _principal(
     request: Request, bearer: HTTPAuthorizationCredentials | None, cookie: str | None, service: Service
 ) -> Principal:
+    """Authenticate by the token, else by the session cookie, else as the local user if none is required."""
     if bearer is not None:
         return service.auth.authenticate_token(bearer.credentials)
     if "authorization" in request.headers:
@@ -238,7 +239,7 @@ def visible_job(job: str, principal: Principal, service: Service) -> JobOut:
         service: Service.
 
     Raises:
-        RefusedError: 404.
+        RefusedError: 404, the job does not exist, belongs to others, or is beyond the scope of the token.
     """
     if not JOB_ID.fullmatch(job):
         raise unknown_job(job)
@@ -250,6 +251,10 @@ def visible_job(job: str, principal: Principal, service: Service) -> JobOut:
 
 
 def _is_in_scope(principal: Principal, job: JobOut) -> bool:
+    """Report whether the scope of a caller contains a job.
+
+    The scope released contains jobs whose release is in force, and if it has a tag, only those with the tag.
+    """
     if principal.scope != "released":
         return True
     return job.released and (principal.tag is None or job_search.is_tagged(job.tags, principal.tag))
@@ -258,7 +263,7 @@ def _is_in_scope(principal: Principal, job: JobOut) -> bool:
 def _is_file_in_scope(principal: Principal, name: str) -> bool:
     """Report whether a token may read a file of a job in its scope.
 
-    The scope released contains all files except the problem and files for other programs.
+    The scope released contains the programs, the release statement, the thumbnail and the viewable pages.
     """
     released = releases.is_program(name) or name in (RELEASE, THUMBNAIL, *VIEWABLE_FILES)
     return principal.scope != "released" or released
@@ -293,7 +298,8 @@ def job_to_read(
     """Return the job whose file ``name`` is read (dependency).
 
     Allowed are callers who see the job, anybody with a link to that file, and anybody with a view link that
-    opens it. A link is judged as a link, whoever sends it.
+    opens it. If the request contains a signature, only the link counts, not the token of the caller. The
+    token that reads, or that made the link, is stored in ``request.state.reader`` for the audit log.
 
     Raises:
         RefusedError: 401, 403 or 404.
@@ -313,6 +319,7 @@ def job_to_read(
         return job_out
     owner = service.jobs.owner(job) if JOB_ID.fullmatch(job) else None
     team_tokens = () if owner is None else service.auth.team_tokens(owner)
+    # The check returns None if the owner of the job made the link.
     maker = service.links.check(job, name, link.expires, link.signature, team_tokens) or owner
     if owner is None or maker is None:
         raise unknown_job(job)
@@ -355,7 +362,10 @@ def job_of_view_link(
 
 
 def _is_maker_valid(service: Service, maker: str) -> bool:
-    """Report whether links of a token are still in force."""
+    """Report whether links that a token made are still in force.
+
+    Those of the local user are in force while the service requires no tokens.
+    """
     return (maker == LOCAL and not service.options.tokens_required) or service.auth.is_valid(maker)
 
 
@@ -459,7 +469,7 @@ def known_processes(_: AuthorisedOwner) -> dict[str, str]:
     """What each process does, by its name in problem files."""
     from planner.processes import registry
 
-    return {name: " ".join((m.__doc__ or "").split()) for name, m in registry.schemas().items()}
+    return {name: " ".join((model.__doc__ or "").split()) for name, model in registry.schemas().items()}
 
 
 @about_router.get(
@@ -496,7 +506,7 @@ def catalogue_of(kind: Kind, _: AuthorisedOwner) -> Catalogue:
 @about_router.get("/v1/issues", responses=AUTH_REFUSALS, summary="Issue codes")
 def issue_codes(_: AuthorisedOwner) -> dict[str, str]:
     """Every code with its meaning."""
-    return {code: row.meaning for code, row in all_codes().items()}
+    return {code: entry.meaning for code, entry in all_codes().items()}
 
 
 @about_router.get("/v1/storage", responses=AUTH_REFUSALS, summary="Space for files")
@@ -588,8 +598,8 @@ RESULT_TYPES: Final = {
     ".yaml": "application/yaml",
     **{
         ending: "text/plain; charset=utf-8"
-        for one in plugins.usable(Language).values()
-        for ending in one.file_endings
+        for language in plugins.usable(Language).values()
+        for ending in language.file_endings
     },
 }
 """Content types of result files, by suffix."""
@@ -783,13 +793,13 @@ async def cell(
 
     def draw(reading: UploadReading) -> Response:
         """Draw and compress in the owner's turn: the answer is large, so only a few are prepared at once."""
-        read = service.examine(upload, ReadingOptions(cell=arguments), reading)
-        if read.cell is None:
-            wrong = [issue for issue in read.issues if has_errors([issue])]
-            large = all(issue.code == "service.too_large" for issue in wrong)
-            raise RefusedError(413 if large else 422, wrong)
-        seen = {"name": read.name, "digest": read.digest, "issues": read.issues, **read.cell}
-        return gzipped_json(request, CellOut.model_validate(seen))
+        result = service.examine(upload, ReadingOptions(cell=arguments), reading)
+        if result.cell is None:
+            errors = [issue for issue in result.issues if has_errors([issue])]
+            is_too_large = all(issue.code == "service.too_large" for issue in errors)
+            raise RefusedError(413 if is_too_large else 422, errors)
+        fields = {"name": result.name, "digest": result.digest, "issues": result.issues, **result.cell}
+        return gzipped_json(request, CellOut.model_validate(fields))
 
     return await service.run_in_turn(request, owner, draw)
 
@@ -912,12 +922,14 @@ def files(job_out: OwnJob, principal: CurrentPrincipal, service: CurrentService)
 
     ``release.json`` is included if its programs were released.
     """
-    known = service.jobs.files(job_out.id)
+    stored_files = service.jobs.files(job_out.id)
     if job_out.release is not None:
-        statement = service.releases.statement(job_out, known).content
-        known[RELEASE] = Blob(hashlib.sha256(statement).hexdigest(), len(statement))
+        statement = service.releases.statement(job_out, stored_files).content
+        stored_files[RELEASE] = Blob(hashlib.sha256(statement).hexdigest(), len(statement))
     file_models = [
-        file_out(name, blob) for name, blob in sorted(known.items()) if _is_file_in_scope(principal, name)
+        file_out(name, blob)
+        for name, blob in sorted(stored_files.items())
+        if _is_file_in_scope(principal, name)
     ]
     return FileList(files=file_models)
 
@@ -989,8 +1001,8 @@ def link(
     """
     existing_file(service, job_out, name)
     expires = int(time.time()) + seconds
-    until = dt.datetime.fromtimestamp(expires, dt.UTC)
-    details = {"name": job_out.name, "file": name, "until": until.isoformat()}
+    expiry_time = dt.datetime.fromtimestamp(expires, dt.UTC)
+    details = {"name": job_out.name, "file": name, "until": expiry_time.isoformat()}
     with service.database.write() as db:
         event = audit.AuditEvent("linked", job_out.id, details)
         audit.record_act(service.database, db, principal.token, event)
@@ -999,7 +1011,7 @@ def link(
         {"expires": expires, "signature": service.links.sign(job_out.id, name, expires, token_id)}
     )
     path = f"/v1/jobs/{job_out.id}/files/{quote(name)}?{query}"
-    return LinkOut(path=path, expires=until)
+    return LinkOut(path=path, expires=expiry_time)
 
 
 @job_router.get(
@@ -1020,22 +1032,25 @@ def programs(
     This file, the header ``Tandem-Release`` and the file name state whether they are released. Programs
     exist if the proof holds.
     """
-    known = {n: blob for n, blob in service.jobs.files(job_out.id).items() if n.startswith("programs/")}
-    if not known:
-        waiting = job_out.state in OPEN_STATES
+    stored_programs = {
+        name: blob for name, blob in service.jobs.files(job_out.id).items() if name.startswith("programs/")
+    }
+    if not stored_programs:
+        is_open = job_out.state in OPEN_STATES
         message = f"job {job_out.id}: has no programs (state {job_out.state}). "
         message += (
-            "Try again when it has ended." if waiting else f"See its issues: GET /v1/jobs/{job_out.id}."
+            "Try again when it has ended." if is_open else f"See its issues: GET /v1/jobs/{job_out.id}."
         )
         raise RefusedError(404, Issue("service.unknown_file", message))
-    statement = service.releases.statement(job_out, known)
-    parts = json.dumps([sorted(known.items()), hashlib.sha256(statement.content).hexdigest()])
+    statement = service.releases.statement(job_out, stored_programs)
+    parts = json.dumps([sorted(stored_programs.items()), hashlib.sha256(statement.content).hexdigest()])
     tag = f'"{hashlib.sha256(parts.encode()).hexdigest()}"'
     headers = {"ETag": tag, "Cache-Control": "private, no-cache", releases.HEADER: statement.word}
     if is_not_modified(request, tag):
         return Response(status_code=304, headers=headers)
     contents = {
-        n.removeprefix("programs/"): c for n, c in service.releases.read_programs(job_out.id, known).items()
+        name.removeprefix("programs/"): content
+        for name, content in service.releases.read_programs(job_out.id, stored_programs).items()
     }
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -1090,8 +1105,8 @@ def existing_file(service: Service, job: JobOut, name: str) -> Blob | None:
 
 def unknown_file(job: str, name: str) -> RefusedError:
     """Return the refusal for an unknown file: 404."""
-    what = f"job {job}: file {name[:200]!r} not found. List its files."
-    return RefusedError(404, Issue("service.unknown_file", what, field="name"))
+    message = f"job {job}: file {name[:200]!r} not found. List its files."
+    return RefusedError(404, Issue("service.unknown_file", message, field="name"))
 
 
 def file_out(name: str, blob: Blob) -> FileOut:

@@ -92,10 +92,11 @@ class JobQueue:
     def claim(self) -> ClaimedJob | None:
         """Claim the next queued job for this host. Returns None if there is none.
 
-        Order: owners with fewer running jobs first, then divisions and reports of elements, which somebody
-        waits for, then by turn. A job waits while an identical one is running, and gets the answer of an
-        identical one that is done. A panel waits for the panel whose plan is its reference plan.
+        Owners with fewer running jobs come first, then divisions and reports of elements, because somebody
+        waits for them, then jobs by turn. A job waits while an identical one is running, and gets the answer
+        of an identical one that has ended. A panel waits for the panel whose plan is its reference plan.
         """
+        # Most polls find an empty queue. A read-only query for that does not block the writers.
         waiting = select(JOBS.c.id).where(JOBS.c.state == "queued").limit(1)
         while True:
             with self._database.read() as db:
@@ -131,6 +132,7 @@ class JobQueue:
                 return ClaimedJob(job, row["name"], attempt, files, row["timeout_s"], row["memory_mb"])
 
     def _next_query(self) -> Select[Any]:
+        """Return the query of the next job to claim, as :meth:`claim` orders them. It locks the row."""
         other = JOBS.alias()
         running = (
             select(func.count())
@@ -145,13 +147,13 @@ class JobQueue:
             .join_from(ELEMENT_JOBS, reference, ELEMENT_JOBS.c.like == reference.c.id)
             .where(reference.c.state.in_(OPEN_STATES))
         )
-        awaited = select(ELEMENT_JOBS.c.job).where(ELEMENT_JOBS.c.role != "panel")
+        prioritised = select(ELEMENT_JOBS.c.job).where(ELEMENT_JOBS.c.role != "panel")
         return (
             select(JOBS)
             .where(
                 JOBS.c.state == "queued", JOBS.c.key.not_in(running_keys), JOBS.c.id.not_in(waiting_panels)
             )
-            .order_by(running, case((JOBS.c.id.in_(awaited), 0), else_=1), JOBS.c.turn, JOBS.c.id)
+            .order_by(running, case((JOBS.c.id.in_(prioritised), 0), else_=1), JOBS.c.turn, JOBS.c.id)
             .limit(1)
             .with_for_update(of=JOBS, skip_locked=True)
         )
@@ -168,12 +170,12 @@ class JobQueue:
             db.execute(update(JOBS).where(mine).values(lease=self._lease_end()))
 
     def requeue_unplanned(self, held: Collection[str]) -> None:
-        """Queue jobs again that the store assigns to this host but that it does not plan.
+        """Queue jobs again that the store assigns to this host although it does not plan them.
 
-        It failed while it claimed them. Such an attempt does not count.
+        This happens if the host fails while it claims a job. Such an attempt does not count.
 
         Args:
-            held: Ids of jobs that this host plans.
+            held: Ids of the jobs that this host plans.
         """
         mine = and_(JOBS.c.host == self._host, JOBS.c.state == "running", JOBS.c.id.not_in(held))
         with self._database.write() as db:
@@ -184,7 +186,7 @@ class JobQueue:
         """Queue the jobs of failed hosts again.
 
         Args:
-            alone: No other host can be running.
+            alone: No other host can be running, so that the leases of others need not expire first.
 
         Returns:
             Number of jobs.
@@ -210,6 +212,14 @@ class JobQueue:
                 self._requeue(db, claimed.id, claimed.attempt - 1, 0)
 
     def _requeue(self, db: Connection, job: str, attempts: int, cancel: int) -> None:
+        """End the attempt at a running job: queue, cancel or delete it, or give it up as crashed.
+
+        Args:
+            db: Open write transaction.
+            job: Id of the job.
+            attempts: Number of attempts that count.
+            cancel: Column ``cancel`` of the job, 0 if its owner has not cancelled it.
+        """
         if cancel == DELETED:
             delete_job(db, job)
             return
@@ -319,9 +329,8 @@ class JobQueue:
             if older_s is not None:
                 old = and_(JOBS.c.state.not_in(OPEN_STATES), JOBS.c.finished < now - older_s)
                 old_jobs = db.execute(select(JOBS.c.id).where(old).order_by(JOBS.c.id)).scalars().all()
-                deleted_jobs = [
-                    deleted for job in old_jobs for deleted in delete_job(db, job)
-                ]  # other hosts do the same
+                # Another host may delete the same jobs. Only those that this host deleted are recorded.
+                deleted_jobs = [deleted for job in old_jobs for deleted in delete_job(db, job)]
                 for deleted in deleted_jobs:  # last, because audit entries take a lock until the end
                     details = {"name": deleted.name}
                     event = audit.AuditEvent("deleted", deleted.id, details)
@@ -333,6 +342,7 @@ class JobQueue:
         return self._database.clock() + self._lease_s
 
     def _is_held(self, db: Connection, claimed: ClaimedJob) -> bool:
+        """Report whether this host still holds a job in the same attempt. Locks the row of the job."""
         mine = and_(
             JOBS.c.id == claimed.id,
             JOBS.c.state == "running",
@@ -343,9 +353,10 @@ class JobQueue:
 
 
 def _reference_files(db: Connection, job: str) -> dict[str, Blob]:
-    """Return the files of the reference plan of a panel.
+    """Return problem and plan of the job whose plan is the reference plan of a panel, as input files.
 
-    If that panel has no plan, its own reference plan is used instead, and so on.
+    If that job is not verified, its own reference plan is used instead, and so on. The result is empty if
+    none is verified, or if the job has no reference plan.
     """
     query = select(ELEMENT_JOBS.c.like, JOBS.c.state).join_from(
         ELEMENT_JOBS, JOBS, ELEMENT_JOBS.c.like == JOBS.c.id
@@ -355,11 +366,11 @@ def _reference_files(db: Connection, job: str) -> dict[str, Blob]:
         row = db.execute(query.where(ELEMENT_JOBS.c.job == row.like)).first()
     if row is None:
         return {}
-    plan = ("plan.json", "plan.npz")
+    plan_files = ("plan.json", "plan.npz")
     return {
         f"problem/{REFERENCE_FOLDER}/{name}": blob
         for name, blob in job_files(db, row.like).items()
-        if name in plan or name.startswith("problem/")
+        if name in plan_files or name.startswith("problem/")
     }
 
 
@@ -378,7 +389,7 @@ CLOCK_JUMP_S: Final = 3600.0
 CLOCK_SETTLE_S: Final = 86400.0
 """Time [s] after a jump of the clock in which nothing is deleted by age.
 
-By a wrong clock everything may seem old.
+By a clock that runs ahead, new entries seem old.
 """
 RETRY_WAIT_S: Final = 2.0
 """Time [s] to wait after an error of the database or the workers."""
@@ -430,7 +441,8 @@ class RetentionPolicy:
     Attributes:
         keep_s: Age [s] at which ended jobs are deleted, or None.
         audit_s: Age [s] at which audit entries are deleted, or None.
-        used_shas: Function that returns those hashes that a job references. Other files are deleted.
+        used_shas: Function that returns those of some hashes that a job or draft references. Other files are
+            deleted.
     """
 
     keep_s: float | None
@@ -495,11 +507,11 @@ class JobRunner(threading.Thread):
 
     def run(self) -> None:
         """Plan jobs until :meth:`stop`. The workers belong to this thread."""
-        team: WorkerPool | None = None
+        pool: WorkerPool | None = None
         while not self._ending.is_set():
             try:
-                team = team or self._workers.make_pool()
-                self._run_cycle(team)
+                pool = pool or self._workers.make_pool()
+                self._run_cycle(pool)
                 self._has_failed = False
             except SchemaVersionError as error:
                 LOG.error(
@@ -509,17 +521,17 @@ class JobRunner(threading.Thread):
                 self._on_newer()
                 break
             except TandemError:  # the workers failed with all jobs that they were planning
-                self._close_pool(team)
-                team = None
+                self._close_pool(pool)
+                pool = None
                 self._log_and_wait("the workers are restarted in %g s", RETRY_WAIT_S)
             except (SQLAlchemyError, OSError):
                 self._log_and_wait("the runner tries again in %g s", RETRY_WAIT_S)
-        self._close_pool(team)
+        self._close_pool(pool)
 
-    def _close_pool(self, team: WorkerPool | None) -> None:
+    def _close_pool(self, pool: WorkerPool | None) -> None:
         """Close the workers and queue their jobs again."""
-        if team is not None:
-            team.close()
+        if pool is not None:
+            pool.close()
         for claimed in self._claimed.values():
             try:
                 self._work.requeue(claimed)
@@ -527,16 +539,17 @@ class JobRunner(threading.Thread):
                 LOG.exception("job %s waits until its lease expires", claimed.id, extra=_job_extra(claimed))
         for folder in self._folders.values():
             shutil.rmtree(folder, ignore_errors=True)
-        for known in (self._claimed, self._folders, self._last_progress, self._stages):
-            known.clear()
+        for by_name in (self._claimed, self._folders, self._last_progress, self._stages):
+            by_name.clear()
 
-    def _log_and_wait(self, what: str, argument: object) -> None:
-        LOG.exception(what, argument)
+    def _log_and_wait(self, message: str, argument: object) -> None:
+        LOG.exception(message, argument)
         self._has_failed = True
         self._ending.wait(RETRY_WAIT_S)
         self.alive_at = time.monotonic()
 
-    def _run_cycle(self, team: WorkerPool) -> None:
+    def _run_cycle(self, pool: WorkerPool) -> None:
+        """Do what is due: renew leases, delete old data, start jobs, cancel jobs and handle events."""
         if self._is_due("lease", self._work.lease_s / 4):
             self._work.renew()
             self._work.requeue_unplanned([claimed.id for claimed in self._claimed.values()])
@@ -550,17 +563,18 @@ class JobRunner(threading.Thread):
             claimed = self._work.claim()
             if claimed is None:
                 break
-            self._start_job(team, claimed)
+            self._start_job(pool, claimed)
         if self._claimed and self._is_due("cancel", CANCEL_POLL_S):
             for job in self._work.cancelled():
                 names = [name for name, claimed in self._claimed.items() if claimed.id == job]
                 for name in names:
-                    team.cancel(name)
-        for event in team.events(EVENT_WAIT_S):
+                    pool.cancel(name)
+        for event in pool.events(EVENT_WAIT_S):
             self._handle_event(event)
         self.alive_at = time.monotonic()
 
-    def _start_job(self, team: WorkerPool, claimed: ClaimedJob) -> None:
+    def _start_job(self, pool: WorkerPool, claimed: ClaimedJob) -> None:
+        """Hand a claimed job with its input files to the workers, under a name that is unique among them."""
         name = f"{claimed.name}-{claimed.id[:12]}"
         prefix = "problem/"
         bundle = {
@@ -572,9 +586,10 @@ class JobRunner(threading.Thread):
         self._claimed[name], self._folders[name] = claimed, folder
         job = BatchJob(name, bundle, timeout_s=claimed.timeout_s, memory_mb=claimed.memory_mb)
         LOG.info("job %s starts, attempt %d", claimed.id, claimed.attempt, extra=_job_extra(claimed))
-        team.start(job, folder / "result")
+        pool.start(job, folder / "result")
 
     def _handle_event(self, event: JobEvent) -> None:
+        """Store what a worker reports about a job. Progress within a stage is stored at intervals only."""
         claimed = self._claimed.get(event.name)
         if claimed is None:
             return
@@ -582,8 +597,8 @@ class JobRunner(threading.Thread):
             if self._stages.get(event.name, ("", 0.0))[0] != event.stage:
                 self._stage_ended(event.name)
                 self._stages[event.name] = (event.stage, time.monotonic())
-            stage, at = self._last_progress.get(event.name, ("", 0.0))
-            if event.stage != stage or time.monotonic() - at >= MIN_PROGRESS_INTERVAL_S:
+            stage, recorded_at = self._last_progress.get(event.name, ("", 0.0))
+            if event.stage != stage or time.monotonic() - recorded_at >= MIN_PROGRESS_INTERVAL_S:
                 self._last_progress[event.name] = (event.stage, time.monotonic())
                 self._work.record_progress(claimed, event.stage, event.fraction)
         elif isinstance(event, JobIssues):
@@ -591,44 +606,53 @@ class JobRunner(threading.Thread):
         elif isinstance(event, JobFinished):
             self._finish(claimed, event.name, event.done)
 
-    def _finish(self, claimed: ClaimedJob, name: str, done: JobResult) -> None:
-        """Store the end of a job, however long the database is unavailable or the disk is full."""
+    def _finish(self, claimed: ClaimedJob, name: str, result: JobResult) -> None:
+        """Store the end of a job. While the database is unavailable, this is tried again.
+
+        If the disk was full during planning, the job is queued again instead.
+
+        Args:
+            claimed: Job.
+            name: Name of the job among the workers.
+            result: State, issues and metrics. The result files are in the folder of the job.
+        """
         folder = self._folders[name]
         while not self._ending.is_set():
             try:
-                if any(issue.code == "output.disk_full" for issue in done.issues):
+                if any(issue.code == "output.disk_full" for issue in result.issues):
                     LOG.warning("job %s waits for disk space", claimed.id, extra=_job_extra(claimed))
                     self._start_allowed_at = time.monotonic() + DISK_FULL_PAUSE_S
                     self._work.requeue(claimed)
                     break
-                stored, issues = (
-                    self._store_results(folder / "result", done.state),
-                    self._without_paths(done.issues),
+                stored = self._store_results(folder / "result", result.state)
+                issues = self._without_paths(result.issues)
+                was_held = self._work.finish(
+                    claimed, result.state, issues, result.metrics, result.seconds, stored
                 )
-                was_held = self._work.finish(claimed, done.state, issues, done.metrics, done.seconds, stored)
                 if not was_held:
-                    what = "job %s was taken over by another host, its result is dropped"
-                    LOG.warning(what, claimed.id, extra=_job_extra(claimed))
+                    message = "job %s was taken over by another host, its result is dropped"
+                    LOG.warning(message, claimed.id, extra=_job_extra(claimed))
                 else:
-                    LOG.info("job %s ended: %s", claimed.id, done.state, extra=_job_extra(claimed))
+                    LOG.info("job %s ended: %s", claimed.id, result.state, extra=_job_extra(claimed))
                     self._stage_ended(name)
-                    metrics.count_outcome(done.state)
+                    metrics.count_outcome(result.state)
                 break
             except (SQLAlchemyError, OSError):
                 self._log_and_wait("the end of job %s cannot be stored now", claimed.id)
                 with contextlib.suppress(SQLAlchemyError):
                     self._work.renew()
         else:
-            return  # the job is planned again
+            return  # the service stops, and the job is planned again
         del self._claimed[name], self._folders[name]
         self._last_progress.pop(name, None)
         self._stages.pop(name, None)
         shutil.rmtree(folder, ignore_errors=True)
 
     def _stage_ended(self, name: str) -> None:
-        stage, began = self._stages.pop(name, ("", 0.0))
+        """Record the duration of the present stage of a job in the metrics."""
+        stage, started_at = self._stages.pop(name, ("", 0.0))
         if stage:
-            metrics.observe_stage(stage, time.monotonic() - began)
+            metrics.observe_stage(stage, time.monotonic() - started_at)
 
     def _without_paths(self, issues: Collection[Issue]) -> tuple[Issue, ...]:
         """Remove paths of this host from issues. Users have no use for them, and attackers might."""
@@ -651,6 +675,7 @@ class JobRunner(threading.Thread):
         return free >= MIN_FREE_MB * MB and time.monotonic() >= self._start_allowed_at
 
     def _store_results(self, result: Path, state: State) -> dict[str, Blob]:
+        """Store the files of a result folder, with a thumbnail if the job is verified."""
         image = thumbnail(result / "report.html") if state == "verified" else None
         if image is not None:  # lists show thumbnails of verified jobs only
             (result / THUMBNAIL).write_bytes(image)
@@ -658,9 +683,9 @@ class JobRunner(threading.Thread):
         return {path.relative_to(result).as_posix(): self._files.put_file(path) for path in paths}
 
     def _is_clock_steady(self) -> bool:
-        """Report whether the clock has not jumped lately.
+        """Report whether the clock has not jumped in the last `CLOCK_SETTLE_S`.
 
-        Unknown at first, because machines set it after they start.
+        The first call returns False, because machines set their clock after they start.
         """
         boot, clock = time.clock_gettime(time.CLOCK_BOOTTIME), time.time()  # boot time includes suspension
         previous, self._clock = self._clock, (boot, clock)
@@ -669,9 +694,10 @@ class JobRunner(threading.Thread):
             self._clock_trusted_at = boot + CLOCK_SETTLE_S
         return previous is not None and boot >= self._clock_trusted_at
 
-    def _is_due(self, what: str, every_s: float) -> bool:
+    def _is_due(self, action: str, every_s: float) -> bool:
+        """Report whether an action is due again, and if so, schedule the next time in ``every_s`` [s]."""
         now = time.monotonic()
-        if now < self._due.get(what, 0.0):
+        if now < self._due.get(action, 0.0):
             return False
-        self._due[what] = now + every_s
+        self._due[action] = now + every_s
         return True

@@ -59,9 +59,9 @@ def version_of(connection: Connection) -> int | None:
     Raises:
         NoVersionError: The store has no valid version number.
     """
-    names = set(inspect(connection).get_table_names())
-    if "tandem_schema" not in names:
-        if _MARKERS.isdisjoint(names):
+    table_names = set(inspect(connection).get_table_names())
+    if "tandem_schema" not in table_names:
+        if _MARKERS.isdisjoint(table_names):
             return None
         raise NoVersionError
     version = connection.execute(text("SELECT max(version) FROM tandem_schema")).scalar_one()
@@ -74,6 +74,10 @@ def create_or_check(connection: Connection, tables: MetaData) -> None:
     """Create the tables in an empty database, or check the version of an existing store.
 
     Both happen in the transaction of the connection. An existing store is not changed.
+
+    Args:
+        connection: Open write transaction.
+        tables: All tables of the store.
 
     Raises:
         SchemaVersionError: The store has another version.

@@ -54,19 +54,19 @@ def scope_issue(role: TokenRole, team: str | None, scope: TokenScope | None, tag
         tag: Tag of the scope, or None.
     """
     if scope is not None and role != ROLE_OF[scope]:
-        what = f"role: does not fit scope {scope} (got {role}, allowed {ROLE_OF[scope]}). Leave it out."
-        return Issue("service.token", what, field="role")
+        problem = f"role: does not fit scope {scope} (got {role}, allowed {ROLE_OF[scope]}). Leave it out."
+        return Issue("service.token", problem, field="role")
     if scope == "released" and team is None:
-        what = "team: is missing, and the scope released sees nothing without one. Give the team"
-        return Issue("service.token", f"{what} whose released programs the token reads.", field="team")
+        problem = "team: is missing, and the scope released sees nothing without one. Give the team"
+        return Issue("service.token", f"{problem} whose released programs the token reads.", field="team")
     if tag is not None and scope != "released":
-        what = "tag: requires the scope released, which it limits to jobs with this tag. Leave it out"
-        return Issue("service.token", f"{what}, or give --scope released.", field="tag")
+        problem = "tag: requires the scope released, which it limits to jobs with this tag. Leave it out"
+        return Issue("service.token", f"{problem}, or give --scope released.", field="tag")
     if tag is not None and not 1 <= len(tag) <= MAX_TAG_LENGTH:
-        what = (
+        problem = (
             f"tag: wrong length (got {len(tag)} characters, allowed 1 to {MAX_TAG_LENGTH}). Shorten the tag."
         )
-        return Issue("service.token", what, field="tag")
+        return Issue("service.token", problem, field="tag")
     return None
 
 

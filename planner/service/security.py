@@ -33,7 +33,7 @@ from planner.service.scopes import ROLE_OF, is_permitted, scope_issue
 
 @dataclasses.dataclass(frozen=True)
 class ServiceLimits:
-    """Limits of the service. None means no limit, unless stated otherwise.
+    """Upper limits of the service. None means no limit, unless stated otherwise.
 
     Attributes:
         upload_mb: Size of one request [MB].
@@ -87,7 +87,7 @@ class RefusedError(Exception):
         status: HTTP status.
         issues: Issues with code and field.
         headers: Headers of the answer.
-        of: For each issue the index of the item that it concerns, if several were sent.
+        of: For each issue, the index of the problem that it concerns, if several were sent.
     """
 
     def __init__(
@@ -106,10 +106,10 @@ class RefusedError(Exception):
     @property
     def body(self) -> dict[str, Any]:
         """The answer as a problem document (RFC 9457) with issues."""
-        known = {status.value: status.phrase for status in HTTPStatus}
+        phrases = {http_status.value: http_status.phrase for http_status in HTTPStatus}
         return {
             "type": "about:blank",
-            "title": known.get(self.status, "Refused"),
+            "title": phrases.get(self.status, "Refused"),
             "status": self.status,
             "detail": str(self),
             "issues": [issue_json(issue) for issue in self.issues],
@@ -120,7 +120,9 @@ class RefusedError(Exception):
 def issue_json(issue: Issue) -> dict[str, Any]:
     """Convert an issue to JSON. Numbers that are not finite are omitted."""
     data = issue.to_dict()
-    return {k: v for k, v in data.items() if not isinstance(v, float) or math.isfinite(v)}
+    return {
+        name: value for name, value in data.items() if not isinstance(value, float) or math.isfinite(value)
+    }
 
 
 def unknown_job(job: str) -> RefusedError:
@@ -166,7 +168,7 @@ TOKEN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
 _LIFETIME: Final = re.compile(r"([1-9][0-9]{0,3})([hdw])")
 """Lifetime of a token."""
 _UNITS_S: Final = {"h": 3600.0, "d": 86400.0, "w": 604800.0}
-"""Seconds of an hour, a day, a week."""
+"""Duration [s] of the units of a lifetime: hour, day and week."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -267,8 +269,8 @@ def parse_lifetime(text: str) -> float:
     """
     match = _LIFETIME.fullmatch(text)
     if match is None:
-        what = f"expires: invalid (got {text[:40]!r}, allowed 1 to 9999 with h, d or w, such as 90d)"
-        raise issue_error("service.token", what, field="expires")
+        message = f"expires: invalid (got {text[:40]!r}, allowed 1 to 9999 with h, d or w, such as 90d)"
+        raise issue_error("service.token", message, field="expires")
     return float(match[1]) * _UNITS_S[match[2]]
 
 
@@ -301,8 +303,8 @@ class Auth:
             TandemError: The name is taken or invalid, or the scope does not fit the rest.
         """
         role = role or (ROLE_OF[scope] if scope else "plan")
-        if fault := scope_issue(role, team, scope, tag):
-            raise TandemError(fault)
+        if issue := scope_issue(role, team, scope, tag):
+            raise TandemError(issue)
         for value, field in ((name, "name"), (team, "team")):
             if value is not None and not TOKEN_NAME.fullmatch(value):
                 raise TandemError(_bad_name(value, "allowed are 64 letters, digits and _ . @ -", field))
@@ -330,15 +332,13 @@ class Auth:
             key: Key of the account.
             name: Name of the account.
             permissions: What the account may do.
-            all_keys: Keys of the same account in all teams. Their sessions end, except those of this one.
+            all_keys: Keys of the same account in all teams. Sessions of the other keys end.
 
         Raises:
-            RefusedError: 403, one of them was revoked.
+            RefusedError: 403, the token of one of the keys was revoked.
         """
-        token_id, account_ids = (
-            _account_id(key),
-            {_account_id(account_key) for account_key in (key, *all_keys)},
-        )
+        token_id = _account_id(key)
+        account_ids = {_account_id(account_key) for account_key in (key, *all_keys)}
         unique_name = re.sub(r"[^A-Za-z0-9_.@-]", "_", name).lstrip("_.@-")[:64] or token_id
         with self._database.write() as db:
             self._database.lock(db, "accounts")
@@ -398,11 +398,11 @@ class Auth:
             TandemError: No such token.
         """
         with self._database.write() as db:
-            number = db.execute(select(TOKENS.c.id).where(TOKENS.c.name == name)).scalar()
-            if number is None:
+            token_id = db.execute(select(TOKENS.c.id).where(TOKENS.c.name == name)).scalar()
+            if token_id is None:
                 raise TandemError(_bad_name(name, "not found. List the tokens."))
-            db.execute(update(TOKENS).where(TOKENS.c.id == number).values(revoked=time.time()))
-            db.execute(delete(SESSIONS).where(SESSIONS.c.token == number))
+            db.execute(update(TOKENS).where(TOKENS.c.id == token_id).values(revoked=time.time()))
+            db.execute(delete(SESSIONS).where(SESSIONS.c.token == token_id))
 
     def has_valid_token(self) -> bool:
         """Report whether any token is valid."""
@@ -439,7 +439,7 @@ class Auth:
             return db.execute(query).first() is not None
 
     def teams(self, tokens: Sequence[str]) -> dict[str, str | None]:
-        """Return the valid ones of some tokens, with their teams."""
+        """Return the team of each token that is valid. Invalid tokens are missing."""
         teams: dict[str, str | None] = {}
         with self._database.read() as db:
             for start in range(0, len(tokens), TOKENS_PER_QUERY):
@@ -536,11 +536,11 @@ def shared_secret(database: Database, name: str) -> str:
     query = select(SECRETS.c.value).where(SECRETS.c.name == name)
     with database.write() as db:
         database.lock(db, f"secret {name}")
-        known = db.execute(query).scalar()
-        if known is None:
-            known = secrets.token_hex(32)
-            db.execute(insert(SECRETS).values(name=name, value=known))
-        return str(known)
+        secret = db.execute(query).scalar()
+        if secret is None:
+            secret = secrets.token_hex(32)
+            db.execute(insert(SECRETS).values(name=name, value=secret))
+        return str(secret)
 
 
 def unauthorised(why: str) -> RefusedError:
@@ -563,9 +563,9 @@ def _hash(secret: str) -> str:
     return hashlib.sha256(secret.encode("utf-8", "surrogatepass")).hexdigest()
 
 
-def _bad_name(name: str, what: str, field: str = "name") -> Issue:
+def _bad_name(name: str, problem: str, field: str = "name") -> Issue:
     kind = "team" if field == "team" else "token"
-    return Issue("service.token", f"{kind} {name[:80]!r}: {what}", field=field)
+    return Issue("service.token", f"{kind} {name[:80]!r}: {problem}", field=field)
 
 
 SAFE_METHODS: Final = frozenset({"GET", "HEAD", "OPTIONS"})
@@ -619,20 +619,21 @@ class _RequestBody:
 
     def __init__(self, receive: Receive) -> None:
         self._receive = receive
-        self._got, self._since = 0, math.inf
+        self._received_bytes, self._started_at = 0, math.inf
         self.ended = False
 
     async def __call__(self) -> Message:
         if self.ended:  # the next message is the disconnection
             return await self._receive()
         now = time.monotonic()
-        self._since = min(self._since, now)
-        rest_s = self._since + BODY_IDLE_S + self._got / MIN_BODY_RATE_BYTES_S - now
+        self._started_at = min(self._started_at, now)
+        # The client has BODY_IDLE_S from its first byte on, and more time for every byte that arrived.
+        max_wait_s = self._started_at + BODY_IDLE_S + self._received_bytes / MIN_BODY_RATE_BYTES_S - now
         message: Message = {"type": "http.disconnect"}
-        with anyio.move_on_after(min(max(rest_s, 0.0), BODY_IDLE_S)):
+        with anyio.move_on_after(min(max(max_wait_s, 0.0), BODY_IDLE_S)):
             message = await self._receive()
         self.ended = not message.get("more_body", False)
-        self._got += len(message.get("body", b""))
+        self._received_bytes += len(message.get("body", b""))
         return message
 
     async def drain(self) -> None:
@@ -680,6 +681,7 @@ class RequestGuard:
                 if scope["scheme"] == "https":
                     headers.setdefault("Strict-Transport-Security", STRICT_TRANSPORT_SECURITY)
             elif refused and not message.get("more_body") and not body.ended:
+                # The connection stays open until the client has sent its body, so that it sees the refusal.
                 await send({**message, "more_body": True})
                 await body.drain()
                 message = {"type": "http.response.body", "body": b""}
@@ -695,6 +697,7 @@ class RequestGuard:
             await _send_refusal(error, send_with_headers)
 
     def _check_origin(self, scope: Scope, headers: Headers) -> None:
+        """Refuse requests that other sites send, and without tokens also those of other machines."""
         host = headers.get("host", "")
         if self._open_hosts is not None:
             if _host_name(host) not in self._open_hosts:
@@ -715,7 +718,11 @@ class RequestGuard:
                 )
 
     def _limit_body(self, headers: Headers, receive: Receive) -> Receive:
-        """Limit the size of the body: by its declared length, else while it arrives."""
+        """Return a function that receives the body and refuses it as soon as it is too large.
+
+        Raises:
+            RefusedError: 413, the declared length is too large.
+        """
         allowed = int(self._limit_mb * MB)
         declared_length = headers.get("content-length", "0")
         if declared_length.isdecimal() and int(declared_length[:20]) > allowed:
@@ -741,8 +748,8 @@ def is_unencrypted(parts: SplitResult) -> bool:
 def _is_same_origin(origin: str, host: str, scheme: str) -> bool:
     """Report whether a page of this service sent the request.
 
-    A page that was loaded without TLS is not trusted by a service that uses TLS, because anybody in between
-    may have changed it. A proxy may have removed TLS.
+    A service that uses TLS does not trust a page that was loaded without TLS, because anybody in between may
+    have changed it. The opposite is allowed, because a proxy may have removed TLS.
     """
     try:
         parts = urlsplit(origin)

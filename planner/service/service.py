@@ -92,7 +92,7 @@ class Options:
 
     @property
     def tokens_required(self) -> bool:
-        """Whether tokens are required: except on loopback always, and with a log-in provider."""
+        """Whether tokens are required: by an option, for a log-in provider, or beyond loopback."""
         return self.require_token or self.oidc is not None or self.host not in LOOPBACK
 
     @property
@@ -189,7 +189,7 @@ class Service:
             request: Request.
             owner: Token.
             idempotency_key: Idempotency key, or None.
-            make: Function that creates the jobs.
+            make: Function that creates the jobs, as a reading in parts.
 
         Raises:
             RefusedError: As :meth:`run_in_turns`, and 422 for a key of another request.
@@ -205,7 +205,7 @@ class Service:
         Args:
             request: Request.
             owner: Token.
-            read: Function that reads.
+            read: Function that reads in one part.
 
         Raises:
             RefusedError: As :meth:`run_in_turns`.
@@ -254,6 +254,7 @@ class Service:
             tasks.start_soon(wait_and_read)
             while (await request.receive())["type"] != "http.disconnect":
                 pass
+            # Only a disconnected client gets here: after an end of the reading, the scope is cancelled above.
             reading.cancel()  # the thread cannot be cancelled, it ends with its reader process
             tasks.cancel_scope.cancel()
         if errors:
@@ -267,7 +268,11 @@ class Service:
 
         Of several long readings of one owner only one proceeds, because each holds its results in memory
         until its end.
+
+        Returns:
+            List with the result of the reading.
         """
+        # A token leaves one reader to others, if there are several.
         readers = self.options.examiners if owner == LOCAL else max(1, self.options.examiners - 1)
         owner_turns = self._turns.setdefault(owner, anyio.Semaphore(readers))
 
@@ -284,6 +289,7 @@ class Service:
 
     @contextlib.asynccontextmanager
     async def _waiting_slot(self, owner: str) -> AsyncIterator[None]:
+        """Count a queued or running reading of an owner."""
         max_readings = self.limits.readings
         if owner != LOCAL and self._waiting[owner] >= max_readings:
             message = (
@@ -356,7 +362,7 @@ class Service:
         Raises:
             RefusedError: 413, 422, or 499 if the reading is cancelled.
         """
-        rows = [
+        inputs = [
             upload.problem.sha,
             options.reach,
             options.draw,
@@ -365,7 +371,7 @@ class Service:
             sorted((options.fields or {}).items()),
             sorted((name, blob.sha) for name, blob in upload.files.items()),
         ]
-        key = hashlib.sha256(json.dumps(rows).encode()).hexdigest()
+        key = hashlib.sha256(json.dumps(inputs).encode()).hexdigest()
         with self._read_lock:
             result = self._results.get(key)
         if result is None:
@@ -436,8 +442,8 @@ class Service:
         files = self.store_job_files(owner, results, upload.files, PROBLEM_FILE)
         jobs = []
         for (name, result), value in zip(results.items(), values, strict=True):
-            shown = value if isinstance(value, str) else json.dumps(value)
-            title = truncated_line(f"{result.name}: {field} = {shown}")
+            value_text = value if isinstance(value, str) else json.dumps(value)
+            title = truncated_line(f"{result.name}: {field} = {value_text}")
             new_job = self.new_job(owner, result.name, result, files[name])
             jobs.append(dataclasses.replace(new_job, title=title, tags=(field_sweep.tag,)))
         return self.jobs.create_all(jobs, idempotency_key)
@@ -474,12 +480,12 @@ class Service:
                     raise
                 refused += [(number, issue) for issue in error.issues]
         if refused:
-            raise RefusedError(422, [result for _, result in refused], of=[number for number, _ in refused])
+            raise RefusedError(422, [issue for _, issue in refused], of=[number for number, _ in refused])
         files = {name: blob for upload in uploads.values() for name, blob in upload.files.items()}
         stored = self.store_job_files(owner, results, files, PROBLEM_FILE)
         name_counts = Counter(result.name for result in results.values())
         jobs = []
-        for name, result in results.items():  # equal names are distinguished by their files
+        for name, result in results.items():  # jobs with equal names get their file name as a title
             title = truncated_line(f"{result.name}: {name}") if name_counts[result.name] > 1 else ""
             new_job = self.new_job(owner, result.name, result, stored[name])
             jobs.append(dataclasses.replace(new_job, title=title, tags=(tag,)))
@@ -540,7 +546,7 @@ class Service:
             owner: Token.
             results: Results of reading by name.
             uploads: Stored uploads by name.
-            document: Name of the problem file of each job. By default the name of the result.
+            document: Name of the problem file of each job, or None for the name of the result.
 
         Returns:
             For each name the files of its job.
@@ -567,8 +573,8 @@ class Service:
     ) -> NewJob:
         """Describe the job for a result of reading.
 
-        Its answer depends on the problem, on the names of its files, because results contain them, and on
-        the key of the job before it.
+        The answer of a job depends on the problem, on the names of its files, because results contain them,
+        and on the key of the job whose plan is the reference plan. Its key combines these.
 
         Args:
             owner: Token.
@@ -625,8 +631,8 @@ def _check_readable(result: ReadingResult) -> ReadingResult:
         RefusedError: 413 or 422.
     """
     if not result.readable:
-        large = all(issue.code == "service.too_large" for issue in result.issues)
-        raise RefusedError(413 if large else 422, result.issues)
+        is_too_large = all(issue.code == "service.too_large" for issue in result.issues)
+        raise RefusedError(413 if is_too_large else 422, result.issues)
     return result
 
 
@@ -667,11 +673,17 @@ def lock_data(data: Path, exclusive: bool) -> IO[str]:
 
 
 def _work_folder(work: Path, exclusive: bool, host: str) -> Path:
-    """Create the work folder of this instance, and remove those of failed instances of this machine."""
+    """Create the work folder of this instance, and remove those of failed instances of this machine.
+
+    Args:
+        work: Folder of the work folders.
+        exclusive: No other instance uses the data folder, so that all other folders are removed.
+        host: Name of this instance.
+    """
     work.mkdir(exist_ok=True, mode=0o700)
     for folder_of_instance in work.iterdir():
-        name, _, rest = folder_of_instance.name.partition(PID_SEPARATOR)
-        is_orphaned = name == socket.gethostname() and not Path("/proc", rest.split("-")[0]).exists()
+        name, _, process = folder_of_instance.name.partition(PID_SEPARATOR)
+        is_orphaned = name == socket.gethostname() and not Path("/proc", process.split("-")[0]).exists()
         if exclusive or is_orphaned:
             shutil.rmtree(folder_of_instance, ignore_errors=True)
     folder = work / host

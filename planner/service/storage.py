@@ -74,11 +74,14 @@ class ContentStore:
             stream: Stream.
             known: Hash and size from :func:`blob_of`, if known. Then the content is not hashed again, and
                 is read only if it is new.
+
+        Raises:
+            OSError: The content has another size than ``known``, or the disk is full.
         """
         if known is not None and self._touch(known.sha):
             return known
         digest, size = hashlib.sha256(), 0
-        handle, name = tempfile.mkstemp(dir=self._incoming)
+        handle, temporary_path = tempfile.mkstemp(dir=self._incoming)
         try:
             with os.fdopen(handle, "wb") as out:
                 while chunk := stream.read(CHUNK_BYTES):
@@ -93,15 +96,15 @@ class ContentStore:
                 raise OSError(f"read {size} bytes of a file of {blob.size}")
             target = self.path(blob.sha)
             with self._lock:
-                new = not self._touch(blob.sha)
-                if new:
+                is_new = not self._touch(blob.sha)
+                if is_new:
                     target.parent.mkdir(exist_ok=True)
-                    Path(name).replace(target)
+                    Path(temporary_path).replace(target)
                     self.used += size
-            if new:
+            if is_new:
                 _sync_folder(target.parent)
         finally:
-            Path(name).unlink(missing_ok=True)
+            Path(temporary_path).unlink(missing_ok=True)
         return blob
 
     def put_file(self, path: Path) -> Blob:
@@ -131,10 +134,10 @@ class ContentStore:
         return self.path(sha).read_bytes()
 
     def sweep(self, used_shas: Callable[[list[str]], set[str]]) -> int:
-        """Remove unused files, one folder at a time, and what interrupted uploads left.
+        """Remove files that are older than `GRACE_S` and unused, and what interrupted uploads left.
 
         Args:
-            used_shas: Function that returns those of some hashes that are in use.
+            used_shas: Function that returns those of some hashes that a job or draft references.
 
         Returns:
             Number of removed files.
@@ -164,6 +167,7 @@ class ContentStore:
         return True
 
     def _total_size(self) -> int:
+        """Return the size of all stored files [bytes], without uploads in progress."""
         folders = [folder for folder in self.root.iterdir() if folder != self._incoming and folder.is_dir()]
         return sum(_size(path) for folder in folders for path in folder.iterdir())
 
@@ -273,6 +277,7 @@ class StorageQuota:
 
     @contextmanager
     def _reserved_space(self, owner: str, blobs: Sequence[Blob]) -> Iterator[None]:
+        """Check the limits for files and reserve their space on the disk while they are stored."""
         sizes = {blob.sha: blob.size for blob in blobs}
         self._check_owner_limit(owner, sizes)
         with self._lock:
@@ -292,7 +297,12 @@ class StorageQuota:
                 self._incoming += Counter()  # drops zero counts
 
     def _check_owner_limit(self, owner: str, sizes: Mapping[str, int], whose: str = "your files") -> None:
+        """Check that an owner's content stays within its limit with new content: sizes [bytes] by SHA-256.
+
+        ``whose`` is the subject of the message.
+        """
         limit = self._limits.token_disk_mb * MB
+        # A cached size may be too large, so a refusal is based on the size that is read again.
         for fresh in (False, True):
             total = sum((dict(self._charged(owner, fresh)) | dict(sizes)).values())
             if total <= limit:
@@ -302,6 +312,7 @@ class StorageQuota:
         raise _storage_refusal(message, total / MB, limit / MB, hint)
 
     def _check_disk_limits(self, new: Sequence[Blob]) -> None:
+        """Check that new files fit into the limit of the service and on the disk."""
         incoming = sum(blob.size for blob in self._incoming if not self._files.has(blob.sha))
         new_bytes = sum(blob.size for blob in new)
         limit = self._limits.disk_mb
@@ -318,16 +329,24 @@ class StorageQuota:
             raise _storage_refusal(message, free / MB, MIN_FREE_MB)
 
     def _charged(self, owner: str, fresh: bool) -> Mapping[str, int]:
-        at, known = self._usage.get(owner, (-USAGE_CACHE_S, {}))
+        """Return the sizes [bytes] of the content that an owner is charged for, by SHA-256.
+
+        This is the content of its jobs and drafts, cached unless ``fresh``, and its recent uploads.
+        """
+        cached_at, owned_sizes = self._usage.get(owner, (-USAGE_CACHE_S, {}))
         now = time.monotonic()
-        if fresh or now - at >= USAGE_CACHE_S:
-            known = self._read_owned(owner)
+        if fresh or now - cached_at >= USAGE_CACHE_S:
+            owned_sizes = self._read_owned(owner)
             with self._lock:
-                self._usage[owner] = (now, known)
+                self._usage[owner] = (now, owned_sizes)
         with self._lock:
-            sent = {s: v for s, v in self._sent.get(owner, {}).items() if now - v[1] < GRACE_S}
-            self._sent[owner] = sent
-        return {sha: size for sha, (size, _) in sent.items()} | dict(known)
+            recent_uploads = {
+                sha: size_and_time
+                for sha, size_and_time in self._sent.get(owner, {}).items()
+                if now - size_and_time[1] < GRACE_S
+            }
+            self._sent[owner] = recent_uploads
+        return {sha: size for sha, (size, _) in recent_uploads.items()} | dict(owned_sizes)
 
 
 def refusal_of_error(error: Exception) -> RefusedError | None:
@@ -366,10 +385,11 @@ def _disk_full() -> RefusedError:
 
 
 def _storage_refusal(
-    what: str, value: float | None, limit: float | None, hint: str | None = None
+    message: str, value: float | None, limit: float | None, hint: str | None = None
 ) -> RefusedError:
+    """Return the refusal for missing space: 507. Value and limit are in MB."""
     hint = hint or "Ask the operator of the service to delete old jobs or to add disk space."
-    issue = Issue("service.storage", what, field="files", value=value, limit=limit, unit="MB", hint=hint)
+    issue = Issue("service.storage", message, field="files", value=value, limit=limit, unit="MB", hint=hint)
     return RefusedError(507, issue)
 
 
@@ -474,39 +494,41 @@ async def store_uploads(
 def _sort_form(
     form: FormData, limits: ServiceLimits, max_problems: int
 ) -> tuple[dict[str, UploadFile | str], dict[str, UploadFile]]:
-    """Return the problems and the files of a form, by their names.
+    """Return the problems and the files of a form, by their names. Text fields are problems without a name.
 
     Raises:
-        RefusedError: The form has faults. All of them are reported.
+        RefusedError: 422 with all faults of the form, or 413, a mesh is too large.
     """
     faults = [
         _request_issue(name[:80], f"unknown field (got {name[:80]!r}, allowed {', '.join(FORM_FIELDS)})")
         for name in dict.fromkeys(form)
         if name not in FORM_FIELDS
     ]
-    problems, uploads = form.getlist("problem"), form.getlist("files")
-    if not 1 <= len(problems) <= max_problems:
+    problem_parts, file_parts = form.getlist("problem"), form.getlist("files")
+    if not 1 <= len(problem_parts) <= max_problems:
         remedy = (
             "allowed one). Add the problem file."
             if max_problems == 1
             else f"allowed 1 to {max_problems}). Use several requests."
         )
-        faults.append(_request_issue("problem", f"wrong number of problems (got {len(problems)}, {remedy}"))
-    jobs: dict[str, UploadFile | str] = {}
-    for number, problem in enumerate(problems, 1):
-        given_name = problem if isinstance(problem, str) else problem.filename
-        problem_name = f"problem {number}" if isinstance(problem, str) or not given_name else given_name
+        faults.append(
+            _request_issue("problem", f"wrong number of problems (got {len(problem_parts)}, {remedy}")
+        )
+    problems: dict[str, UploadFile | str] = {}
+    for number, problem in enumerate(problem_parts, 1):
+        stated_name = problem if isinstance(problem, str) else problem.filename
+        problem_name = f"problem {number}" if isinstance(problem, str) or not stated_name else stated_name
         if max_problems > 1 and (
             len(problem_name) > MAX_NAME_LENGTH or not problem_name.isprintable()
         ):  # a single name is unused
             faults.append(_name_issue(problem_name, "problem"))
-        elif problem_name in jobs:
+        elif problem_name in problems:
             faults.append(
                 _request_issue("problem", f"two problems have the name {problem_name[:80]!r}. Rename one.")
             )
-        jobs[problem_name] = problem
+        problems[problem_name] = problem
     files: dict[str, UploadFile] = {}
-    for number, upload in enumerate(uploads):
+    for number, upload in enumerate(file_parts):
         field = f"files.{number}"
         if isinstance(upload, str):
             faults.append(_request_issue(field, "is a text field. Send it as a file with a name."))
@@ -515,15 +537,15 @@ def _sort_form(
         if not base_name(name) or len(name) > MAX_NAME_LENGTH or not name.isprintable():
             faults.append(_name_issue(name, field))
         elif name in files:
-            what = f"two files have the name {name[:80]!r}. Rename one."
-            faults.append(Issue("service.file_name", f"{field}: {what}", field=field))
+            message = f"two files have the name {name[:80]!r}. Rename one."
+            faults.append(Issue("service.file_name", f"{field}: {message}", field=field))
         else:
             files[name] = upload
             if name.lower().endswith(MESH_SUFFIXES) and (upload.size or 0) > limits.mesh_mb * MB:
                 raise too_large(f"{name[:80]!r}", limits.mesh_mb, field)
     if faults:
         raise RefusedError(422, faults)
-    return jobs, files
+    return problems, files
 
 
 def _store_form(
@@ -532,6 +554,7 @@ def _store_form(
     problems: Mapping[str, UploadFile | str],
     uploads: Mapping[str, UploadFile],
 ) -> dict[str, ProblemUpload]:
+    """Store the parts of a form, all or none. All problems get all files."""
     streams: list[BinaryIO] = [
         io.BytesIO(part.encode()) if isinstance(part, str) else part.file for part in problems.values()
     ]
@@ -541,15 +564,15 @@ def _store_form(
 
 
 def _name_issue(name: str, field: str) -> Issue:
-    what = (
+    problem = (
         f"invalid file name (got {name[:80]!r} with {len(name)} characters, allowed 1 to {MAX_NAME_LENGTH} "
     )
-    what += "printable characters that do not name a folder). Rename the file."
-    return Issue("service.file_name", f"{field}: {what}", field=field)
+    problem += "printable characters that do not name a folder). Rename the file."
+    return Issue("service.file_name", f"{field}: {problem}", field=field)
 
 
-def _request_issue(field: str, what: str) -> Issue:
-    return Issue("service.request", f"{field}: {what}", field=field)
+def _request_issue(field: str, problem: str) -> Issue:
+    return Issue("service.request", f"{field}: {problem}", field=field)
 
 
 def request_body_schema(problem: Mapping[str, Any], max_problems: int = 1) -> dict[str, Any]:
@@ -559,8 +582,8 @@ def request_body_schema(problem: Mapping[str, Any], max_problems: int = 1) -> di
         problem: Schema of a problem file.
         max_problems: Maximum number of problems.
     """
-    longest = MAX_YAML_BYTES // max_problems
-    text = {"type": "string", "maxLength": longest, "description": "the problem as YAML or JSON text"}
+    max_text_length = MAX_YAML_BYTES // max_problems
+    text = {"type": "string", "maxLength": max_text_length, "description": "the problem as YAML or JSON text"}
     form: dict[str, Any] = {
         "type": "object",
         "required": ["problem"],

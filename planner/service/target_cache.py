@@ -1,10 +1,11 @@
 """Cache of targets that were computed for uploads. An edit of the cell leaves most of them valid.
 
-- A full check uses targets of an identical problem.
-- A quick check also uses targets of a problem that differs only in what processes do not see. A job is made
-  from its operation, from tools, controller and wires of the cell, and from block and part. Poses of arms
-  and block, obstacles, margins and names do not matter, but the orientation of a block to gravity does.
-- Brief targets of a quick check serve quick checks only.
+- A full check uses cached targets of an identical problem.
+- A quick check also uses cached targets of an equivalent problem: one that differs only in values that no
+  process uses. A process creates a job from its operation, from tools, controller and wires of the cell, and
+  from block and part. Poses of arms and block, obstacles, margins and names do not matter, but the
+  orientation of a block to gravity does.
+- Brief targets, which are computed for a quick check, are used by quick checks only.
 """
 
 from collections.abc import Mapping
@@ -31,7 +32,7 @@ GRAVITY_DECIMALS: Final = 9
 
 
 def used_values_digest(source: Mapping[str, Any]) -> str:
-    """Return the digest of the values of a problem that processes use, without the orientation of its blocks.
+    """Return the digest of those values of a problem that processes use, without the pose of its blocks.
 
     Args:
         source: Values of the problem file.
@@ -50,7 +51,7 @@ def used_values_digest(source: Mapping[str, Any]) -> str:
 
 
 def equivalence_digest(problem: Problem) -> str:
-    """Return the digest of what processes use of a problem, with the direction of gravity in each setup.
+    """Return the digest of all that processes use, including the direction of gravity in each setup.
 
     Gravity matters because wires sag and loose pieces fall.
 
@@ -82,7 +83,10 @@ def cached_targets_maker(cache: FileCache, problem: Problem, accept_equivalent: 
     Args:
         cache: Cache.
         problem: Problem.
-        accept_equivalent: Also accept targets of problems that differ only in what processes do not use.
+        accept_equivalent: Also accept targets of equivalent problems, and brief targets.
+
+    Returns:
+        Function of the index of an operation and its job.
     """
     exact_key, equivalence_key = problem.digest, equivalence_digest(problem)
 
@@ -95,8 +99,8 @@ def cached_targets_maker(cache: FileCache, problem: Problem, accept_equivalent: 
         if job.is_brief and accept_equivalent and isinstance(cached := cache.get(brief_name), Targets):
             return cached
         targets = job.targets()
-        first, *others = [brief_name] if job.is_brief else full_names
-        cache.put(first, targets, others)
+        first_name, *other_names = [brief_name] if job.is_brief else full_names
+        cache.put(first_name, targets, other_names)
         return targets
 
     return make

@@ -39,9 +39,9 @@ CACHE_FOLDER: Final = "targets"
 class UploadReader:
     """A process that reads one upload at a time, and its parent, which forks the next one.
 
-    Requests are numbered, and an answer carries the number of its request. Each reader states how many
-    readers were killed before it: the one that was to be killed may have ended by itself, and the next one
-    have taken its place.
+    Requests are numbered, and an answer carries the number of its request. A new reader states how many
+    readers were killed before it. A reader may end by itself just before it is killed, and the signal then
+    kills the next one. The number shows which reader is the last.
     """
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
@@ -59,8 +59,8 @@ class UploadReader:
     def cancel(self) -> None:
         """Cancel the present request by killing the reader. Its parent forks another one.
 
-        A request that was not sent yet will not be sent. A reader that is killed before it was asked or has
-        started would leave lines behind that are taken for others.
+        A request that was not sent yet will not be sent. In this case the reader is not killed, because the
+        lines that it has already written would be taken for those of the next reader.
         """
         with self._turn:
             self._is_cancelled = True
@@ -106,8 +106,8 @@ class UploadReader:
     def settle(self) -> None:
         """Wait for the reader that replaces a killed one. Nobody calls :meth:`cancel` any more.
 
-        If there was no answer, the present reader may have started before and is killed too, together with
-        what it was sent and what it has written.
+        If there was no answer, the present reader is killed too, so that neither its request nor its output
+        is left. If no reader starts, the parent is killed.
         """
         if self._is_ending or not self._is_ready:
             if not self._is_ending:
@@ -118,6 +118,7 @@ class UploadReader:
         self._is_asked = self._is_cancelled = self._is_ending = False
 
     def _kill_reader(self) -> None:
+        """Make the parent kill the present reader and fork another one."""
         self._is_ending = True
         self._killed_count += 1
         self._process.send_signal(signal.SIGUSR2)
@@ -161,9 +162,10 @@ class UploadReading:
         self.cancelled = False
 
     def set_reader(self, reader: UploadReader | None) -> bool:
-        """Set the reader in charge, or None when it is done.
+        """Set the reader that :meth:`cancel` kills, or None when it is done.
 
-        Return whether the reading is not cancelled.
+        Returns:
+            False if the reading was cancelled before. Then nothing is set.
         """
         with self._lock:
             self._reader = None if self.cancelled else reader
@@ -218,10 +220,10 @@ class ReaderPool:
         Raises:
             RefusedError: 503 if the service stops, 499 if the reading is cancelled.
         """
-        more: dict[str, Any] = {"problem": str(problem), "facets": self._facets}
-        more |= {"reach": options.reach, "draw": options.draw, "targets": options.targets}
-        more |= {"kept": str(self._cache_folder), "cell": options.cell, "fields": options.fields}
-        return self._run("examine", uploads, more, reading)[0]
+        arguments: dict[str, Any] = {"problem": str(problem), "facets": self._facets}
+        arguments |= {"reach": options.reach, "draw": options.draw, "targets": options.targets}
+        arguments |= {"kept": str(self._cache_folder), "cell": options.cell, "fields": options.fields}
+        return self._run("examine", uploads, arguments, reading)[0]
 
     def examine_element(
         self,
@@ -241,8 +243,8 @@ class ReaderPool:
         Raises:
             RefusedError: 503 if the service stops, 499 if the reading is cancelled.
         """
-        more = {"element": str(element), "facets": self._facets, "fields": dict(fields)}
-        return self._run("examine_element", uploads, more, reading)[0]
+        arguments = {"element": str(element), "facets": self._facets, "fields": dict(fields)}
+        return self._run("examine_element", uploads, arguments, reading)[0]
 
     def examine_panels(
         self, files: Mapping[str, Path], panels: Sequence[str], reading: UploadReading | None = None
@@ -269,6 +271,10 @@ class ReaderPool:
         arguments: Mapping[str, Any],
         reading: UploadReading | None,
     ) -> list[ReadingResult]:
+        """Wait for an idle reader, and let it run a function in a temporary folder.
+
+        ``action`` is the name of a function of :mod:`planner.service.upload_reader`.
+        """
         reading = reading or UploadReading()
         reader = self._idle.get()
         try:
@@ -277,9 +283,9 @@ class ReaderPool:
             with tempfile.TemporaryDirectory(dir=self._scratch, prefix="examine-") as folder:
                 if reader is None or not reader.alive:
                     reader = self._start_reader()
-                given = {name: str(path) for name, path in files.items()}
+                paths = {name: str(path) for name, path in files.items()}
                 return self._ask_reader(
-                    reader, {"what": action, "folder": folder, "files": given, **arguments}, reading
+                    reader, {"what": action, "folder": folder, "files": paths, **arguments}, reading
                 )
         finally:
             self._idle.put(reader)
@@ -292,6 +298,7 @@ class ReaderPool:
             reader.kill()
 
     def _start_reader(self) -> UploadReader:
+        """Start a reader process in the thread that starts all of them."""
         try:
             reader = self._starter.submit(self._start_process).result()
         except (RuntimeError, CancelledError):  # closed meanwhile
@@ -325,18 +332,19 @@ class ReaderPool:
     def _ask_reader(
         self, reader: UploadReader, request: Mapping[str, Any], reading: UploadReading
     ) -> list[ReadingResult]:
-        limit = UploadReading()  # cancels the reading when time is up, as a disconnection does
-        timer = threading.Timer(self._seconds, limit.cancel)
+        """Send a request to a reader and return its results, or one result with an issue if it failed."""
+        time_limit = UploadReading()  # cancels the reading when time is up, as a disconnection does
+        timer = threading.Timer(self._seconds, time_limit.cancel)
         timer.daemon = True
         if not reading.set_reader(reader):
             raise connection_closed()
-        limit.set_reader(reader)
+        time_limit.set_reader(reader)
         timer.start()
         try:
             answer = reader.ask(json.dumps(request))
         finally:
             reading.set_reader(None)
-            limit.set_reader(None)
+            time_limit.set_reader(None)
             timer.cancel()
         if answer is not None:
             if not self._closed:
@@ -347,12 +355,12 @@ class ReaderPool:
         reader.settle()
         if reading.cancelled:
             raise connection_closed()
-        what = (
+        exceeded_limit = (
             f"took more than {self._seconds:g} s"
-            if limit.cancelled
+            if time_limit.cancelled
             else f"needs more than {self._memory:g} MB to read, or its reader failed"
         )
-        message = format_message("service.check_stopped", exceeded_limit=what)
+        message = format_message("service.check_stopped", exceeded_limit=exceeded_limit)
         return [ReadingResult((Issue("service.check_stopped", message, field="problem"),))]
 
 
@@ -366,8 +374,8 @@ def connection_closed() -> RefusedError:
     return RefusedError(499, Issue("service.request", "the connection was closed. Send the request again."))
 
 
-def _to_json(examined: ReadingResult) -> dict[str, Any]:
-    return {**dataclasses.asdict(examined), "issues": [issue.to_dict() for issue in examined.issues]}
+def _to_json(result: ReadingResult) -> dict[str, Any]:
+    return {**dataclasses.asdict(result), "issues": [issue.to_dict() for issue in result.issues]}
 
 
 def _from_json(data: dict[str, Any]) -> ReadingResult:
@@ -387,11 +395,11 @@ def serve() -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # output of libraries must not mix with answers
-    child_pid = ended = 0
+    child_pid = killed_count = 0
 
     def end_child(*_: object) -> None:
-        nonlocal ended
-        ended += 1
+        nonlocal killed_count
+        killed_count += 1
         os.kill(child_pid, signal.SIGKILL)  # the child exists, if only as a zombie: else signals are blocked
 
     signal.pthread_sigmask(signal.SIG_BLOCK, PARENT_SIGNALS)
@@ -406,8 +414,10 @@ def serve() -> None:
                 signal.signal(number, signal.SIG_DFL)
             signal.pthread_sigmask(signal.SIG_UNBLOCK, PARENT_SIGNALS)
             exit_with_parent(parent_pid)
-            _drain_request(0)
-            answers.write(f"\n{START_MARK} {ended}\n")  # terminates an incomplete line of a killed reader
+            _drain_request(pipe=0)
+            answers.write(
+                f"\n{START_MARK} {killed_count}\n"
+            )  # terminates an incomplete line of a killed reader
             answers.flush()
             _serve_requests(answers)
             os._exit(0)
@@ -422,16 +432,21 @@ PARENT_SIGNALS: Final = (signal.SIGUSR1, signal.SIGUSR2)
 
 
 def _drain_request(pipe: int) -> None:
-    """Drop a request that was sent to a reader that has been killed."""
-    last = b"\n"
-    while last != b"\n" or select.select([pipe], [], [], 0.0)[0]:
-        read = os.read(pipe, 1 << 16)
-        if not read:
+    """Read and drop a request that was sent to a killed reader, so that the next reader does not get it.
+
+    Args:
+        pipe: File descriptor of the requests.
+    """
+    last_byte = b"\n"
+    while last_byte != b"\n" or select.select([pipe], [], [], 0.0)[0]:
+        chunk = os.read(pipe, 1 << 16)
+        if not chunk:
             break
-        last = read[-1:]
+        last_byte = chunk[-1:]
 
 
 def _import_drake(*_: object) -> None:
+    """Import Drake in the parent (signal handler), so that the next readers have it when they are forked."""
     signal.signal(signal.SIGUSR1, signal.SIG_IGN)  # a second signal would start the imports recursively
     from planner import pipeline
 
@@ -445,8 +460,9 @@ def _serve_requests(answers: TextIO) -> None:
 
     models = plant.ModelCache[plant.CellModel]()
     for line in sys.stdin:
-        number, _, text = line.partition(" ")
-        request = json.loads(text)
+        number, _, request_text = line.partition(" ")
+        request = json.loads(request_text)
+        # Drake is needed here, and probably again. The parent imports it for the next readers.
         if (request.get("reach") or request.get("cell")) and "planner.motion.solve" not in sys.modules:
             os.kill(os.getppid(), signal.SIGUSR1)
         folder, files = Path(request["folder"]), {name: Path(path) for name, path in request["files"].items()}

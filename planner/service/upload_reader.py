@@ -2,8 +2,8 @@
 
 Files are looked up among the uploads by the names in the problem, never on the disk. Messages use the names
 that the user gave. The reader also returns the problem in a self-contained form, and tests its reach if
-requested. The number of facets and vertices of a mesh file is read from its text or header, without
-building the mesh.
+requested. The facets and vertices of a mesh file are counted from its text or header, without building the
+mesh.
 
 **Shapes**: surfaces and block as triangles, and the tool paths of pose tables as thin bars.
 
@@ -115,27 +115,36 @@ class LinkedUploads:
             Changed document, and an issue for each file that was not uploaded.
         """
         data = self._with_linked_files(document.data, document, ())
-        jobs, saw, raw = data.get("jobs"), data.get("cut_blocks"), data.get("raw_blocks")
+        jobs, block_cutting, raw_blocks = data.get("jobs"), data.get("cut_blocks"), data.get("raw_blocks")
         for number, job in enumerate(jobs if isinstance(jobs, list) else ()):
             if isinstance(job, dict) and "problem" in job:
                 job["problem"] = self._inline_template(job["problem"], document, ("jobs", number, "problem"))
-        if isinstance(saw, dict) and "problem" in saw:
-            saw["problem"] = self._inline_template(saw["problem"], document, ("cut_blocks", "problem"))
-        if isinstance(raw, dict) and isinstance(raw.get("stock"), str):
-            raw["stock"] = self._link_upload(raw["stock"], document, ("raw_blocks", "stock"))
+        if isinstance(block_cutting, dict) and "problem" in block_cutting:
+            block_cutting["problem"] = self._inline_template(
+                block_cutting["problem"], document, ("cut_blocks", "problem")
+            )
+        if isinstance(raw_blocks, dict) and isinstance(raw_blocks.get("stock"), str):
+            raw_blocks["stock"] = self._link_upload(raw_blocks["stock"], document, ("raw_blocks", "stock"))
         return document.with_data(data), self._faults
 
-    def _inline_template(self, given: Any, document: Document, path: tuple[str | int, ...]) -> Any:
-        if isinstance(given, str):
-            linked = self._link_upload(given, document, path)
-            if linked == MISSING_FILE:
-                return given
-            document, given = self._read_inlined(linked, path)
-        if isinstance(given, dict) and isinstance(given.get("cell"), str):
-            linked = self._link_upload(given["cell"], document, (*path, "cell"))
-            if linked != MISSING_FILE:
-                given["cell"] = self._read_inlined(linked, (*path, "cell"))[1]
-        return given
+    def _inline_template(self, template: Any, document: Document, field_path: tuple[str | int, ...]) -> Any:
+        """Return the data of a template with its cell inlined.
+
+        Args:
+            template: Name of the template file, or its data.
+            document: Document that contains the template or its name.
+            field_path: Path of the template in the inlined document.
+        """
+        if isinstance(template, str):
+            linked_path = self._link_upload(template, document, field_path)
+            if linked_path == MISSING_FILE:
+                return template
+            document, template = self._read_inlined(linked_path, field_path)
+        if isinstance(template, dict) and isinstance(template.get("cell"), str):
+            linked_path = self._link_upload(template["cell"], document, (*field_path, "cell"))
+            if linked_path != MISSING_FILE:
+                template["cell"] = self._read_inlined(linked_path, (*field_path, "cell"))[1]
+        return template
 
     def _read_inlined(self, path: str, field_path: tuple[str | int, ...]) -> tuple[Document, Any]:
         """Read a linked file. Return the document, and its values as they are inlined at a field path."""
@@ -152,6 +161,7 @@ class LinkedUploads:
         return tuple(self._with_user_names(issue) for issue in issues)
 
     def _with_user_names(self, issue: Issue) -> Issue:
+        """Replace paths in one issue. An issue of a cell file gets the path and the line of that file."""
         field_path = (issue.field or "").split(".")
         if self._cell is not None and field_path[0] == "cell" and len(field_path) > 1:
             steps = tuple(int(step) if step.isdigit() else step for step in field_path[1:])
@@ -165,6 +175,7 @@ class LinkedUploads:
         )
 
     def _replace_paths(self, text: str | None) -> str | None:
+        """Replace paths and names of linked files in a text by the user's names, and drop the folder."""
         if text is None:
             return None
         for path, name in self._names.items():
@@ -172,6 +183,13 @@ class LinkedUploads:
         return text.replace(f"{self._folder}{os.sep}", "")
 
     def _with_linked_files(self, data: Any, document: Document, field_path: tuple[str | int, ...]) -> Any:
+        """Return a copy of data in which all file names are those of linked uploads.
+
+        Args:
+            data: Values at ``field_path``, at any level.
+            document: Document that contains the values, for the lines of issues.
+            field_path: Path of the values in the inlined document.
+        """
         if isinstance(data, dict):
             return {
                 key: self._link_upload(value, document, (*field_path, key))
@@ -181,32 +199,46 @@ class LinkedUploads:
             }
         if isinstance(data, list):
             return [
-                self._with_linked_files(value, document, (*field_path, i)) for i, value in enumerate(data)
+                self._with_linked_files(value, document, (*field_path, index))
+                for index, value in enumerate(data)
             ]
         return data
 
     def _link_upload(self, name: str, document: Document, field_path: tuple[str | int, ...]) -> str:
-        """Link the upload with a name into the folder. Return its path in the folder."""
+        """Link the upload with a name into the folder.
+
+        A name matches an upload with the same name, else the only upload with the same last path component.
+
+        Args:
+            name: Name in the document.
+            document: Document, for the line of an issue.
+            field_path: Path of the field in the inlined document.
+
+        Returns:
+            Path in the folder. If there is no match, an issue is added, and `MISSING_FILE` is returned.
+        """
         matches = (
-            [name] if name in self._uploads else [n for n in self._uploads if base_name(n) == base_name(name)]
+            [name]
+            if name in self._uploads
+            else [upload_name for upload_name in self._uploads if base_name(upload_name) == base_name(name)]
         )
         if len(matches) != 1:
             self._faults.append(self._missing_upload(name, bool(matches), document, field_path))
             return MISSING_FILE
         source = self._uploads[matches[0]]
-        linked = f"files/{bundled_name(matches[0], source.name)}"
-        if not (self._folder / linked).exists():
-            _link_or_copy(source, self._folder / linked)
-        self._names[str(self._folder / linked)] = matches[0]
-        return linked
+        linked_path = f"files/{bundled_name(matches[0], source.name)}"
+        if not (self._folder / linked_path).exists():
+            _link_or_copy(source, self._folder / linked_path)
+        self._names[str(self._folder / linked_path)] = matches[0]
+        return linked_path
 
     def _missing_upload(
         self, name: str, ambiguous: bool, document: Document, field_path: tuple[str | int, ...]
     ) -> Issue:
-        field = ".".join(str(step) for step in field_path)
-        uploaded = (
-            ", ".join(repr(name_of_upload[:80]) for name_of_upload in sorted(self._uploads)[:10])
-            or "no files"
+        """Return the issue for a file that was not uploaded, or whose name matches several uploads."""
+        field = ".".join(str(part) for part in field_path)
+        uploaded_names = (
+            ", ".join(repr(upload_name[:80]) for upload_name in sorted(self._uploads)[:10]) or "no files"
         )
         path_in_file = field_path[self._inline_depth.get(document.path, 0) :]
         return Issue(
@@ -217,7 +249,7 @@ class LinkedUploads:
                 matches="several uploads are" if ambiguous else "no upload is",
                 file_name=base_name(name)[:80],
                 stated_path=name[:80],
-                uploaded_files=uploaded,
+                uploaded_files=uploaded_names,
             ),
             file=str(document.path),
             line=document.line(path_in_file),
@@ -234,10 +266,14 @@ def _link_or_copy(source: Path, target: Path) -> None:
 
 
 def tool_paths(problem: Problem) -> tuple[list[tuple[str, Mesh]], list[Issue]]:
-    """Return the tool paths of pose tables by name, in the frame of the stock [m], and issues of the tables.
+    """Return the tool paths of pose tables, and issues of the tables.
 
     Args:
         problem: Problem.
+
+    Returns:
+        Pairs of a name and a mesh of thin bars, in the frame of the stock [m], and issues. Paths in the world
+        are missing if the problem does not state the pose of the block.
     """
     bars: list[tuple[str, Mesh]] = []
     faults: list[Issue] = []
@@ -273,6 +309,7 @@ def path_bars(positions: FloatArray, width: float) -> Mesh:
     length = np.linalg.norm(steps, axis=1)
     start, steps, length = start[length > 0.0], steps[length > 0.0], length[length > 0.0]
     direction = steps / length[:, None]
+    # The section is a square around the path: its corners are the sums of two perpendicular vectors.
     least_aligned = np.eye(3)[np.argmin(np.abs(direction), axis=1)]
     across = np.cross(direction, least_aligned)
     across *= 0.5 * width / np.linalg.norm(across, axis=1)[:, None]
@@ -300,10 +337,10 @@ def shapes(problem: Problem) -> tuple[list[dict[str, Any]], list[Issue]]:
         Shapes with ``name``, ``kind`` (part, path, stock), ``vertices`` and ``faces``, both flat lists, and
         issues of pose tables.
     """
-    named = list(part_meshes(problem.part))
+    named_meshes = list(part_meshes(problem.part))
     if problem.part is not None and problem.part.formed is not None:
-        named.append(("formed sheet", problem.part.formed.mesh))
-    bodies = [_body(name, "part", mesh) for name, mesh in named if len(mesh.faces)]
+        named_meshes.append(("formed sheet", problem.part.formed.mesh))
+    bodies = [_body(name, "part", mesh) for name, mesh in named_meshes if len(mesh.faces)]
     tool_path_meshes, faults = tool_paths(problem)
     bodies += [_body(name, "path", mesh) for name, mesh in tool_path_meshes]
     bodies.append(_body("sheet" if problem.stock.sheet is not None else "block", "stock", _box_mesh(problem)))
@@ -311,21 +348,23 @@ def shapes(problem: Problem) -> tuple[list[dict[str, Any]], list[Issue]]:
 
 
 def _box_mesh(problem: Problem) -> Mesh:
+    """Return the box of the stock [m] as twelve triangles."""
     low, high = problem.stock.lower, problem.stock.upper
     corners = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], dtype=np.float64)
     quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
-    faces = [tri for a, b, c, d in quads for tri in ((a, b, c), (a, c, d))]
+    faces = [triangle for a, b, c, d in quads for triangle in ((a, b, c), (a, c, d))]
     return Mesh(low + corners * (high - low), np.array(faces, dtype=np.int64))
 
 
 def _body(name: str, kind: str, mesh: Mesh) -> dict[str, Any]:
-    thin = decimate(mesh, MAX_MESH_TRIANGLES) if kind == "part" else mesh
-    vertices: FloatArray = np.round(thin.vertices / MM, 3)
+    """Convert a mesh [m] to a shape [mm]. Meshes of the part are simplified."""
+    simplified = decimate(mesh, MAX_MESH_TRIANGLES) if kind == "part" else mesh
+    vertices: FloatArray = np.round(simplified.vertices / MM, 3)
     return {
         "name": name,
         "kind": kind,
         "vertices": vertices.reshape(-1).tolist(),
-        "faces": np.asarray(thin.faces).reshape(-1).tolist(),
+        "faces": np.asarray(simplified.faces).reshape(-1).tolist(),
     }
 
 
@@ -383,43 +422,48 @@ def mesh_size(path: Path, suffix: str) -> MeshSize:
 
 
 def _obj_size(path: Path) -> MeshSize:
+    """Count in an OBJ file. A face with n corners becomes n - 2 triangles."""
     facets = vertices = 0
     for text in _text_chunks(path):
         vertices += len(_OBJ_VERTEX.findall(text))
+        # A line has the word "f" before its corners.
         facets += sum(max(len(face.split()) - 3, 0) for face in _OBJ_FACE.findall(text))
     return MeshSize(facets, vertices)
 
 
 def _stl_size(path: Path) -> MeshSize:
-    """Count the facets of an STL file.
+    """Count the facets of an STL file, each with three vertices.
 
-    A file is binary if its length matches its count, else text or broken.
+    The file is binary if its length matches the count in its header. Otherwise it is text or broken.
     """
     with path.open("rb") as stream:
         head = stream.read(STL_HEADER_BYTES)
     facets = int.from_bytes(head[80:84], "little")
     if len(head) < STL_HEADER_BYTES or STL_HEADER_BYTES + STL_FACET_BYTES * facets != path.stat().st_size:
-        facets = sum(len(_STL_FACET.findall(part)) for part in _text_chunks(path))
+        facets = sum(len(_STL_FACET.findall(chunk)) for chunk in _text_chunks(path))
     return MeshSize(facets, 3 * facets)
 
 
 def _glb_size(path: Path) -> MeshSize:
-    """Count by the JSON of a GLB file. Meshes with several instances count once."""
+    """Count in the JSON header of a GLB file. Meshes with several instances count once.
+
+    A primitive without indices has a corner for each vertex. Three corners are a triangle.
+    """
     with path.open("rb") as stream:
         length = int.from_bytes(stream.read(16)[12:16], "little")
         text = stream.read(4 + min(length, MAX_GLB_JSON_BYTES))[4:]
     try:
         data = json.loads(text)
         counts = [int(primitive["count"]) for primitive in data["accessors"]]
-        every = [primitive for mesh in data["meshes"] for primitive in mesh["primitives"]]
-        vertices = [counts[primitive["attributes"]["POSITION"]] for primitive in every]
-        corners = [
-            counts[primitive["indices"]] if "indices" in primitive else n
-            for primitive, n in zip(every, vertices, strict=True)
+        primitives = [primitive for mesh in data["meshes"] for primitive in mesh["primitives"]]
+        vertex_counts = [counts[primitive["attributes"]["POSITION"]] for primitive in primitives]
+        corner_counts = [
+            counts[primitive["indices"]] if "indices" in primitive else vertex_count
+            for primitive, vertex_count in zip(primitives, vertex_counts, strict=True)
         ]
     except (ValueError, TypeError, KeyError, IndexError):
         return MeshSize(0, 0)
-    return MeshSize(sum(corners) // 3, sum(vertices))
+    return MeshSize(sum(corner_counts) // 3, sum(vertex_counts))
 
 
 def _size_of_3mf(path: Path) -> MeshSize:
@@ -436,49 +480,66 @@ def _size_of_3mf(path: Path) -> MeshSize:
             for entry in entries:
                 if entry.filename.lower().endswith(".model"):
                     with archive.open(entry) as stream:
-                        tail = b""
-                        while piece := stream.read(TEXT_CHUNK_BYTES):
-                            facets += (tail + piece).count(b"<triangle ") - tail.count(b"<triangle ")
-                            vertices += (tail + piece).count(b"<vertex ") - tail.count(b"<vertex ")
-                            tail = piece[-16:]
+                        tail = b""  # end of the previous chunk, which may contain the beginning of a tag
+                        while chunk := stream.read(TEXT_CHUNK_BYTES):
+                            facets += (tail + chunk).count(b"<triangle ") - tail.count(b"<triangle ")
+                            vertices += (tail + chunk).count(b"<vertex ") - tail.count(b"<vertex ")
+                            tail = chunk[-16:]
     except (zipfile.BadZipFile, OSError, RuntimeError, NotImplementedError, zlib.error):
         return MeshSize(0, 0)
     return MeshSize(facets, vertices)
 
 
 def _ply_size(path: Path) -> MeshSize:
+    """Count in a PLY file by the counts in its header, and by its corners if faces may be polygons.
+
+    Corners are counted if the faces come last and have a single list. Otherwise the counts of the header are
+    returned.
+    """
     with path.open("rb") as stream:
-        head, has_end, _ = stream.read(MAX_PLY_HEADER_BYTES).partition(b"end_header")
+        header, has_end, _ = stream.read(MAX_PLY_HEADER_BYTES).partition(b"end_header")
     if not has_end:
         return MeshSize(0, 0)
-    elements = list(_ply_elements(head.decode("latin-1")))
+    elements = list(_ply_elements(header.decode("latin-1")))
     max_rows = path.stat().st_size  # a file cannot have more rows than bytes; the reader refuses such a count
     counts = {name: min(count, max_rows) for name, count, _ in elements}
     facets, vertices = counts.get("face", 0), counts.get("vertex", 0)
-    other_elements, last = elements[:-1], elements[-1] if elements else ("", 0, [])
-    lists = [kind for kind in last[2] if kind[0] == "list"]
-    fixed_size = not any(kind[0] == "list" for _, _, kinds in other_elements for kind in kinds)
-    if last[0] != "face" or len(lists) != 1 or not fixed_size:
+    other_elements, last_element = elements[:-1], elements[-1] if elements else ("", 0, [])
+    list_properties = [prop for prop in last_element[2] if prop[0] == "list"]
+    others_have_fixed_size = not any(
+        prop[0] == "list" for _, _, property_types in other_elements for prop in property_types
+    )
+    if last_element[0] != "face" or len(list_properties) != 1 or not others_have_fixed_size:
         return MeshSize(facets, vertices)
-    if b"ascii" in head:
-        rows = sum(count for _, count, _ in other_elements)
-        polygons = _corner_count(path, rows) - 2 * facets if last[2][0] == lists[0] else 0
+    if b"ascii" in header:
+        other_line_count = sum(count for _, count, _ in other_elements)
+        corner_based_facets = (
+            _corner_count(path, other_line_count) - 2 * facets
+            if last_element[2][0] == list_properties[0]
+            else 0
+        )
     else:
         # The rest of the file holds the corners of all faces. A face with n corners becomes n - 2 triangles.
-        fixed = sum(
-            count * PLY_TYPE_BYTES.get(kind[0], 0) for _, count, kinds in other_elements for kind in kinds
+        other_bytes = sum(
+            count * PLY_TYPE_BYTES.get(prop[0], 0)
+            for _, count, property_types in other_elements
+            for prop in property_types
         )
-        scalar_bytes = sum(PLY_TYPE_BYTES.get(kind[0], 0) for kind in last[2] if kind[0] != "list")
-        list_bytes = max_rows - len(head) - len(b"end_header\n") - fixed
-        list_bytes -= facets * (scalar_bytes + PLY_TYPE_BYTES.get(lists[0][1], 1))
-        polygons = list_bytes // PLY_TYPE_BYTES.get(lists[0][2], 4) - 2 * facets
-    return MeshSize(max(facets, polygons), vertices)
+        scalar_bytes = sum(PLY_TYPE_BYTES.get(prop[0], 0) for prop in last_element[2] if prop[0] != "list")
+        list_bytes = max_rows - len(header) - len(b"end_header\n") - other_bytes
+        list_bytes -= facets * (scalar_bytes + PLY_TYPE_BYTES.get(list_properties[0][1], 1))
+        corner_based_facets = list_bytes // PLY_TYPE_BYTES.get(list_properties[0][2], 4) - 2 * facets
+    return MeshSize(max(facets, corner_based_facets), vertices)
 
 
-def _corner_count(path: Path, rows: int) -> int:
+def _corner_count(path: Path, skipped_lines: int) -> int:
     """Sum the corners of all faces of an ASCII PLY file.
 
-    Each face starts with its number of corners. ``rows`` lines of other elements come first.
+    Each face starts with its number of corners.
+
+    Args:
+        path: Path of the file.
+        skipped_lines: Number of lines after the header that describe other elements.
     """
     corners = 0
     with path.open("rb") as stream:
@@ -486,40 +547,41 @@ def _corner_count(path: Path, rows: int) -> int:
             if line.startswith(b"end_header"):
                 break
         for number, line in enumerate(stream):
-            if number >= rows:
-                first = line.split(None, 1)[:1]
-                corners += min(int(first[0]), len(line)) if first and first[0].isdigit() else 0
+            if number >= skipped_lines:
+                first_word = line.split(None, 1)[:1]
+                corners += min(int(first_word[0]), len(line)) if first_word and first_word[0].isdigit() else 0
     return corners
 
 
 def _ply_elements(head: str) -> Iterator[tuple[str, int, list[tuple[str, ...]]]]:
     """Yield name, count and property types of each PLY element.
 
-    A list has ``list``, the type of its count, and of its items.
+    The type of a list is a tuple of ``list``, the type of its count, and the type of its items. Other types
+    are tuples of one name.
     """
-    name, count, kinds = "", 0, list[tuple[str, ...]]()
+    name, count, property_types = "", 0, list[tuple[str, ...]]()
     for words in (line.split() for line in head.splitlines()):
         if words[:1] == ["element"] and len(words) == 3:
             if name:
-                yield name, count, kinds
-            name, count, kinds = words[1], int(words[2]) if words[2].isdecimal() else 0, []
+                yield name, count, property_types
+            name, count, property_types = words[1], int(words[2]) if words[2].isdecimal() else 0, []
         elif words[:1] == ["property"] and len(words) in (3, 5):
-            kinds.append(tuple(words[1:4]) if words[1] == "list" else (words[1],))
+            property_types.append(tuple(words[1:4]) if words[1] == "list" else (words[1],))
     if name:
-        yield name, count, kinds
+        yield name, count, property_types
 
 
 def _text_chunks(path: Path) -> Iterator[bytes]:
     """Yield a file in parts that end with a line, with continued lines joined."""
     with path.open("rb") as stream:
-        while part := stream.read(TEXT_CHUNK_BYTES):
-            pieces = [part, stream.readline()]
-            while pieces[-1] and (pieces[-2] + pieces[-1]).endswith(LINE_CONTINUATIONS):
-                pieces.append(stream.readline())
-            whole = b"".join(pieces)
-            for end in LINE_CONTINUATIONS:
-                whole = whole.replace(end, b"")
-            yield whole
+        while chunk := stream.read(TEXT_CHUNK_BYTES):
+            lines = [chunk, stream.readline()]
+            while lines[-1] and (lines[-2] + lines[-1]).endswith(LINE_CONTINUATIONS):
+                lines.append(stream.readline())
+            text = b"".join(lines)
+            for line_end in LINE_CONTINUATIONS:
+                text = text.replace(line_end, b"")
+            yield text
 
 
 LINE_CONTINUATIONS: Final = (b"\\\r\n", b"\\\n")
@@ -562,6 +624,9 @@ def examine(
         max_facets: Maximum number of facets of a mesh. Three times as many vertices are allowed.
         options: What is computed, and which fields are replaced.
         cache_folder: Folder that caches targets and results computed from meshes, or None.
+
+    Returns:
+        Result, which contains only issues if the problem cannot be read.
     """
     cache = None if cache_folder is None else FileCache(cache_folder)
     faults = [*_archive_issues(uploads), *_large_mesh_issues(uploads, max_facets)]
@@ -631,10 +696,27 @@ def examine(
 def _draw_cell(
     problem: Problem, folder: Path, cache: FileCache | None, arguments: Mapping[str, Any]
 ) -> tuple[dict[str, Any], list[Issue]]:
+    """Draw the cell of a problem.
+
+    Args:
+        problem: Problem.
+        folder: Folder for the files of a plan.
+        cache: Cache of targets, or None.
+        arguments: ``operation``, ``max_samples``, ``freedom``, ``reach`` and, if a plan is drawn, ``plan``:
+            pairs of the name and the path of each of its files.
+
+    Returns:
+        Fields of :class:`planner.service.cell_models.CellOut` as JSON data, and issues.
+
+    Raises:
+        TandemError: The operation does not exist, or the cell cannot be built.
+    """
     count = len(problem.operations)
     if arguments["operation"] >= count:
-        what = f"operation: out of range (got {arguments['operation']}, allowed 0 to {count - 1} of {count})"
-        raise issue_error("service.request", what, field="operation")
+        message = (
+            f"operation: out of range (got {arguments['operation']}, allowed 0 to {count - 1} of {count})"
+        )
+        raise issue_error("service.request", message, field="operation")
     from planner.service import cell_drawing  # loads Drake
 
     make = (
@@ -651,10 +733,10 @@ def _draw_cell(
         sampling = cell_drawing.TargetSampling(
             arguments["max_samples"], arguments["freedom"], arguments["reach"]
         )
-    seen, faults = cell_drawing.view(problem, arguments["operation"], sampling, make, plan)
-    for target in seen.get("targets", ()):
+    fields, faults = cell_drawing.view(problem, arguments["operation"], sampling, make, plan)
+    for target in fields.get("targets", ()):
         target["faults"] = [issue.to_dict() for issue in target["faults"]]
-    return seen, faults
+    return fields, faults
 
 
 def examine_element(
@@ -680,9 +762,9 @@ def examine_element(
     try:
         document = strict_yaml.read(folder / ELEMENT_FILE)
         faults = [*_replace_fields(document.data, fields)]
-        document, missing = uploaded.inline_element(document)
-        if faults or missing:
-            return ReadingResult(uploaded.with_user_names([*faults, *missing]))
+        document, missing_uploads = uploaded.inline_element(document)
+        if faults or missing_uploads:
+            return ReadingResult(uploaded.with_user_names([*faults, *missing_uploads]))
         text = strict_yaml.dump(document.data)
         (folder / ELEMENT_FILE).write_text(text, "utf-8")
         element_read = element_file.read_element(folder / ELEMENT_FILE)
@@ -729,20 +811,23 @@ def _replace_fields(data: dict[str, Any], fields: Mapping[str, Any]) -> Iterator
 
 
 def _changeable_fields(spec: ElementFile) -> dict[str, Any]:
-    """Return the fields that may be changed: thickness, blocks, and those that control the division."""
+    """Return the fields of an element that may be changed, with their values.
+
+    These are the fields that control the division, the thickness, and the sizes of blocks and raw blocks.
+    """
     kind = spec.panels.kind
     panel_settings = getattr(spec.panels, kind)
-    out: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     for name in DIVISION_FIELDS[kind]:
         value = getattr(panel_settings, name)
         if value is not None:
-            out[f"panels.{kind}.{name}"] = list(value) if isinstance(value, tuple) else value
-    out["thickness_mm"] = spec.thickness_mm
+            fields[f"panels.{kind}.{name}"] = list(value) if isinstance(value, tuple) else value
+    fields["thickness_mm"] = spec.thickness_mm
     for number, block in enumerate(spec.blocks):
-        out[f"blocks.{number}.size_mm"] = list(block.size_mm)
+        fields[f"blocks.{number}.size_mm"] = list(block.size_mm)
     for number, block in enumerate(spec.raw_blocks.sizes if spec.raw_blocks else ()):
-        out[f"raw_blocks.sizes.{number}.size_mm"] = list(block.size_mm)
-    return out
+        fields[f"raw_blocks.sizes.{number}.size_mm"] = list(block.size_mm)
+    return fields
 
 
 def examine_panels(folder: Path, files: Mapping[str, Path], panels: Sequence[str]) -> list[ReadingResult]:
@@ -758,13 +843,13 @@ def examine_panels(folder: Path, files: Mapping[str, Path], panels: Sequence[str
     for name, path in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         _link_or_copy(path, folder / name)
-    out = []
+    results = []
     for panel in panels:
         path = next(path for item in PROBLEMS if (path := folder / item / f"{panel}.yaml").is_file())
         source = problem_file.resolve_files(strict_yaml.read(path).data, path.parent)
         stored = problem_file.pack_files(source)
         text = stored.pop(PROBLEM_FILE).decode()
-        out.append(
+        results.append(
             ReadingResult(
                 issues=(),
                 name=str(source["name"]),
@@ -774,11 +859,11 @@ def examine_panels(folder: Path, files: Mapping[str, Path], panels: Sequence[str
                 files={name: hashlib.sha256(content).hexdigest() for name, content in stored.items()},
             )
         )
-    return out
+    return results
 
 
 def _remaining_issues(document: Document) -> list[Issue]:
-    """Return the other issues of a problem whose files are incomplete."""
+    """Return the issues of a problem with missing uploads that are not caused by these."""
     try:
         problem_file.build_problem(document, registry.readers())
     except TandemError as error:
@@ -787,6 +872,7 @@ def _remaining_issues(document: Document) -> list[Issue]:
 
 
 def _archive_issues(uploads: Mapping[str, Path]) -> Iterator[Issue]:
+    """Yield an issue for each upload that is an archive, by its first bytes. 3MF meshes are allowed."""
     for name, path in uploads.items():
         with path.open("rb") as stream:
             head = stream.read(512)
@@ -819,17 +905,20 @@ def _large_mesh_issues(uploads: Mapping[str, Path], max_facets: int) -> Iterator
 def _summary(problem: Problem) -> dict[str, Any]:
     """Summarise a problem. Boxes are lower and upper corners [mm] in the frame of the stock."""
     arms = [{"name": arm.name, "robot": arm.robot, "tool": arm.tool.name} for arm in problem.cell.arms]
-    operations = [{"name": o.name, "process": o.process, "arms": list(o.arms)} for o in problem.operations]
-    out: dict[str, Any] = {"arms": arms, "operations": operations, "stock_mm": _box(problem.stock.box)}
+    operations = [
+        {"name": operation.name, "process": operation.process, "arms": list(operation.arms)}
+        for operation in problem.operations
+    ]
+    summary: dict[str, Any] = {"arms": arms, "operations": operations, "stock_mm": _box(problem.stock.box)}
     part = problem.part
     if part is not None:
         formed = part.formed.mesh if part.formed is not None else None
-        points = [mesh.vertices for mesh in (part.front, part.back, formed) if mesh is not None]
-        points += [np.concatenate([ruled.start, ruled.end]) for ruled in part.ruled]
-        every = np.concatenate(points) if points else np.zeros((0, 3))
-        if len(every):
-            out["part_mm"] = _box(np.stack([every.min(axis=0), every.max(axis=0)]))
-    return out
+        point_arrays = [mesh.vertices for mesh in (part.front, part.back, formed) if mesh is not None]
+        point_arrays += [np.concatenate([ruled.start, ruled.end]) for ruled in part.ruled]
+        all_points = np.concatenate(point_arrays) if point_arrays else np.zeros((0, 3))
+        if len(all_points):
+            summary["part_mm"] = _box(np.stack([all_points.min(axis=0), all_points.max(axis=0)]))
+    return summary
 
 
 def _box(corners: Any) -> list[list[float]]:

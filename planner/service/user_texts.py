@@ -68,6 +68,16 @@ def normalised_text(text: str) -> str:
 
 
 def _normalise(text: str, allowed: str, max_length: int) -> str:
+    """Normalise a text (NFC) and check it.
+
+    Args:
+        text: Text.
+        allowed: Control characters that are allowed.
+        max_length: Maximum number of characters.
+
+    Raises:
+        PydanticCustomError: The text is too long, has forbidden characters, or nothing visible.
+    """
     normalised = unicodedata.normalize("NFC", text).strip()
     if len(normalised) > max_length:  # normalisation may make a text longer
         message = "is too long after normalisation (NFC) (got {count} characters, allowed {most})"
@@ -118,9 +128,9 @@ async def read_body(request: Request, model: type[Body]) -> Body:
         return model.model_validate_json(bytes(text) or b"{}")
     except ValidationError as error:
         issues = []
-        for fault in error.errors():
-            field = ".".join(str(step) for step in fault["loc"]) or "body"
+        for error_entry in error.errors():
+            field = ".".join(str(part) for part in error_entry["loc"]) or "body"
             issues.append(
-                Issue("service.request", f"{field}: {fault['msg']}. Correct the value.", field=field)
+                Issue("service.request", f"{field}: {error_entry['msg']}. Correct the value.", field=field)
             )
         raise RefusedError(422, issues) from error

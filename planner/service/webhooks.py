@@ -142,7 +142,9 @@ def webhook_refusal(why: str, status: int = 422) -> RefusedError:
 
 
 def record_end(db: Connection, job: str, state: str) -> None:
-    """Record notifications of the end of a job, in the transaction that ends it.
+    """Record that all enabled webhooks of a job's owner are to be notified of its end.
+
+    This happens in the transaction that ends the job.
 
     Args:
         db: Open write transaction.
@@ -158,9 +160,10 @@ def record_end(db: Connection, job: str, state: str) -> None:
 
 
 def _add_delivery(db: Connection, webhook: str, kind: str, data: dict[str, Any]) -> None:
+    """Record a notification of a webhook that is due now. ``kind`` is the type of Standard Webhooks."""
     now = time.time()
-    stamp = dt.datetime.fromtimestamp(now, dt.UTC).isoformat().replace("+00:00", "Z")
-    body = json.dumps({"type": kind, "timestamp": stamp, "data": data})
+    timestamp = dt.datetime.fromtimestamp(now, dt.UTC).isoformat().replace("+00:00", "Z")
+    body = json.dumps({"type": kind, "timestamp": timestamp, "data": data})
     row = {"id": f"msg_{secrets.token_hex(16)}", "webhook": webhook, "body": body, "due": now, "attempts": 0}
     db.execute(insert(DELIVERIES).values(row))
 
@@ -174,9 +177,9 @@ def _is_due(now: ColumnElement[float]) -> ColumnElement[bool]:
 
 
 def drop_old_deliveries(database: Database, db: Connection) -> None:
-    """Drop notifications that nobody has sent for long.
+    """Drop notifications that have been due for longer than `MAX_PENDING_AGE_S`.
 
-    No host of this store sends webhooks, or the token was revoked.
+    They remain unsent if no host of this store sends webhooks, or if the token was revoked.
 
     Args:
         database: Database.
@@ -195,8 +198,8 @@ def signature(secret: str, delivery_id: str, seconds: int, body: str) -> str:
         body: Body.
     """
     key = base64.b64decode(secret.removeprefix(SECRET_PREFIX))
-    signed = hmac.new(key, f"{delivery_id}.{seconds}.{body}".encode(), hashlib.sha256).digest()
-    return f"v1,{base64.b64encode(signed).decode()}"
+    digest = hmac.new(key, f"{delivery_id}.{seconds}.{body}".encode(), hashlib.sha256).digest()
+    return f"v1,{base64.b64encode(digest).decode()}"
 
 
 class Webhooks:
@@ -227,8 +230,8 @@ class Webhooks:
         row = {"id": webhook_id, "owner": owner, "url": url, "secret": secret, "created": time.time()}
         with self._database.write() as db:
             self._database.lock(db, f"webhooks {owner}")
-            mine = select(func.count()).select_from(WEBHOOKS).where(WEBHOOKS.c.owner == owner)
-            if db.execute(mine).scalar_one() >= MAX_WEBHOOKS:
+            count_query = select(func.count()).select_from(WEBHOOKS).where(WEBHOOKS.c.owner == owner)
+            if db.execute(count_query).scalar_one() >= MAX_WEBHOOKS:
                 message = f"too many webhooks of this token (allowed {MAX_WEBHOOKS}). Delete one."
                 raise too_many(message, 60, MAX_WEBHOOKS)
             db.execute(insert(WEBHOOKS).values(row))
@@ -239,8 +242,8 @@ class Webhooks:
 
         ``waiting`` is the number of pending notifications.
         """
-        left = select(func.count()).where(DELIVERIES.c.webhook == WEBHOOKS.c.id)
-        waiting = left.scalar_subquery().label("waiting")
+        delivery_count = select(func.count()).where(DELIVERIES.c.webhook == WEBHOOKS.c.id)
+        waiting = delivery_count.scalar_subquery().label("waiting")
         query = select(WEBHOOKS, waiting).where(WEBHOOKS.c.owner == owner).order_by(WEBHOOKS.c.created)
         with self._database.read() as db:
             return list(db.execute(query).mappings())
@@ -276,6 +279,7 @@ class Webhooks:
             _add_delivery(db, number, "ping", {})
 
     def _check_owner(self, db: Connection, owner: str, number: str) -> None:
+        """Check that a webhook exists and belongs to an owner."""
         if not WEBHOOK_ID.fullmatch(number):
             raise webhook_refusal(f"{number[:40]!r} not found. List the webhooks.", 404)
         query = select(WEBHOOKS.c.id).where(WEBHOOKS.c.id == number, WEBHOOKS.c.owner == owner)
@@ -290,7 +294,7 @@ class Webhooks:
         """
         now = self._database.clock()
         not_expired = or_(TOKENS.c.expires.is_(None), TOKENS.c.expires > now)
-        in_force = select(TOKENS.c.id).where(TOKENS.c.revoked.is_(None), not_expired)
+        valid_tokens = select(TOKENS.c.id).where(TOKENS.c.revoked.is_(None), not_expired)
         query = (
             select(DELIVERIES, WEBHOOKS.c.owner, WEBHOOKS.c.url, WEBHOOKS.c.secret)
             .join(WEBHOOKS, WEBHOOKS.c.id == DELIVERIES.c.webhook)
@@ -299,7 +303,7 @@ class Webhooks:
                     _is_due(now),
                     WEBHOOKS.c.off.is_(None),
                     WEBHOOKS.c.owner.not_in(busy),
-                    or_(WEBHOOKS.c.owner == LOCAL, WEBHOOKS.c.owner.in_(in_force)),
+                    or_(WEBHOOKS.c.owner == LOCAL, WEBHOOKS.c.owner.in_(valid_tokens)),
                 )
             )
             .order_by(DELIVERIES.c.due, DELIVERIES.c.id)
@@ -320,7 +324,9 @@ class Webhooks:
         return DueNotification(*values, attempt)
 
     def record_attempt(self, due: DueNotification, status: int | None, why: str) -> None:
-        """Record the result of an attempt.
+        """Record the result of an attempt, and when the next one is due.
+
+        A notification that was delivered, has failed too often, or is refused for good is deleted.
 
         Args:
             due: Notification.
@@ -338,8 +344,8 @@ class Webhooks:
             if is_last or status == GONE_STATUS:
                 db.execute(delete(DELIVERIES).where(delivery_filter))
             else:
-                later = self._database.clock() + RETRY_WAITS_S[due.attempt - 1]
-                db.execute(update(DELIVERIES).where(delivery_filter).values(due=later))
+                next_due = self._database.clock() + RETRY_WAITS_S[due.attempt - 1]
+                db.execute(update(DELIVERIES).where(delivery_filter).values(due=next_due))
 
 
 def send_notification(due: DueNotification, hosts: Collection[str]) -> tuple[int | None, str]:
@@ -362,13 +368,13 @@ def send_notification(due: DueNotification, hosts: Collection[str]) -> tuple[int
             "webhook-timestamp": str(seconds),
             "webhook-signature": signature(due.secret, due.id, seconds, due.body),
         }
-        until = time.monotonic() + ANSWER_TIMEOUT_S
+        deadline = time.monotonic() + ANSWER_TIMEOUT_S
         connection = http.client.HTTPConnection(parts.netloc, timeout=ANSWER_TIMEOUT_S)
-        connection.sock = _connect(parts, until)
+        connection.sock = _connect(parts, deadline)
         timed_out = threading.Event()
         # a socket timeout applies to each read, so a timer limits the whole exchange
         timer = threading.Timer(
-            max(until - time.monotonic(), 0.0), _close_connection, (connection, timed_out)
+            max(deadline - time.monotonic(), 0.0), _close_connection, (connection, timed_out)
         )
         timer.daemon = True
         timer.start()
@@ -384,25 +390,25 @@ def send_notification(due: DueNotification, hosts: Collection[str]) -> tuple[int
         finally:
             timer.cancel()
             connection.close()
-    except RefusedError as no_longer:
-        return None, str(no_longer)
+    except RefusedError as refusal:
+        return None, str(refusal)
     except (OSError, ValueError, http.client.HTTPException) as error:
         LOG.info("webhook %s: no answer: %s", due.webhook, type(error).__name__)
         return None, "no answer"
 
 
-def _connect(parts: SplitResult, until: float) -> socket.socket:
-    """Connect to the first address of a host that answers before ``until`` [s, monotonic clock].
+def _connect(parts: SplitResult, deadline: float) -> socket.socket:
+    """Connect to the first address of a host that answers before ``deadline`` [s, monotonic clock].
 
-    With TLS the handshake is still to be made.
+    With TLS, the caller has to perform the handshake.
 
     Raises:
-        OSError: No connection.
+        OSError: No address could be connected in time.
     """
     host, port = parts.hostname or "", parts.port or DEFAULT_PORTS[parts.scheme]
     last_error: OSError = TimeoutError("no address answered in time")
     for family, kind, proto, _, address in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM):
-        if (remaining := until - time.monotonic()) <= 0.0:
+        if (remaining := deadline - time.monotonic()) <= 0.0:
             break
         connection = socket.socket(family, kind, proto)
         try:
@@ -420,6 +426,7 @@ def _connect(parts: SplitResult, until: float) -> socket.socket:
 
 
 def _close_connection(connection: http.client.HTTPConnection, timed_out: threading.Event) -> None:
+    """Interrupt an exchange that takes too long. Runs in the thread of a timer."""
     timed_out.set()
     with contextlib.suppress(OSError):
         if connection.sock is not None:
@@ -465,6 +472,7 @@ class WebhookSender(threading.Thread):
                 LOG.exception("webhooks: the database is unavailable")
 
     def _notify(self, due: DueNotification) -> None:
+        """Send a notification and record the result, in a thread of its own."""
         try:
             status, why = self._send(due, self._webhooks.hosts)
             self._webhooks.record_attempt(due, status, why)

@@ -1,7 +1,7 @@
 """Local refinement of triangle meshes by longest-edge bisection, without hanging nodes.
 
-If any edge of a triangle is cut, its longest edge is cut too, so no angle falls below half of the smallest
-original angle.
+Edges are cut at their middles. If any edge of a triangle is cut, its longest edge is cut too, so no angle
+falls below half of the smallest original angle.
 
 Source: M.-C. Rivara, Algorithms for refinement of triangular grids suitable for adaptive and multigrid
 techniques, International Journal for Numerical Methods in Engineering 20 (1984) 745-756.
@@ -14,7 +14,7 @@ import numpy as np
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, lengths, unique_rows
 
 MAX_ROUNDS = 20
-"""Maximum number of rounds of cuts."""
+"""Maximum number of rounds, each of which cuts an edge of a triangle at most once."""
 
 
 def bisect(
@@ -29,8 +29,8 @@ def bisect(
         nodes: Nodes (n, d); the first three of the d values are x, y, z [m].
         triangles: Node indices (m, 3).
         size_at: Maximum edge length (m,) [m] for triangles with centroids (m, 3).
-        middle: Makes new nodes (k, d) from the ends (k, d) and (k, d) of cut edges and the indices (k, 2) of
-            the adjacent given triangles, which are equal on a border.
+        middle: Function that returns new nodes (k, d) for the ends (k, d) and (k, d) of cut edges, and the
+            indices (k, 2) of the given triangles on both sides of each edge (equal on a border).
 
     Returns:
         Nodes (n, d) with the given ones first, triangles (m, 3), and the index (m,) of the given triangle
@@ -43,16 +43,17 @@ def bisect(
         sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
         edges, _, flat = unique_rows(sides.reshape(-1, 2))
         edge = flat.reshape(-1, 3)
-        long = lengths(nodes[edges[:, 1], :3] - nodes[edges[:, 0], :3])
+        edge_length = lengths(nodes[edges[:, 1], :3] - nodes[edges[:, 0], :3])
         # ties between equally long edges are resolved alike for all triangles
-        rank = np.empty(len(long), dtype=np.int64)
-        rank[np.argsort(long, kind="stable")] = np.arange(len(long))
+        rank = np.empty(len(edge_length), dtype=np.int64)
+        rank[np.argsort(edge_length, kind="stable")] = np.arange(len(edge_length))
         first = rank[edge].argmax(axis=1)
         longest = np.take_along_axis(edge, first[:, None], axis=1)[:, 0]
         cut = np.zeros(len(edges), dtype=np.bool_)
-        cut[longest[long[longest] > size_at(nodes[triangles, :3].mean(axis=1))]] = True
+        cut[longest[edge_length[longest] > size_at(nodes[triangles, :3].mean(axis=1))]] = True
         if not cut.any():
             break
+        # cut the longest edges of affected triangles too, until no further triangle is affected
         while not cut[needed := longest[cut[edge].any(axis=1)]].all():
             cut[needed] = True
         adjacent = np.zeros((len(edges), 2), dtype=np.int64)
@@ -75,17 +76,17 @@ def _split_triangles(
 
     Args:
         triangles: Node indices (m, 3).
-        edge: Edge indices (m, 3).
+        edge: Edge indices (m, 3); edge k runs from corner k to the next one.
         first: Which of the three edges (m,) is the longest.
-        cut: Whether each edge is cut.
-        new: Node on each cut edge.
+        cut: Whether each of the e edges is cut (e,).
+        new: Index of the node in the middle of each cut edge (e,).
 
     Returns:
         Triangles (k, 3), and the index (k,) of the triangle that each is a part of.
     """
-    turn = (first[:, None] + np.arange(3)) % 3
-    a, b, c = np.take_along_axis(triangles, turn, axis=1).T
-    ab, bc, ca = (np.where(cut[e], new[e], -1) for e in np.take_along_axis(edge, turn, axis=1).T)
+    corner_order = (first[:, None] + np.arange(3)) % 3
+    a, b, c = np.take_along_axis(triangles, corner_order, axis=1).T
+    ab, bc, ca = (np.where(cut[e], new[e], -1) for e in np.take_along_axis(edge, corner_order, axis=1).T)
     row = np.arange(len(triangles))
     out = [np.column_stack([a, b, c, row])[ab < 0]]
     # each half of a triangle contains one of the other two edges
@@ -94,5 +95,5 @@ def _split_triangles(
         out.append(np.column_stack([tip, first_end, second_end, row])[half])
         out.append(np.column_stack([tip, first_end, other, row])[quarter])
         out.append(np.column_stack([tip, other, second_end, row])[quarter])
-    whole = np.concatenate(out)
-    return whole[:, :3], whole[:, 3]
+    rows = np.concatenate(out)
+    return rows[:, :3], rows[:, 3]

@@ -1,6 +1,6 @@
 """Correspondence between the closed contours of a wall.
 
-It consists of matching positions and the lines of corners down the wall.
+Matching positions on all contours face each other. Corners of successive contours form lines down the wall.
 """
 
 import numpy as np
@@ -12,13 +12,13 @@ from planner.geometry.arrays import FloatArray, IntArray, dots, lengths
 POSITIONS_AROUND = 1024
 """Number of positions around a contour at which contours are matched."""
 EVEN_WEIGHT = 0.7
-"""Weight of even spacing along the contour in the positions, against the nearest points."""
+"""Weight of even spacing along the contour in matched positions. The rest is that of the nearest points."""
 CORNER_ANGLE = np.radians(25.0)
 """Turning angle [rad] of a contour above which it has a corner, along which a mesh line runs down the
 wall.
 """
 OUTER_WINDOW_RATIO = 6.0
-"""Ratio of the window in which the turning beside a point is measured to that of a corner."""
+"""Ratio of the window that shows how much a contour turns around a corner to the corner's own window."""
 CORNER_WINDOW = 5e-4
 """Contour length [m] to both sides over which turning angles are added, so that a noisy contour has no
 corners.
@@ -32,7 +32,7 @@ def counterclockwise(ring: FloatArray) -> FloatArray:
 
 
 def _area(ring: FloatArray) -> float:
-    """Signed area [m^2] of a contour from above, positive if counterclockwise (shoelace formula)."""
+    """Return the area [m^2] of a contour as seen from above, negative if clockwise (shoelace formula)."""
     after = np.roll(ring, -1, axis=0)
     return 0.5 * float(np.sum(ring[:, 0] * after[:, 1] - ring[:, 1] * after[:, 0]))
 
@@ -40,28 +40,28 @@ def _area(ring: FloatArray) -> float:
 def match_contours(outlines: list[FloatArray]) -> tuple[FloatArray, IntArray]:
     """Resample contours so that equal positions face each other, and find the lines of corners.
 
-    Each position is a blend of the nearest one on the previous contour and of even spacing, with weight
-    `EVEN_WEIGHT`, which an arc needs that grows out of a point. A corner takes the position of a nearby
-    corner of the previous contour.
+    Each position is a mean of the nearest position on the previous contour and of even spacing, with weight
+    `EVEN_WEIGHT`. Even spacing is needed where an arc grows out of a point. A corner takes the position of a
+    nearby line of corners of previous contours.
 
     Args:
         outlines: Contours (k, 3) [m], from the outside inwards.
 
     Returns:
-        Contours (r, PLACES_AROUND, 3) and the positions of corners.
+        Contours (r, `POSITIONS_AROUND`, 3) [m], and the positions (c,) of the lines of corners.
     """
     out: list[FloatArray] = []
-    share = np.arange(POSITIONS_AROUND) / POSITIONS_AROUND
+    fraction = np.arange(POSITIONS_AROUND) / POSITIONS_AROUND
     lines = np.empty(0, dtype=np.int64)
-    nearest_positions: FloatArray = POSITIONS_AROUND * share
+    nearest_positions: FloatArray = POSITIONS_AROUND * fraction
     snap_distance = 0.0
     for index, ring in enumerate(outlines):
         if out:
             ring = np.roll(ring, -int(np.argmin(lengths(ring[:, :2] - out[-1][0, :2]))), axis=0)
-        whole = along_contour(ring)
-        along = whole / whole[-1]
+        arc_length = along_contour(ring)
+        along = arc_length / arc_length[-1]
         if out:
-            nearest = cKDTree(out[-1][:, :2]).query(points_at(ring, along, share)[:, :2])[1]
+            nearest = cKDTree(out[-1][:, :2]).query(points_at(ring, along, fraction)[:, :2])[1]
             nearest_positions = np.asarray(nearest, dtype=np.float64)
             # positions increase around the contour; the first may be slightly below 0
             step = np.diff(nearest_positions, prepend=nearest_positions[0])
@@ -69,29 +69,29 @@ def match_contours(outlines: list[FloatArray]) -> tuple[FloatArray, IntArray]:
                 nearest_positions[0] / POSITIONS_AROUND
             )
             nearest_positions = np.asarray(nearest_positions - POSITIONS_AROUND * turns)
-            snap_distance = 4.0 * mean_gap(outlines[index - 1], ring) / whole[-1] * POSITIONS_AROUND
+            snap_distance = 4.0 * mean_gap(outlines[index - 1], ring) / arc_length[-1] * POSITIONS_AROUND
         corner = along[:-1][_corners(ring)]
-        even = POSITIONS_AROUND * share + float(np.mean(nearest_positions - POSITIONS_AROUND * share))
+        even = POSITIONS_AROUND * fraction + float(np.mean(nearest_positions - POSITIONS_AROUND * fraction))
         positions = (1.0 - EVEN_WEIGHT) * np.maximum.accumulate(nearest_positions) + EVEN_WEIGHT * even
-        at = np.interp(corner, np.append(share, 1.0), np.append(positions, positions[0] + POSITIONS_AROUND))
-        snapped, lines = _snap_corners(at, lines, max(snap_distance, 4.0))
-        fractions = share
+        corner_position = np.interp(
+            corner, np.append(fraction, 1.0), np.append(positions, positions[0] + POSITIONS_AROUND)
+        )
+        snapped, lines = _snap_corners(corner_position, lines, max(snap_distance, 4.0))
+        fractions = fraction
         if len(corner):
-            shift = np.interp(share, corner, snapped - at, period=1.0)
-            fractions, positions = (
-                np.concatenate([share, corner]),
-                np.concatenate([positions + shift, snapped]),
-            )
+            shift = np.interp(fraction, corner, snapped - corner_position, period=1.0)
+            fractions = np.concatenate([fraction, corner])
+            positions = np.concatenate([positions + shift, snapped])
             order = np.argsort(fractions, kind="stable")
             fractions, positions = fractions[order], np.maximum.accumulate(positions[order])
         positions = np.concatenate([positions + POSITIONS_AROUND * turn for turn in (-1, 0, 1)])
         fractions = np.concatenate([fractions + turn for turn in (-1, 0, 1)])
-        out.append(points_at(ring, along, np.interp(POSITIONS_AROUND * share, positions, fractions) % 1.0))
+        out.append(points_at(ring, along, np.interp(POSITIONS_AROUND * fraction, positions, fractions) % 1.0))
     return np.array(out), np.unique(lines)
 
 
 def mean_gap(outer: FloatArray, inner: FloatArray) -> float:
-    """Mean distance [m] between two contours as seen from above.
+    """Return the mean distance [m] between two contours as seen from above.
 
     It is the area between them over their mean length.
     """
@@ -100,28 +100,30 @@ def mean_gap(outer: FloatArray, inner: FloatArray) -> float:
 
 
 def _corners(ring: FloatArray) -> IntArray:
-    """Indices of the corners of a contour.
+    """Return the indices (c,) of the corners of a contour.
 
-    A corner is the point with the largest turning angle within `CORNER_WINDOW`, if the contour turns more
-    there than beside it by `CORNER_ANGLE`. A small circle of few points has none.
+    A corner is the point with the largest turning angle within `CORNER_WINDOW`. Within this window the
+    contour turns by at least `CORNER_ANGLE` more than in a window of equal length beside it. A small circle
+    of few points therefore has no corners.
     """
     ahead = (np.roll(ring, -1, axis=0) - ring)[:, :2]
     previous = np.roll(ahead, 1, axis=0)
     turn = np.arctan2(previous[:, 0] * ahead[:, 1] - previous[:, 1] * ahead[:, 0], dots(previous, ahead))
     along = along_contour(ring)
     arc_lengths = np.concatenate([along[:-1] - along[-1], along[:-1], along[:-1] + along[-1]])
-    total = np.concatenate([[0.0], np.cumsum(np.tile(turn, 3))])
+    cumulative_turn = np.concatenate([[0.0], np.cumsum(np.tile(turn, 3))])
 
     def turning_within(window: float) -> FloatArray:
+        """Return by how much [rad] the contour turns within a distance [m] of each point."""
         low = np.searchsorted(arc_lengths, along[:-1] - window - 1e-12)
         high = np.searchsorted(arc_lengths, along[:-1] + window + 1e-12)
-        return np.asarray(np.abs(total[high] - total[low]))
+        return np.asarray(np.abs(cumulative_turn[high] - cumulative_turn[low]))
 
-    within, outer = turning_within(CORNER_WINDOW), turning_within(OUTER_WINDOW_RATIO * CORNER_WINDOW)
-    within -= np.maximum(outer - within, 0.0) / (OUTER_WINDOW_RATIO - 1.0)
+    turning, outer_turning = turning_within(CORNER_WINDOW), turning_within(OUTER_WINDOW_RATIO * CORNER_WINDOW)
+    turning -= np.maximum(outer_turning - turning, 0.0) / (OUTER_WINDOW_RATIO - 1.0)
     corners: list[int] = []
-    for index in np.flatnonzero(within > CORNER_ANGLE)[
-        np.argsort(-np.abs(turn[within > CORNER_ANGLE]), kind="stable")
+    for index in np.flatnonzero(turning > CORNER_ANGLE)[
+        np.argsort(-np.abs(turn[turning > CORNER_ANGLE]), kind="stable")
     ]:
         distance = np.abs(along[corners] - along[index])
         if not len(distance) or np.minimum(distance, along[-1] - distance).min() > 2.0 * CORNER_WINDOW:
@@ -133,25 +135,25 @@ def _snap_corners(at: FloatArray, lines: IntArray, max_distance: float) -> tuple
     """Round the positions of corners to integers, and move them to existing lines of corners nearby.
 
     Args:
-        at: Positions (c,) of corners.
-        lines: Positions of the lines of corners so far.
+        at: Positions (c,) of the corners of one contour.
+        lines: Positions of the lines of corners of previous contours.
         max_distance: Maximum distance, in positions.
 
     Returns:
         Integer positions (c,), and all lines of corners including new ones.
     """
-    out = np.round(at)
+    snapped = np.round(at)
     for index, position in enumerate(at):
         distance = (lines - position + 0.5 * POSITIONS_AROUND) % POSITIONS_AROUND - 0.5 * POSITIONS_AROUND
         if len(distance) and np.abs(distance).min() < max_distance:
-            out[index] = position + distance[np.argmin(np.abs(distance))]
+            snapped[index] = position + distance[np.argmin(np.abs(distance))]
         else:
-            lines = np.append(lines, int(out[index]) % POSITIONS_AROUND)
-    return np.round(out), lines
+            lines = np.append(lines, int(snapped[index]) % POSITIONS_AROUND)
+    return np.round(snapped), lines
 
 
 def along_contour(ring: FloatArray) -> FloatArray:
-    """Arc length (k + 1,) [m] of a closed contour at each point and back at the first."""
+    """Return the arc length (k + 1,) [m] of a closed contour at each point, and back at the first one."""
     return curves.arc_length(np.concatenate([ring, ring[:1]]))
 
 
@@ -170,7 +172,7 @@ def points_at(ring: FloatArray, positions: FloatArray, query: FloatArray) -> Flo
 
 
 def nearest_point_on(ring: FloatArray, point: FloatArray) -> tuple[float, float]:
-    """Distance [m] from a point to a contour (k, 2), and the nearest position as a fractional point index."""
+    """Return the distance [m] of a point to a contour (k, 2), and the nearest position as a point index."""
     ahead = np.roll(ring, -1, axis=0) - ring
     fraction = np.clip(dots(point - ring, ahead) / np.maximum(dots(ahead, ahead), 1e-30), 0.0, 1.0)
     distance = lengths(ring + fraction[:, None] * ahead - point)

@@ -47,12 +47,12 @@ class State:
     rotation: FloatArray
 
     def moved(self, step: FloatArray) -> "State":
-        """State after a step (n, 6) of displacements [m] and spins [rad] about the global axes."""
+        """Return the state after a step (n, 6) of displacements [m] and spins [rad] about the global axes."""
         return State(self.u + step[:, :3], exp_rotation(step[:, 3:]) @ self.rotation)
 
 
 def at_rest(sheet: ShellSheet) -> State:
-    """State of a sheet without displacements and rotations."""
+    """Return the state of a sheet without displacements and rotations."""
     count = len(sheet.nodes)
     return State(np.zeros((count, 3)), np.broadcast_to(np.eye(3), (count, 3, 3)))
 
@@ -98,10 +98,7 @@ class Assembly:
         self._build_pattern()
 
     def _build_pattern(self) -> None:
-        """Set up the sparsity pattern of the tangent.
-
-        Also sets the matrix entry that each entry of each triangle adds to.
-        """
+        """Set up the sparsity pattern of the tangent, and where the entries of each triangle are added."""
         number = np.full(self._all, -1, dtype=np.int64)
         number[self.free] = np.arange(len(self.free))
         local = number[self._freedoms]
@@ -118,7 +115,7 @@ class Assembly:
         self._starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
 
     def force(self, state: State) -> FloatArray:
-        """Nodal forces and moments (n, 6) [N, Nm] in equilibrium with a state.
+        """Return the nodal forces and moments (n, 6) [N, Nm] in equilibrium with a state.
 
         Raises:
             TooFarError: If a triangle is deformed too far.
@@ -129,7 +126,7 @@ class Assembly:
         return self._assemble_forces(local, state)
 
     def tangent(self, state: State) -> tuple[FloatArray, csc_array]:
-        """Nodal forces (n, 6) [N, Nm] and the symmetric tangent over the free freedoms [N/m, N, Nm].
+        """Return nodal forces (n, 6) [N, Nm], and the symmetric tangent over the free freedoms [N/m, N, Nm].
 
         Raises:
             TooFarError: If a triangle is deformed too far.
@@ -146,14 +143,14 @@ class Assembly:
         return self._assemble_forces(local, state), csc_array((values, self._rows, self._starts), shape=shape)
 
     def _assemble_forces(self, local: FloatArray, state: State) -> FloatArray:
-        """Sum (n, 6) at the nodes of the forces (m, 18) of triangles and of springs."""
+        """Return the sums (n, 6) at the nodes of the forces (m, 18) of triangles and of those of springs."""
         freedoms, forces = self._freedoms.reshape(-1), local.reshape(-1)
         out = np.bincount(freedoms, weights=forces, minlength=self._all).astype(np.float64).reshape(-1, 6)
         out[:, :3] += self.spring * state.u
         return out
 
     def _deform(self, state: State) -> _Deformed:
-        """Deformations and conjugate forces of all triangles in a state.
+        """Return frames, deformations and conjugate forces of all triangles in a state.
 
         With R = frame rotation * node rotation * initial frame^T, the rotation vector is axial(R) * asin(s) /
         s, with s = |axial(R)| (Felippa and Haugen 2005).
@@ -180,12 +177,16 @@ class Assembly:
         if not (sine.max() < MAX_ROTATION_SINE and trace.min() > 1.0):
             raise TooFarError
         small = sine < 1e-6
-        turn = axial * np.where(small, 1.0, np.arcsin(sine) / np.where(small, 1.0, sine))[..., None]
-        d = np.concatenate([corner - rest.corner, turn.reshape(-1, 9)], axis=1)
-        return _Deformed(frame, corner, turn, np.matmul(rest.stiffness, d[:, :, None])[:, :, 0])
+        rotation_vectors = (
+            axial * np.where(small, 1.0, np.arcsin(sine) / np.where(small, 1.0, sine))[..., None]
+        )
+        deformations = np.concatenate([corner - rest.corner, rotation_vectors.reshape(-1, 9)], axis=1)
+        return _Deformed(
+            frame, corner, rotation_vectors, np.matmul(rest.stiffness, deformations[:, :, None])[:, :, 0]
+        )
 
     def _rates(self, deformed: _Deformed) -> FloatArray:
-        """Rates (m, 15, 18) of deformations over displacements and spins of the corners.
+        """Return the matrix (m, 15, 18) from displacements and spins of the corners to rates of deformations.
 
         Displacements and spins are along the global axes. The rows are three stretches, the spins of corners
         1 to 3 relative to the frame, and the spin of the frame. Spins are along the frame's axes.
@@ -215,23 +216,27 @@ class Assembly:
         out[:, 2, 0:3] -= e2
         # spins of the corners relative to the frame, along its axes
         for corner in range(3):
-            rows = out[:, 3 + 3 * corner : 6 + 3 * corner]
-            rows -= spin
-            rows[:, :, 6 * corner + 3 : 6 * corner + 6] = frame
+            corner_spin = out[:, 3 + 3 * corner : 6 + 3 * corner]
+            corner_spin -= spin
+            corner_spin[:, :, 6 * corner + 3 : 6 * corner + 6] = frame
         return out
 
     def _conjugate_forces(self, deformed: _Deformed) -> FloatArray:
-        """Forces (m, 12) conjugate to the rates: stresses of stretches, and moments over spins, m = H^T M."""
+        """Return forces (m, 12) conjugate to the rates: those of stretches, and moments over spins, H^T M."""
         out = deformed.forces.copy()
         moments = deformed.forces[:, 3:].reshape(-1, 3, 3)
-        spins = np.matmul(np.swapaxes(_spin_to_turn(deformed.turn), 2, 3), moments[..., None])[..., 0]
-        out[:, 3:] = spins.reshape(-1, 9)
+        spin_moments = np.matmul(np.swapaxes(_spin_to_vector_rate(deformed.turn), 2, 3), moments[..., None])[
+            ..., 0
+        ]
+        out[:, 3:] = spin_moments.reshape(-1, 9)
         return out
 
     def _local_tangent(
         self, deformed: _Deformed, rates: FloatArray, pulled: FloatArray, force: FloatArray
     ) -> FloatArray:
-        """Symmetric tangents (m, 18, 18) of triangles along the global axes, K = P^T C P + F G + G^T A D.
+        """Return the symmetric parts (m, 18, 18) of the tangents K = P^T C P + F G + G^T A D of triangles.
+
+        They are along the global axes.
 
         Args:
             deformed: Triangles in a state.
@@ -241,17 +246,20 @@ class Assembly:
         """
         count = len(rates)
         x2, x3, y3 = deformed.corner.T
-        by_turn = _spin_to_turn(deformed.turn)
-        # C = H^T S H + d(H^T M)/dturn H at constant M; S is the element stiffness, H acts on rotations
+        vector_rates = _spin_to_vector_rate(deformed.turn)
+        # C = H^T S H + d(H^T M)/dt H at constant M, with rotation vectors t; S is the element stiffness, H
+        # acts on rotations
         inner = self.elements.stiffness.copy()
         for corner in range(3):
-            rows = slice(3 + 3 * corner, 6 + 3 * corner)
-            inner[:, :, rows] = inner[:, :, rows] @ by_turn[:, corner]
+            rotations = slice(3 + 3 * corner, 6 + 3 * corner)
+            inner[:, :, rotations] = inner[:, :, rotations] @ vector_rates[:, corner]
         for corner in range(3):
-            rows = slice(3 + 3 * corner, 6 + 3 * corner)
-            inner[:, rows] = np.swapaxes(by_turn[:, corner], 1, 2) @ inner[:, rows]
-            moment = deformed.forces[:, rows]
-            inner[:, rows, rows] += _moment_derivative(deformed.turn[:, corner], moment) @ by_turn[:, corner]
+            rotations = slice(3 + 3 * corner, 6 + 3 * corner)
+            inner[:, rotations] = np.swapaxes(vector_rates[:, corner], 1, 2) @ inner[:, rotations]
+            moment = deformed.forces[:, rotations]
+            inner[:, rotations, rotations] += (
+                _moment_derivative(deformed.turn[:, corner], moment) @ vector_rates[:, corner]
+            )
         left = np.empty((count, 18, 15))
         np.matmul(np.swapaxes(rates[:, :12], 1, 2), inner, out=left[:, :, :12])
         # F: forces rotate with the frame, spin x force at each corner
@@ -270,12 +278,12 @@ class Assembly:
         shape[:, 2, 0] = -moment[:, 2] / x2
         shape[:, 2, 1], shape[:, 2, 2] = -stress[:, 2], stress[:, 1]
         left[:, :, :3] += np.swapaxes(rates[:, 12:], 1, 2) @ shape
-        whole = left @ rates
-        return np.asarray(0.5 * (whole + np.swapaxes(whole, 1, 2)))
+        tangent = left @ rates
+        return np.asarray(0.5 * (tangent + np.swapaxes(tangent, 1, 2)))
 
 
-def _spin_coefficients(turn: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Coefficients of the spin of rotation vectors (..., 3) with angle a.
+def _spin_coefficients(rotation_vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the coefficients of H and its derivative (see below) for rotation vectors (..., 3) of angle a.
 
     They are eta = (1 - a/2 cot(a/2)) / a^2 and (d eta / da) / a. For angles below 1e-2, the first terms of
     the series 1/12 + a^2/720 and 1/360 + a^2/7560 are used (errors of 1e-10).
@@ -285,7 +293,7 @@ def _spin_coefficients(turn: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     Source: Nour-Omid and Rankin 1991.
     """
-    square = np.einsum("...i,...i->...", turn, turn)[..., None, None]
+    square = np.einsum("...i,...i->...", rotation_vector, rotation_vector)[..., None, None]
     small = square < 1e-4
     angle = np.sqrt(np.where(small, 1.0, square))
     eta = (1.0 - 0.5 * angle / np.tan(0.5 * angle)) / angle**2
@@ -298,25 +306,25 @@ def _spin_coefficients(turn: FloatArray) -> tuple[FloatArray, FloatArray]:
     )
 
 
-def _spin_to_turn(turn: FloatArray) -> FloatArray:
-    """Matrix H (..., 3, 3): rate of a rotation vector per spin.
+def _spin_to_vector_rate(rotation_vector: FloatArray) -> FloatArray:
+    """Return the matrix H (..., 3, 3) from spins to rates of rotation vectors (..., 3).
 
     H = 1 - skew/2 + eta skew^2 (Felippa and Haugen 2005).
     """
-    cross = skew(turn)
-    eta, _ = _spin_coefficients(turn)
+    cross = skew(rotation_vector)
+    eta, _ = _spin_coefficients(rotation_vector)
     return np.asarray(np.eye(3) - 0.5 * cross + eta * (cross @ cross))
 
 
-def _moment_derivative(turn: FloatArray, moment: FloatArray) -> FloatArray:
-    """Derivative (m, 3, 3) of H^T M with respect to the rotation vector t, for a constant moment M.
+def _moment_derivative(rotation_vector: FloatArray, moment: FloatArray) -> FloatArray:
+    """Return the derivative (m, 3, 3) of H^T M by the rotation vector t, for a constant moment M.
 
     eta (t.M 1 + t M^T - 2 M t^T) + slope skew(t)^2 M t^T - skew(M) / 2, see `_spin_coefficients`.
 
     Source: Nour-Omid and Rankin 1991.
     """
-    eta, slope = _spin_coefficients(turn)
-    cross, t, m = skew(turn), turn[:, :, None], moment[:, :, None]
+    eta, slope = _spin_coefficients(rotation_vector)
+    cross, t, m = skew(rotation_vector), rotation_vector[:, :, None], moment[:, :, None]
     tm = np.swapaxes(t, 1, 2) @ m
     first = tm * np.eye(3) + t @ np.swapaxes(m, 1, 2) - 2.0 * (m @ np.swapaxes(t, 1, 2))
     second = (cross @ cross @ m) @ np.swapaxes(t, 1, 2)

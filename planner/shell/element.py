@@ -1,8 +1,9 @@
 """Linear stiffness of flat shell triangles: bending and membrane.
 
-DKT is used in bending. In plane it is a membrane with drilling freedoms, or one of constant strain.
+Bending uses the discrete Kirchhoff triangle (DKT). In the plane, the triangle is a membrane with drilling
+freedoms (rotations of corners about the normal), or one of constant strain.
 
-Each triangle has its own frame: the first corner is the origin, the second lies on x, the third above it.
+Each triangle has its own frame: the first corner is the origin, the second lies on x, the third has y > 0.
 Deflections are measured from the plane through the corners, so that three stretches and the rotations of
 three corners remain, 12 deformations:
 
@@ -48,6 +49,7 @@ _STRETCHES = (3, 6, 7)
 others.
 """
 _DRILLINGS = (2, 5, 8)
+"""Indices of the drilling rotations in the nine membrane displacements."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,15 +114,17 @@ class Elements:
 
 
 def frames(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Axes (m, 3, 3), as rows, and coordinates x2, x3, y3 (m, 3) [m] of triangles.
+    """Return the frames of triangles with corners ``points`` (m, 3, 3) [m].
 
-    The triangles have the corners ``points`` (m, 3, 3).
+    Returns:
+        Axes as rows (m, 3, 3), and coordinates x2, x3, y3 of the second and third corner (m, 3) [m].
     """
-    one, two = points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]
-    x = unit(one)
-    z = unit(np.cross(one, two))
+    to_second, to_third = points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]
+    x = unit(to_second)
+    z = unit(np.cross(to_second, to_third))
     y = np.cross(z, x)
-    return np.stack([x, y, z], axis=1), np.stack([dots(x, one), dots(x, two), dots(y, two)], axis=1)
+    corner = np.stack([dots(x, to_second), dots(x, to_third), dots(y, to_third)], axis=1)
+    return np.stack([x, y, z], axis=1), corner
 
 
 def elements(sheet: ShellSheet) -> Elements:
@@ -136,17 +140,20 @@ def elements(sheet: ShellSheet) -> Elements:
         inplane = constant_strain_membrane(xy, sheet.thickness, elastic, DRILLING_SPRING * shear)
     bending = dkt_bending(xy, sheet.thickness, elastic)
     stiffness = np.zeros((len(corner), 12, 12))
-    kept, targets = list(_STRETCHES + _DRILLINGS), [0, 1, 2, 5, 8, 11]
+    # membrane freedoms that the frame leaves, and their places among the 12 deformations
+    kept = list(_STRETCHES + _DRILLINGS)
+    targets = [0, 1, 2, 5, 8, 11]
     stiffness[:, np.array(targets)[:, None], targets] = inplane[:, np.array(kept)[:, None], kept]
+    # rotations of the corners about x and y
     tilts = [3, 4, 6, 7, 9, 10]
     stiffness[:, np.array(tilts)[:, None], tilts] = bending
     return Elements(frame, corner, stiffness, 0.5 * corner[:, 0] * corner[:, 2])
 
 
 def plane_stress(youngs_modulus: float, poisson: float) -> FloatArray:
-    """Elasticity matrix (3, 3) [Pa] of an isotropic material in plane stress.
+    """Return the elasticity matrix (3, 3) [Pa] of an isotropic material in plane stress.
 
-    It is over the strains (xx, yy, shear angle):
+    It maps the strains (xx, yy, shear angle) to stresses:
 
         E / (1 - nu^2) * [[1, nu, 0], [nu, 1, 0], [0, 0, (1 - nu) / 2]]
     """
@@ -155,11 +162,11 @@ def plane_stress(youngs_modulus: float, poisson: float) -> FloatArray:
 
 
 def dkt_bending(xy: FloatArray, thickness: FloatArray, elastic: FloatArray) -> FloatArray:
-    """Bending stiffness (m, 6, 6) [Nm] over the rotations about x and y of each corner (DKT).
+    """Return the bending stiffness (m, 6, 6) [Nm] over the rotations about x and y of each corner (DKT).
 
-    There are no deflections. The normal rotates by (bx, by) = (rotation about y, - rotation about x). The
-    curvatures are bx,x, by,y and bx,y + by,x. At the middle of a side without deflections at its ends, the
-    slope along the side is -1/4 of the sum of those at the ends, the one across it is their mean.
+    The corners have no deflections. The normal rotates by (bx, by) = (rotation about y, - rotation about x).
+    The curvatures are bx,x, by,y and bx,y + by,x. At the middle of a side without deflections at its ends,
+    the slope along the side is -1/4 of the sum of those at the ends, the one across it is their mean.
 
     Args:
         xy: Corners (m, 3, 2) [m].
@@ -175,10 +182,10 @@ def dkt_bending(xy: FloatArray, thickness: FloatArray, elastic: FloatArray) -> F
         normal[:, corner, 1, 2 * corner] = -1.0
     for side, (i, j) in enumerate(((0, 1), (1, 2), (2, 0))):
         along = unit(xy[:, j] - xy[:, i])
-        both = normal[:, i] + normal[:, j]
+        end_sum = normal[:, i] + normal[:, j]
         # half of the sum, but -1/4 of it along the side: 1/2 - 3/4
         projected = along[:, :, None] * along[:, None, :]
-        normal[:, 3 + side] = 0.5 * both - 0.75 * (projected @ both)
+        normal[:, 3 + side] = 0.5 * end_sum - 0.75 * (projected @ end_sum)
     gradient, area = _area_gradients(xy)
     out = np.zeros((count, 6, 6))
     weight = thickness**3 / 12.0 * area / 3.0  # weight of each of three points, exact for quadratic functions
@@ -194,7 +201,7 @@ def dkt_bending(xy: FloatArray, thickness: FloatArray, elastic: FloatArray) -> F
 def optimal_membrane(
     xy: FloatArray, thickness: FloatArray, elastic: FloatArray, poisson: float
 ) -> FloatArray:
-    """Membrane stiffness (m, 9, 9) over (u, v, drilling rotation) of each corner: Felippa's OPT.
+    """Return the membrane stiffness (m, 9, 9) over (u, v, drilling rotation) of each corner: Felippa's OPT.
 
     The basic part is (1 / V) L E L^T. The higher part is 3/4 beta_0 T^T K_theta T of the drilling rotations
     relative to the triangle, with beta_0 = (1 - 4 nu^2) / 2.
@@ -229,10 +236,10 @@ def optimal_membrane(
     lumped *= 0.5 * thickness[:, None, None]
     # basic stiffness L E L^T / V with V = A t
     basic = lumped @ elastic @ np.swapaxes(lumped, 1, 2) / (area * thickness)[:, None, None]
-    turns = _drilling_rotations(xy, area)
-    four = 1.0 / (4.0 * area**2)
+    drilling_rotations = _drilling_rotations(xy, area)
+    factor = 1.0 / (4.0 * area**2)
     # T_e: strains (xx, yy, xy) by the natural strains along the sides 21, 32, 13
-    natural = four[:, None, None] * np.stack(
+    natural = factor[:, None, None] * np.stack(
         [
             np.stack(
                 [
@@ -261,10 +268,10 @@ def optimal_membrane(
         ],
         axis=1,
     )
-    along = np.swapaxes(natural, 1, 2) @ elastic @ natural
+    side_stiffness = np.swapaxes(natural, 1, 2) @ elastic @ natural
     # Q_1 to Q_3: natural strains at the corners by the drilling rotations; their means are at the middles
     b1, b2, b3, b4, b5, b6, b7, b8, b9 = _BETA
-    shares = np.array(
+    weights = np.array(
         [
             [[b1, b2, b3], [b4, b5, b6], [b7, b8, b9]],
             [[b9, b7, b8], [b3, b1, b2], [b6, b4, b5]],
@@ -272,21 +279,21 @@ def optimal_membrane(
         ]
     )
     sides = np.stack([square["21"], square["32"], square["13"]], axis=1)
-    corners = (2.0 * area / 3.0)[:, None, None, None] * shares / sides[:, None, :, None]
+    corners = (2.0 * area / 3.0)[:, None, None, None] * weights / sides[:, None, :, None]
     middles = 0.5 * (corners + corners[:, [1, 2, 0]])
     # higher stiffness 3/4 beta_0 A t T^T (sum over middles of Q^T T_e^T E T_e Q) T, T the drilling rotations
-    higher = np.einsum("mqai,mab,mqbj->mij", middles, along, middles)
+    higher = np.einsum("mqai,mab,mqbj->mij", middles, side_stiffness, middles)
     beta_0 = max(0.5 * (1.0 - 4.0 * poisson**2), _MIN_BETA_0)
     higher *= (0.75 * beta_0 * area * thickness)[:, None, None]
-    return np.asarray(basic + np.swapaxes(turns, 1, 2) @ higher @ turns)
+    return np.asarray(basic + np.swapaxes(drilling_rotations, 1, 2) @ higher @ drilling_rotations)
 
 
 def constant_strain_membrane(
     xy: FloatArray, thickness: FloatArray, elastic: FloatArray, drilling: float
 ) -> FloatArray:
-    """Membrane stiffness (m, 9, 9) over (u, v, drilling rotation) of each corner.
+    """Return the membrane stiffness (m, 9, 9) of triangles of constant strain with drilling springs.
 
-    The triangle has constant strain and drilling springs.
+    It is over (u, v, drilling rotation) of each corner.
 
     Args:
         xy: Corners (m, 3, 2) [m].
@@ -299,15 +306,18 @@ def constant_strain_membrane(
     for corner in range(3):
         strain[:, 0, 3 * corner] = strain[:, 2, 3 * corner + 1] = gradient[:, corner, 0]
         strain[:, 1, 3 * corner + 1] = strain[:, 2, 3 * corner] = gradient[:, corner, 1]
-    turns = _drilling_rotations(xy, area)
+    drilling_rotations = _drilling_rotations(xy, area)
     # K = A t (B^T E B + drilling T^T T), B the strains and T the drilling rotations by the displacements
-    both = np.swapaxes(strain, 1, 2) @ elastic @ strain
-    both += drilling * (np.swapaxes(turns, 1, 2) @ turns)
-    return np.asarray((area * thickness)[:, None, None] * both)
+    per_volume = np.swapaxes(strain, 1, 2) @ elastic @ strain
+    per_volume += drilling * (np.swapaxes(drilling_rotations, 1, 2) @ drilling_rotations)
+    return np.asarray((area * thickness)[:, None, None] * per_volume)
 
 
 def _drilling_rotations(xy: FloatArray, area: FloatArray) -> FloatArray:
-    """Matrix (m, 3, 9) of the drilling rotations relative to the rotation (v,x - u,y) / 2 of the triangle."""
+    """Return the matrix (m, 3, 9) from membrane displacements to drilling rotations relative to the triangle.
+
+    The triangle rotates by (v,x - u,y) / 2.
+    """
     # rotation_i - (v,x - u,y) / 2 with u,y = sum over corners of u_k dL_k/dy
     gradient, _ = _area_gradients(xy)
     out = np.zeros((len(xy), 3, 9))
@@ -319,7 +329,7 @@ def _drilling_rotations(xy: FloatArray, area: FloatArray) -> FloatArray:
 
 
 def _area_gradients(xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Gradients (m, 3, 2) [1/m] of the area coordinates, and areas (m,) [m^2]."""
+    """Return the gradients (m, 3, 2) [1/m] of the area coordinates, and the areas (m,) [m^2]."""
     after, before = xy[:, [1, 2, 0]], xy[:, [2, 0, 1]]
     side = after - before
     area = 0.5 * (
@@ -330,10 +340,7 @@ def _area_gradients(xy: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _quadratic_slopes(point: tuple[float, float, float]) -> FloatArray:
-    """Derivatives (6, 3) of the six quadratic shape functions at a point.
-
-    They are with respect to the area coordinates.
-    """
+    """Return the derivatives (6, 3) of the quadratic shape functions by the area coordinates at a point."""
     out = np.zeros((6, 3))
     for corner in range(3):
         out[corner, corner] = 4.0 * point[corner] - 1.0

@@ -1,9 +1,9 @@
 """Triangle meshes of formed sheets, from the contours of their walls.
 
-Walls are meshed in bands between rows along the contours, so that no triangle crosses the top edge, the
-floor's edge, a kink of the profile or a corner: a triangle across a kink, however small, makes the sheet too
-stiff by several percent. Floor and flange are flat and are filled with rows at growing distances from their
-rims.
+Walls are meshed in bands between rows, which are closed loops of nodes at constant distances down the wall.
+No triangle crosses the top edge, the floor's edge, a kink of the profile or a corner: a triangle across a
+kink, however small, makes the sheet too stiff by several percent. Floor and flange are flat and are filled
+with rows at growing distances from their rims.
 """
 
 import dataclasses
@@ -31,24 +31,25 @@ FLANGE, WALL, FLOOR = 0, 1, 2
 KINK_ANGLE = np.radians(8.0)
 """Bend [rad] of the profile at a contour above which the contour is a mesh line."""
 GROWTH = 0.3
-"""Growth of flange elements per metre of distance from the top edge."""
+"""Growth of the size of flange elements [m] per metre of distance from the top edge."""
 MAX_COARSENING = 5.0
 """Maximum ratio of the size of flange elements to that of wall elements."""
 LEVEL_TOLERANCE_M = 1e-6
 """Tolerance [m] of the heights of the first and last contour."""
 MAX_RING_DISTANCE_M = 5e-4
-"""Maximum distance [m] from a contour of a point that becomes a node of it."""
+"""Maximum distance [m] from a contour of a given point that becomes a node on it."""
 MIN_STEP_M = 1e-3
 """Minimum distance [m] down the wall between contours that are used, except at kinks."""
 MIN_SIZE_RATIO = 0.2
 """Minimum ratio of the size of elements near given points to that of the others."""
 NEAR_GROWTH = 0.3
-"""Growth of elements per metre of distance from the given points."""
+"""Growth of the size of elements [m] per metre of distance from the given points."""
 MAX_BEND_PER_ROW = np.radians(15.0)
 """Maximum bend [rad] of the profile per row between kinks."""
 _ROW = 0.866
 """Distance between rows of a flat region in element sizes, as in equilateral triangles."""
 _MAX_ROWS = 1000
+"""Maximum number of rows in a flat region."""
 _SLIVER = 1e-4
 """Ratio of area to squared side length below which a triangle lies along a straight rim and is dropped."""
 _MIN_SPACING_RATIO = 0.62
@@ -90,8 +91,8 @@ class Wall:
 
     Attributes:
         rings: Closed contours (k, 3) [m], first point not repeated, from the outer edge inwards. As seen from
-            above, each lies inside the one before. The first and last are level. Around the first is the
-            flange or another wall's floor; inside the last is the wall's own floor.
+            above, each lies inside the previous one. The first and last are level. The first is surrounded by
+            the flange or another wall's floor. The last surrounds the wall's own floor.
         inside: Walls on this wall's floor. Their first contours have the height of the floor.
     """
 
@@ -132,8 +133,8 @@ def mesh_walls(
 ) -> ShellMesh:
     """Mesh a sheet that is clamped along its outline.
 
-    The mesh near the given points is made coarser, or as coarse as elsewhere, if it would take too many of
-    the triangles.
+    The size of elements is adjusted until the number of triangles is just below its maximum. If refinement
+    near the given points takes too many of the triangles, it is made coarser or left out.
 
     Args:
         walls: Walls that begin on the flange. Without walls the sheet is flat at z = 0.
@@ -155,12 +156,12 @@ def mesh_walls(
     layout = _lay_out_region(frame, [_Outlines.of(wall) for wall in walls], fixed_points[:, :2])
     size = float(np.sqrt(frame.area / triangles))
     best: ShellMesh | None = None
-    why = "no mesh was possible"
+    reason = "no mesh was possible"
     for _ in range(_ROUNDS):
         try:
-            mesh, even = _mesh_with_size(frame, layout, size, near_size)
+            mesh, count_unrefined = _mesh_with_size(frame, layout, size, near_size)
         except _UnfilledError as unfilled:
-            why = str(unfilled)
+            reason = str(unfilled)
             size *= _SMALLER
             continue
         count = len(mesh.triangles)
@@ -168,20 +169,20 @@ def mesh_walls(
             best = mesh
         if best is mesh and count > _ACCEPTED_FRACTION * triangles:
             break
-        why = f"allow about {count}"
-        # the number of refined elements does not depend on the size of the others
-        more = count - even
-        if count > triangles and more > _NEAR_SHARE * triangles:
+        reason = f"allow about {count}"
+        # the number of triangles that refinement adds hardly depends on the size of the others
+        count_added = count - count_unrefined
+        if count > triangles and count_added > _NEAR_SHARE * triangles:
             near_size = _LARGER_NEAR * max(near_size, MIN_SIZE_RATIO * size)
-        larger = float(
-            np.sqrt(even / max(0.5 * (1.0 + _ACCEPTED_FRACTION) * triangles - more, 0.5 * triangles))
-        )
-        size *= max(larger, _LARGER) if count > triangles else larger
+        # size ~ 1 / sqrt(number of triangles)
+        target = max(0.5 * (1.0 + _ACCEPTED_FRACTION) * triangles - count_added, 0.5 * triangles)
+        factor = float(np.sqrt(count_unrefined / target))
+        size *= max(factor, _LARGER) if count > triangles else factor
     if best is None and np.isfinite(near_size):
         wider = 2.0 * max(near_size, MIN_SIZE_RATIO * size)
         return mesh_walls(walls, outline, triangles, points, wider if wider < size else np.inf)
     if best is None:
-        raise ValueError(f"got {triangles} triangles: {why}")
+        raise ValueError(f"got {triangles} triangles: {reason}")
     return best
 
 
@@ -190,7 +191,7 @@ class _UnfilledError(ValueError):
 
 
 def cone_rings(top_radius: float, wall_angle: float, depth: float, sides: int = 360) -> list[FloatArray]:
-    """Top and floor edge (sides, 3) [m] of a truncated cone about z that tapers downwards.
+    """Return the top and floor edge (sides, 3) [m] of a truncated cone about z that tapers downwards.
 
     Args:
         top_radius: Radius [m] at z = 0.
@@ -201,12 +202,12 @@ def cone_rings(top_radius: float, wall_angle: float, depth: float, sides: int = 
     Raises:
         ValueError: If the tip of the cone lies above the depth.
     """
-    turn = 2.0 * np.pi * np.arange(sides) / sides
-    level = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(sides)])
-    low = top_radius - depth / np.tan(wall_angle)
-    if low <= 0.0:
+    angle = 2.0 * np.pi * np.arange(sides) / sides
+    unit_circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sides)])
+    floor_radius = top_radius - depth / np.tan(wall_angle)
+    if floor_radius <= 0.0:
         raise ValueError(f"depth: got {depth:g} m, below the tip of this cone")
-    return [top_radius * level, low * level - [0.0, 0.0, depth]]
+    return [top_radius * unit_circle, floor_radius * unit_circle - [0.0, 0.0, depth]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -266,10 +267,10 @@ class _WallLayout:
     """Parts of a wall's mesh that do not depend on the element size.
 
     Attributes:
-        around: Matched contours (r, PLACES_AROUND, 3) [m].
-        corners: Positions of corners.
-        fixed: Positions of points that become nodes, by contour.
-        kept: Contours that are rows.
+        around: Matched contours (r, POSITIONS_AROUND, 3) [m].
+        corners: Positions (c,) of the lines of corners.
+        fixed: Positions of given points that become nodes, by index of the contour.
+        kept: Indices of the contours that become rows, ascending.
         floor: Floor of the wall.
     """
 
@@ -281,21 +282,21 @@ class _WallLayout:
 
     @functools.cached_property
     def reach(self) -> FloatArray:
-        """Mean distance (r,) [m] down the wall to each contour."""
+        """Mean distance (r,) [m] down the wall from the first contour to each contour."""
         step = lengths(np.diff(self.around, axis=0)).mean(axis=1)
         return np.concatenate([[0.0], np.cumsum(step)])
 
     @functools.cached_property
-    def turn(self) -> FloatArray:
+    def accumulated_bend(self) -> FloatArray:
         """Accumulated bend (r,) [rad] of the profile up to each contour, without kinks at kept contours."""
         down = np.diff(self.around, axis=0)
         slope = np.arctan2(-down[:, :, 2].mean(axis=1), lengths(down[:, :, :2]).mean(axis=1))
-        turn = np.abs(np.diff(slope, prepend=slope[:1], append=slope[-1:]))
-        turn[self.kept] = 0.0
-        return np.cumsum(0.5 * np.append(0.0, turn[1:] + turn[:-1]))
+        bend = np.abs(np.diff(slope, prepend=slope[:1], append=slope[-1:]))
+        bend[self.kept] = 0.0
+        return np.cumsum(0.5 * np.append(0.0, bend[1:] + bend[:-1]))
 
     def points(self, reach: FloatArray, position: FloatArray) -> FloatArray:
-        """Points (n, 3) [m] by bilinear interpolation.
+        """Return points (n, 3) [m] of the wall by bilinear interpolation between contours and positions.
 
         Args:
             reach: Distances (n,) [m] down the wall.
@@ -305,12 +306,13 @@ class _WallLayout:
         inner = np.minimum(ring + 1, len(self.reach) - 1)
         step = np.where(inner > ring, self.reach[inner] - self.reach[ring], 1.0)
         low = np.floor(position).astype(np.int64)
-        down, on = ((reach - self.reach[ring]) / step)[:, None], (position - low)[:, None]
+        down = ((reach - self.reach[ring]) / step)[:, None]
+        along = (position - low)[:, None]
         high = (low + 1) % POSITIONS_AROUND
         low = low % POSITIONS_AROUND
-        outer = (1.0 - on) * self.around[ring, low] + on * self.around[ring, high]
+        outer = (1.0 - along) * self.around[ring, low] + along * self.around[ring, high]
         return (1.0 - down) * outer + down * (
-            (1.0 - on) * self.around[inner, low] + on * self.around[inner, high]
+            (1.0 - along) * self.around[inner, low] + along * self.around[inner, high]
         )
 
 
@@ -349,7 +351,7 @@ def _lay_out_region(
             fixed.append(xy)
         else:
             raise ValueError(f"point ({xy[0]:.4g}, {xy[1]:.4g}) m: not within the outline of the sheet")
-    layouts = [_lay_out_wall(wall, some) for wall, some in zip(walls, wall_points, strict=True)]
+    layouts = [_lay_out_wall(wall, on_wall) for wall, on_wall in zip(walls, wall_points, strict=True)]
     level = float(walls[0].rings[0][:, 2].mean()) if walls else height
     if any(abs(float(wall.rings[0][:, 2].mean()) - level) > LEVEL_TOLERANCE_M for wall in walls):
         raise ValueError("walls: first rings on the same flat region differ in height")
@@ -357,31 +359,31 @@ def _lay_out_region(
 
 
 def _lay_out_wall(wall: _Outlines, given_points: Sequence[FloatArray]) -> _WallLayout:
-    """Choose the contours of a wall that are rows, and match the contours.
+    """Choose the contours of a wall that become rows, match the contours, and lay out the floor.
 
-    Also locates the points that become nodes.
+    Given points become nodes of the nearest contour or of the floor.
 
     Raises:
         ValueError: See `mesh_walls`.
     """
     outlines = wall.rings
-    gap = np.array([mean_gap(*pair) for pair in itertools.pairwise(outlines)])
+    gap = np.array([mean_gap(outer, inner) for outer, inner in itertools.pairwise(outlines)])
     rise = np.diff([ring[:, 2].mean() for ring in outlines])
     slope = np.arctan2(rise, gap)
     kept = {0, *(np.flatnonzero(np.abs(np.diff(slope)) > KINK_ANGLE) + 1).tolist(), len(outlines) - 1}
-    on: dict[int, list[FloatArray]] = {}
-    inner = []
-    for place in given_points:
-        distances = [nearest_point_on(ring[:, :2], place)[0] for ring in outlines]
+    points_by_ring: dict[int, list[FloatArray]] = {}
+    floor_points = []
+    for point in given_points:
+        distances = [nearest_point_on(ring[:, :2], point)[0] for ring in outlines]
         ring = int(np.argmin(distances))
         if distances[ring] <= MAX_RING_DISTANCE_M:
-            on.setdefault(ring, []).append(place)
+            points_by_ring.setdefault(ring, []).append(point)
             kept.add(ring)
-        elif wall.floor.contains(shapely.Point(place)):
-            inner.append(place)
+        elif wall.floor.contains(shapely.Point(point)):
+            floor_points.append(point)
         else:
             raise ValueError(
-                f"point ({place[0]:.4g}, {place[1]:.4g}) m: {distances[ring]:.2g} m from the nearest contour,"
+                f"point ({point[0]:.4g}, {point[1]:.4g}) m: {distances[ring]:.2g} m from the nearest contour,"
                 f" outside of floor and flange, allowed {MAX_RING_DISTANCE_M:g} m; add a contour through it"
             )
     # contours much closer than the element size would only add matching errors
@@ -391,66 +393,72 @@ def _lay_out_wall(wall: _Outlines, given_points: Sequence[FloatArray]) -> _WallL
         if index in kept or reach[index] - reach[used[-1]] >= MIN_STEP_M:
             used.append(index)
     around, corners = match_contours([outlines[index] for index in used])
-    number = {index: place for place, index in enumerate(used)}
+    number = {index: k for k, index in enumerate(used)}
     fixed = {
         number[index]: [nearest_point_on(around[number[index], :, :2], point)[1] for point in points]
-        for index, points in on.items()
+        for index, points in points_by_ring.items()
     }
     rows = sorted(number[index] for index in kept)
     height = float(outlines[-1][:, 2].mean())
-    floor = _lay_out_region(wall.floor, wall.inside, np.array(inner).reshape(-1, 2), height)
+    floor = _lay_out_region(wall.floor, wall.inside, np.array(floor_points).reshape(-1, 2), height)
     if abs(floor.height - height) > LEVEL_TOLERANCE_M:
         raise ValueError("walls: a first ring differs in height from the floor below it")
     return _WallLayout(around, corners, fixed, rows, floor)
 
 
 def _rows(layout: _WallLayout, size: float) -> tuple[FloatArray, list[list[float]]]:
-    """Distances (r,) [m] of the rows down the wall, and the positions of their fixed nodes.
+    """Return the distances (r,) [m] of the rows down the wall, and the positions of fixed nodes in each row.
 
-    The rows include kept contours.
+    The rows include the kept contours.
     """
     reach = layout.reach
-    at, fixed = [reach[:1]], [layout.fixed.get(0, [])]
+    distances, fixed = [reach[:1]], [layout.fixed.get(0, [])]
     for low, high in zip(layout.kept, layout.kept[1:], strict=False):
         part = slice(low, high + 1)
-        turn = layout.turn[part] - layout.turn[low]
+        bend = layout.accumulated_bend[part] - layout.accumulated_bend[low]
         elements = np.append(
-            0.0, np.cumsum(np.maximum(np.diff(reach[part]) / size, np.diff(turn) / MAX_BEND_PER_ROW))
+            0.0, np.cumsum(np.maximum(np.diff(reach[part]) / size, np.diff(bend) / MAX_BEND_PER_ROW))
         )
         count = max(1, round(elements[-1]))
-        at.append(np.interp(np.linspace(0.0, elements[-1], count + 1)[1:], elements, reach[part]))
+        distances.append(np.interp(np.linspace(0.0, elements[-1], count + 1)[1:], elements, reach[part]))
         fixed += [[]] * (count - 1) + [layout.fixed.get(high, [])]
-    return np.concatenate(at), fixed
+    return np.concatenate(distances), fixed
 
 
 def _row_positions(row: FloatArray, ends: FloatArray, size: float) -> FloatArray:
-    """Ascending positions of the nodes of a row, with ``ends`` (e,) among them."""
+    """Return ascending positions of the nodes of a row, with ``ends`` (e,) among them.
+
+    A row has at least 12 nodes, about ``size`` [m] apart. ``row`` are its points at all positions
+    (`POSITIONS_AROUND`, 3) [m].
+    """
     along = along_contour(row)
-    long = np.concatenate([along[:-1], along + along[-1]])
-    number = np.arange(len(long))
+    twice_around = np.concatenate([along[:-1], along + along[-1]])
+    number = np.arange(len(twice_around))
     min_count = int(np.ceil(12.0 / len(ends)))
-    ends = np.interp(np.append(ends, ends[0] + POSITIONS_AROUND), number, long)
+    ends = np.interp(np.append(ends, ends[0] + POSITIONS_AROUND), number, twice_around)
     parts = []
     for low, high in itertools.pairwise(ends):
         count = max(min_count, round((high - low) / size))
-        parts.append(np.interp(np.linspace(low, high, count + 1)[:-1], long, number))
+        parts.append(np.interp(np.linspace(low, high, count + 1)[:-1], twice_around, number))
     return np.sort(np.concatenate(parts) % POSITIONS_AROUND)
 
 
 def _band(outer: FloatArray, inner: FloatArray, first: int, second: int) -> IntArray:
-    """Triangles between two rows.
+    """Return the triangles (a + b, 3) of the closed band between two rows of a wall.
+
+    Each edge of a row forms a triangle with the node of the other row that faces its middle.
 
     Args:
-        outer: Positions of the nodes of the first row.
-        inner: Positions of the nodes of the second row.
-        first: Index of the first node of the first row.
-        second: Index of the first node of the second row.
+        outer: Ascending positions (a,) of the nodes of the outer row around the wall.
+        inner: Ascending positions (b,) of the nodes of the next row inwards.
+        first: Index of the first node of the outer row. The others follow.
+        second: Index of the first node of the inner row. The others follow.
     """
 
-    def middles(positions: FloatArray) -> FloatArray:
+    def edge_middles(positions: FloatArray) -> FloatArray:
         return np.asarray(0.5 * (positions + np.append(positions[1:], positions[0] + POSITIONS_AROUND)))
 
-    a, b = middles(outer), middles(inner)
+    a, b = edge_middles(outer), edge_middles(inner)
     i, j = np.arange(len(a)), np.arange(len(b))
     facing_a = np.searchsorted(b, a, side="left") % len(b)
     facing_b = np.searchsorted(a, b, side="right") % len(a)
@@ -463,7 +471,7 @@ def _band(outer: FloatArray, inner: FloatArray, first: int, second: int) -> IntA
 
 
 def _spots(flat: _FlatRegion) -> Iterator[FloatArray]:
-    """Points (p, 3) [m] that become nodes, of a flat region and then of the walls on it."""
+    """Yield the given points (p, 3) [m] that become nodes: of a flat region, then of the walls on it."""
     yield np.column_stack([flat.fixed, np.full(len(flat.fixed), flat.height)])
     for wall in flat.walls:
         for ring, positions in wall.fixed.items():
@@ -478,6 +486,8 @@ class _MeshParts:
         size: Element size [m].
         spots: Points (p, 3) [m] around which elements are smaller.
         near_size: Element size [m] at these points.
+
+    A node has 6 values: x, y, z [m], index of its wall (-1 for none), distance down the wall [m], position.
     """
 
     def __init__(self, size: float, spots: FloatArray, near_size: float) -> None:
@@ -486,12 +496,14 @@ class _MeshParts:
         tree = cKDTree(spots) if near_size < size and len(spots) else None
 
         def size_at(points: FloatArray) -> FloatArray:
+            """Return the maximum edge length at points near the given ones, infinite elsewhere."""
             if tree is None:
                 return np.full(len(points), np.inf)
-            wanted = near_size + NEAR_GROWTH * np.asarray(tree.query(points)[0])
-            return np.where(wanted < size, wanted, np.inf)
+            max_length = near_size + NEAR_GROWTH * np.asarray(tree.query(points)[0])
+            return np.where(max_length < size, max_length, np.inf)
 
-        self.size_at, self.even = size_at, tree is None
+        self.size_at = size_at
+        self.even = tree is None
         self.walls: list[_WallLayout] = []
         self.nodes: list[FloatArray] = []
         self.triangles: list[IntArray] = []
@@ -499,7 +511,7 @@ class _MeshParts:
         self._count = 0
 
     def add_wall(self, layout: _WallLayout) -> int:
-        """Add a wall; returns its index."""
+        """Add a wall and return its index."""
         self.walls.append(layout)
         return len(self.walls) - 1
 
@@ -521,8 +533,8 @@ class _MeshParts:
         Returns:
             Indices (n,) of the nodes.
         """
-        on = np.column_stack(np.broadcast_arrays(np.full(len(nodes), wall), reach, position))
-        self.nodes.append(np.column_stack([nodes, on]))
+        wall_values = np.column_stack(np.broadcast_arrays(np.full(len(nodes), wall), reach, position))
+        self.nodes.append(np.column_stack([nodes, wall_values]))
         self._count += len(nodes)
         return np.arange(self._count - len(nodes), self._count)
 
@@ -532,21 +544,22 @@ class _MeshParts:
         self.zones.append(np.full(len(triangles), zone))
 
     def refine(self) -> tuple[FloatArray, IntArray, IntArray]:
-        """Nodes, triangles and zones, refined near the given points."""
+        """Return nodes (n, 6), triangles (m, 3) and zones (m,), refined near the given points."""
         nodes, triangles = np.concatenate(self.nodes), np.concatenate(self.triangles).astype(np.int64)
         zones = np.concatenate(self.zones)
         if self.even:
             return nodes, triangles, zones
 
         def middle(first: FloatArray, second: FloatArray, adjacent: IntArray) -> FloatArray:
+            """Return the middles of edges, on the surface of the wall if a triangle of a wall is adjacent."""
             new = 0.5 * (first + second)
             new[:, 3] = np.where((zones[adjacent] == WALL).any(axis=1), first[:, 3], -1)
             around = second[:, 5] - first[:, 5]
             around -= POSITIONS_AROUND * np.round(around / POSITIONS_AROUND)
             new[:, 5] = (first[:, 5] + 0.5 * around) % POSITIONS_AROUND
             for number, wall in enumerate(self.walls):
-                mine = new[:, 3] == number
-                new[mine, :3] = wall.points(new[mine, 4], new[mine, 5])
+                is_on_wall = new[:, 3] == number
+                new[is_on_wall, :3] = wall.points(new[is_on_wall, 4], new[is_on_wall, 5])
             return new
 
         nodes, triangles, owner = bisect(nodes, triangles, self.size_at, middle)
@@ -598,13 +611,13 @@ _FOLDS = "a wall folds over between two rows; add contours or allow more triangl
 
 
 def _folded(nodes: FloatArray, triangles: IntArray) -> BoolArray:
-    """Whether triangles (m,) are not counterclockwise as seen from above."""
+    """Return whether each triangle (m,) is folded over: not counterclockwise as seen from above."""
     a, b, c = (nodes[triangles[:, k], :2] for k in range(3))
     return np.asarray((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] <= 0.0)
 
 
 def _even(size: float) -> Callable[[FloatArray], FloatArray]:
-    """Size function of the distance: ``size`` [m] everywhere."""
+    """Return a function from distances to element sizes that is ``size`` [m] everywhere."""
     return lambda distance: np.full_like(distance, size)
 
 
@@ -613,14 +626,18 @@ _Rim = tuple[IntArray, FloatArray]
 
 
 def _add_wall(layout: _WallLayout, parts: _MeshParts) -> _Rim:
-    """Add a wall and its floor; returns its first row."""
+    """Add a wall and its floor, and return the nodes of the wall's first row.
+
+    Raises:
+        _UnfilledError: If elements of this size do not fit.
+    """
     rows, fixed = _rows(layout, parts.size)
     number = np.arange(POSITIONS_AROUND, dtype=np.float64)
     positions: list[FloatArray] = []
     numbers: list[IntArray] = []
     wall = parts.add_wall(layout)
-    for reach, own in zip(rows, fixed, strict=True):
-        ends = np.unique(np.concatenate([layout.corners, own]))
+    for reach, fixed_positions in zip(rows, fixed, strict=True):
+        ends = np.unique(np.concatenate([layout.corners, fixed_positions]))
         row = layout.points(np.full(POSITIONS_AROUND, reach), number)
         positions.append(_row_positions(row, ends if len(ends) else np.zeros(1), parts.size))
         down = np.full(len(positions[-1]), reach)
@@ -628,11 +645,11 @@ def _add_wall(layout: _WallLayout, parts: _MeshParts) -> _Rim:
     first = len(parts.nodes) - len(rows)
     for k in range(len(rows) - 1):
         band = _band(positions[k], positions[k + 1], int(numbers[k][0]), int(numbers[k + 1][0]))
-        rows_of_two = np.concatenate(parts.nodes[first + k : first + k + 2])
-        own = band - numbers[k][0]
-        folded = own[_folded(rows_of_two, own)]
+        band_nodes = np.concatenate(parts.nodes[first + k : first + k + 2])
+        band_triangles = band - numbers[k][0]
+        folded = band_triangles[_folded(band_nodes, band_triangles)]
         # refinement near given points may remove a fold; elsewhere it remains
-        if len(folded) and np.isinf(parts.size_at(rows_of_two[folded, :3].mean(axis=1))).any():
+        if len(folded) and np.isinf(parts.size_at(band_nodes[folded, :3].mean(axis=1))).any():
             raise _UnfilledError(_FOLDS)
         parts.join(band, WALL)
     top, last = parts.nodes[first][:, :2], parts.nodes[-1][:, :2]
@@ -678,7 +695,7 @@ def _add_flat_region(
 def _space_along(
     polygon: FloatArray, min_spacing: float, size_at: Callable[[FloatArray], FloatArray]
 ) -> FloatArray:
-    """Points (p, 2) [m] along a closed polygon, including its corners.
+    """Return points (p, 2) [m] along a closed polygon, including its corners.
 
     Args:
         polygon: Corners (k, 2) [m].
@@ -686,20 +703,24 @@ def _space_along(
         size_at: Requested distance (n,) [m] at points (n, 2).
     """
     side = np.roll(polygon, -1, axis=0) - polygon
-    long = lengths(side)
-    sample_counts = np.clip(np.ceil(_SIZE_SAMPLES * long / min_spacing), 8, 200).astype(np.int64) + 1
-    shares = [np.linspace(0.0, 1.0, count) for count in sample_counts]
-    points = np.repeat(polygon, sample_counts, axis=0) + np.concatenate(shares)[:, None] * np.repeat(
-        side, sample_counts, axis=0
-    )
+    side_length = lengths(side)
+    sample_counts = np.clip(np.ceil(_SIZE_SAMPLES * side_length / min_spacing), 8, 200).astype(np.int64) + 1
+    fractions_by_side = [np.linspace(0.0, 1.0, count) for count in sample_counts]
+    points = np.repeat(polygon, sample_counts, axis=0) + np.concatenate(fractions_by_side)[
+        :, None
+    ] * np.repeat(side, sample_counts, axis=0)
     sizes = np.split(size_at(points), np.cumsum(sample_counts)[:-1])
     parts = []
-    for start, step, length, fractions, size in zip(polygon, side, long, shares, sizes, strict=True):
+    for start, step, length, fractions, size in zip(
+        polygon, side, side_length, fractions_by_side, sizes, strict=True
+    ):
         density = length / size
-        total = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(fractions))])
-        count = max(2, round(total[-1]))
-        at = np.interp(np.arange(count) * total[-1] / count, total, fractions)
-        parts.append(start + at[:, None] * step)
+        cumulative = np.concatenate(
+            [[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(fractions))]
+        )
+        count = max(2, round(cumulative[-1]))
+        node_fractions = np.interp(np.arange(count) * cumulative[-1] / count, cumulative, fractions)
+        parts.append(start + node_fractions[:, None] * step)
     return np.concatenate(parts)
 
 
@@ -716,14 +737,15 @@ def _fill(
     they lie in the region, and their areas must add up to its area.
 
     Args:
-        region: Region.
-        rim: Points (n, 2) [m] on its rims.
+        region: Region within the outer rim.
+        rim: Points (n, 2) [m] on the outer rim and around the holes.
         fixed: Points (f, 2) [m] that become nodes.
-        size_at: Element size (d,) [m] at distances (d,) [m].
-        hole: Holes of the region.
+        size_at: Function for the element sizes (d,) [m] at distances (d,) [m] from the holes, or from the
+            rim.
+        hole: Union of the holes of the region, or None.
 
     Returns:
-        Points (rim, ``fixed``, others) and triangles.
+        Points (p, 2) [m] in the order ``rim``, ``fixed``, others, and triangles (m, 3).
 
     Raises:
         _UnfilledError: If the region cannot be filled.
@@ -744,9 +766,8 @@ def _fill(
         if shape.is_empty or distance > across:
             break
         size = float(size_at(np.array([distance]))[0])
-        rings = shapely.get_rings(
-            shapely.get_parts(shape)
-        )  # where rows around several holes meet, they have holes
+        # where rows around several holes meet, the parts of the shape have holes, hence all rings
+        rings = shapely.get_rings(shapely.get_parts(shape))
         loops = [shapely.get_coordinates(ring)[:-1] for ring in rings]
         new = np.concatenate([_loop(loop, size, 0.5 * (row % 2)) for loop in loops])
         new = new[shapely.contains_xy(region, new[:, 0], new[:, 1])]
@@ -775,7 +796,7 @@ def _fill(
 
 
 def _loop(loop: FloatArray, size: float, shift: float) -> FloatArray:
-    """Evenly spaced points (p, 2) [m] along a closed line."""
+    """Return evenly spaced points (p, 2) [m] along a closed line, from ``shift`` steps after its start on."""
     along = np.concatenate([[0.0], np.cumsum(lengths(np.roll(loop, -1, axis=0) - loop))])
     count = max(3, round(along[-1] / size))
     query = (np.arange(count) + shift) / count * along[-1]
@@ -784,7 +805,7 @@ def _loop(loop: FloatArray, size: float, shift: float) -> FloatArray:
 
 
 def _thin_out(points: FloatArray, min_distance: float) -> FloatArray:
-    """Points without those closer than ``min_distance`` [m] to an earlier one."""
+    """Return the points without those closer than ``min_distance`` [m] to an earlier one that is kept."""
     pairs = cKDTree(points).query_pairs(min_distance, output_type="ndarray")
     keep: BoolArray = np.ones(len(points), dtype=bool)
     for i, j in pairs[np.lexsort(pairs.T[::-1])]:

@@ -25,23 +25,23 @@ from planner.shell.element import ShellSheet
 TOLERANCE = 1e-6
 """Convergence limit: largest displacement of the last step over the largest of the state."""
 MIN_DISPLACEMENT_M = 1e-9
-"""Displacement [m] below which convergence is not relative, for a sheet without load."""
+"""Smallest displacement [m] of the state to which the last step is compared, for a sheet without load."""
 MAX_ITERATIONS = 30
 """Maximum number of iterations per load step before it is halved."""
 MAX_UPDATES = 12
 """Number of BFGS updates after which the tangent is factorised again."""
 CONTRACTION = 0.5
-"""Ratio of successive step lengths above which, twice in a row, the tangent is factorised again."""
+"""Ratio of successive step lengths. If it is exceeded twice in a row, the tangent is factorised again."""
 MAX_SEARCHES = 8
 """Maximum number of trials of a line search."""
 SEARCH_TOLERANCE = 0.4
-"""Ratio of the work along a step to that at its start below which a line search ends."""
+"""A line search ends if the residual's work along the step falls below this fraction of its initial value."""
 MIN_BRACKET_FRACTION = 0.1
 """Minimum fraction of the bracket of a line search by which the next trial is ahead of its lower end."""
 MAX_CUTS = 6
 """Maximum number of halvings of a load step before the limit load is reported."""
 MIN_PIVOT_RATIO = 1e-11
-"""Pivot relative to the diagonal of the tangent up to which the tangent is not positive definite."""
+"""The tangent counts as not positive definite if a pivot over its diagonal entry is at most this."""
 JUMP = 2.0
 """Maximum ratio of the work of a load step to the larger prediction by the tangents at its ends. A sheet that
 snapped through has moved further.
@@ -62,7 +62,7 @@ class Supports:
 
 
 def clamped(sheet: ShellSheet, border: str | float) -> Supports:
-    """Supports of a sheet whose border is clamped and kept level.
+    """Return the supports of a sheet whose border is clamped and kept level.
 
     Args:
         sheet: Sheet.
@@ -94,7 +94,7 @@ def clamped(sheet: ShellSheet, border: str | float) -> Supports:
 
 
 def column_weights(sheet: ShellSheet, centre: FloatArray, width: float) -> FloatArray:
-    """Weights (n,) with sum 1 that distribute a load equally to the nodes in a square seen from above.
+    """Return weights (n,) with sum 1 that distribute a load equally to the nodes in a square seen from above.
 
     Args:
         sheet: Sheet.
@@ -115,7 +115,7 @@ def column_weights(sheet: ShellSheet, centre: FloatArray, width: float) -> Float
 
 
 def pressure_weights(sheet: ShellSheet, centre: FloatArray, width: float) -> FloatArray:
-    """Weights (n,) with sum 1 of a uniform pressure along z on a square seen from above.
+    """Return the weights (n,) with sum 1 of a uniform pressure along z on a square seen from above.
 
     They use the linear shape functions of the triangles, so the effect does not depend on the mesh, unlike
     that of `column_weights`.
@@ -133,27 +133,27 @@ def pressure_weights(sheet: ShellSheet, centre: FloatArray, width: float) -> Flo
     corners = sheet.nodes[sheet.triangles][:, :, :2]
     is_near = (corners.min(axis=1) < [x + half, y + half]).all(axis=1)
     is_near &= (corners.max(axis=1) > [x - half, y - half]).all(axis=1)
-    rows = np.flatnonzero(is_near)
-    plan = shapely.polygons(corners[rows])
-    both = shapely.intersection(plan, shapely.box(x - half, y - half, x + half, y + half))
-    area = shapely.area(both)
-    rows, both, area = rows[area > 0.0], both[area > 0.0], area[area > 0.0]
-    if not len(rows):
+    loaded = np.flatnonzero(is_near)
+    square = shapely.box(x - half, y - half, x + half, y + half)
+    pieces = shapely.intersection(shapely.polygons(corners[loaded]), square)
+    area = shapely.area(pieces)
+    loaded, pieces, area = loaded[area > 0.0], pieces[area > 0.0], area[area > 0.0]
+    if not len(loaded):
         raise ValueError(f"point ({x:.4g}, {y:.4g}) m: not on the sheet; give a point on it")
     # the integral of a linear function over a piece is its value at the centroid times the area
-    middle = shapely.get_coordinates(shapely.centroid(both))
-    a, b, c = (corners[rows, k] for k in range(3))
+    middle = shapely.get_coordinates(shapely.centroid(pieces))
+    a, b, c = (corners[loaded, k] for k in range(3))
     whole = _plan_cross(b - a, c - a)
     second = _plan_cross(middle - a, c - a) / whole
     third = _plan_cross(b - a, middle - a) / whole
     out = np.zeros(len(sheet.nodes))
     for corner, weight in enumerate((1.0 - second - third, second, third)):
-        np.add.at(out, sheet.triangles[rows, corner], area * weight)
+        np.add.at(out, sheet.triangles[loaded, corner], area * weight)
     return out / float(out.sum())
 
 
 def _plan_cross(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Cross products (n,) of vectors in the plane."""
+    """Return the cross products (n,) of vectors (n, 2)."""
     return np.asarray(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
 
 
@@ -168,11 +168,13 @@ class LimitLoadError(ArithmeticError):
 
     def __init__(self, reached: FloatArray, requested: FloatArray, displacements: FloatArray) -> None:
         self.reached, self.requested, self.displacements = reached, requested, displacements
-        last, asked = (", ".join(f"{value:.4g}" for value in load) for load in (reached, requested))
+        reached_text, requested_text = (
+            ", ".join(f"{value:.4g}" for value in load) for load in (reached, requested)
+        )
         super().__init__(
-            f"no equilibrium was found beyond ({last}) N on the way to a load of ({asked}) N, in steps down"
-            f" to 1/{2**MAX_CUTS} of it: the sheet snaps through or buckles there, or exceeds small strains;"
-            " give a smaller load, loads in between, or a thicker sheet"
+            f"no equilibrium was found beyond ({reached_text}) N on the way to a load of ({requested_text}) "
+            f"N, in steps down to 1/{2**MAX_CUTS} of it: the sheet snaps through or buckles there, or "
+            "exceeds small strains; give a smaller load, loads in between, or a thicker sheet"
         )
 
 
@@ -192,7 +194,7 @@ class Effort:
 def curve(
     sheet: ShellSheet, supports: Supports, centre: FloatArray, loads: FloatArray, width: float = 3e-3
 ) -> FloatArray:
-    """Displacements (k, 3) [m] of a point under successive loads from rest.
+    """Return the displacements (k, 3) [m] of a point under successive loads from rest.
 
     The displacement is the mean over the nodes in a square, which is conjugate to the load.
 
@@ -226,16 +228,16 @@ class Loading:
         self.sheet = sheet
         self.assembly = Assembly(sheet, ~supports.fixed, supports.spring)
         self.effort = Effort()
-        loose = "supports: got a sheet that can move without forces; add supports"
+        message = "supports: got a sheet that can move without forces; add supports"
         try:
             self._rest = self._start(at_rest(sheet))
         except TooFarError:
-            raise ValueError(loose) from None
+            raise ValueError(message) from None
         if self._rest.unstable:
-            raise ValueError(loose)
+            raise ValueError(message)
 
     def curve(self, weights: FloatArray, loads: FloatArray) -> FloatArray:
-        """Weighted mean displacements (k, 3) [m] under successive loads from rest.
+        """Return weighted mean displacements (k, 3) [m] under successive loads from rest.
 
         Args:
             weights: Weights (n,) of the nodes.
@@ -248,7 +250,7 @@ class Loading:
         return np.array([weights @ state.u for state in self.states(weights, loads)]).reshape(-1, 3)
 
     def states(self, weights: FloatArray, loads: FloatArray) -> list[State]:
-        """States (k,) under successive loads from rest.
+        """Return the states (k,) under successive loads from rest.
 
         Args:
             weights: Weights (n,) of the nodes.
@@ -269,14 +271,14 @@ class Loading:
                 f"shares: got shape {weights.shape}, or not finite; allowed one for each of {count} nodes"
             )
         states: list[State] = []
-        now, at = np.zeros(3), self._rest
+        current_load, current = np.zeros(3), self._rest
         for load in loads:
-            reached, at = self._advance(at, weights, now, load)
-            if reached < 1.0:
+            fraction, current = self._advance(current, weights, current_load, load)
+            if fraction < 1.0:
                 displacements = np.array([weights @ state.u for state in states]).reshape(-1, 3)
-                raise LimitLoadError(now + reached * (load - now), load, displacements)
-            now = load
-            states.append(at.state)
+                raise LimitLoadError(current_load + fraction * (load - current_load), load, displacements)
+            current_load = load
+            states.append(current.state)
         return states
 
     def _advance(
@@ -305,11 +307,11 @@ class Loading:
         return done, at
 
     def _step(
-        self, at: "_BalancedState", weights: FloatArray, base: FloatArray, more: FloatArray
+        self, at: "_BalancedState", weights: FloatArray, base: FloatArray, added: FloatArray
     ) -> "_BalancedState | None":
-        """State after an additional load ``more`` (3,) [N], or None if there is none nearby."""
+        """Return the equilibrium with a load ``added`` to ``base`` (3,) [N], or None if none is nearby."""
         load = np.zeros((len(weights), 6))
-        load[:, :3] = weights[:, None] * (base + more)
+        load[:, :3] = weights[:, None] * (base + added)
         try:
             end = self._find_balance(at, load)
         except TooFarError:
@@ -317,19 +319,19 @@ class Loading:
         if end is None:
             return None
         # A snap-through has moved too far: work p.du > JUMP max(p.K^-1 p) with the tangents K at both ends.
-        first = np.zeros_like(load)
-        first[:, :3] = weights[:, None] * more
-        push = first.reshape(-1)[self.assembly.free]
-        work = float(np.sum(first[:, :3] * (end.state.u - at.state.u)))
-        foretold = [float(dots(push, self._solve(one.factors, push))) for one in (at, end)]
-        if end.unstable or work < 0.0 or work > JUMP * max(foretold) + 1e-15:
+        added_load = np.zeros_like(load)
+        added_load[:, :3] = weights[:, None] * added
+        p = added_load.reshape(-1)[self.assembly.free]
+        work = float(np.sum(added_load[:, :3] * (end.state.u - at.state.u)))
+        predicted = [float(dots(p, self._solve(balanced.factors, p))) for balanced in (at, end)]
+        if end.unstable or work < 0.0 or work > JUMP * max(predicted) + 1e-15:
             return None
         return end
 
     def _find_balance(self, at: "_BalancedState", load: FloatArray) -> "_BalancedState | None":
-        """Equilibrium with ``load`` (n, 6) [N, Nm] from the state ``at``; None if not converged.
+        """Solve for the equilibrium with ``load`` (n, 6) [N, Nm], from ``at``. None if the iteration fails.
 
-        It has its own factorisation.
+        The result has the factorised tangent of its own state.
 
         Raises:
             TooFarError: If a step is too long.
@@ -337,42 +339,43 @@ class Loading:
         free = self.assembly.free
         target = load.reshape(-1)[free]
         state, factors = at.state, at.factors
-        left = target - at.force
+        residual = target - at.force
         pairs: list[tuple[FloatArray, FloatArray, float]] = []
         last, slow_count = np.inf, 0
         for _ in range(MAX_ITERATIONS):
             # step against the residual r = load - force, until it is small
-            step = self._bfgs_step(factors, pairs, left)
-            size = float(np.abs(self._whole(step)[:, :3]).max())
+            step = self._bfgs_step(factors, pairs, residual)
+            size = float(np.abs(self._expand(step)[:, :3]).max())
             if size <= TOLERANCE * max(float(np.abs(state.u).max()), MIN_DISPLACEMENT_M):
-                return self._start(state.moved(self._whole(step)))
+                return self._start(state.moved(self._expand(step)))
             # a factorisation that no longer contracts is replaced by one of the present state
             slow_count = slow_count + 1 if size > CONTRACTION * last else 0
             last = size
             if slow_count >= 2 or len(pairs) >= MAX_UPDATES:
-                again = self._start(state)
-                factors, pairs, last, slow_count = again.factors, [], np.inf, 0
-                left = target - again.force
+                restarted = self._start(state)
+                factors, pairs = restarted.factors, []
+                last, slow_count = np.inf, 0
+                residual = target - restarted.force
                 continue
             # s = fraction * step, y = change of the forces; s.y > 0 keeps the matrix positive definite
-            fraction, state, force = self._line_search(state, step, left, target)
-            change = left - (target - force)
+            fraction, state, force = self._line_search(state, step, residual, target)
+            change = residual - (target - force)
             taken = fraction * step
             if float(dots(taken, change)) > 0.0:
                 pairs.append((taken, change, 1.0 / float(dots(taken, change))))
-            left = target - force
+            residual = target - force
         return None
 
     def _line_search(
-        self, state: State, step: FloatArray, left: FloatArray, target: FloatArray
+        self, state: State, step: FloatArray, residual: FloatArray, target: FloatArray
     ) -> tuple[float, State, FloatArray]:
-        """Line search: fraction of a step after which the residual does little work along it.
+        """Search for a fraction of a step after which the residual does little work along the step.
 
         Args:
             state: Start of the step.
             step: Step over the free freedoms.
-            left: Residual forces at the start.
-            target: Loads.
+            residual: Residual forces at the start.
+            target: Loads over the free freedoms.
 
         Returns:
             The fraction, and the state and forces there.
@@ -381,8 +384,8 @@ class Loading:
             TooFarError: If the step leads away from equilibrium, or no fraction of it is possible.
         """
         # Find f with |g| <= SEARCH_TOLERANCE g(0), g(f) = step.(target - force(f)), or g > 0 at once.
-        whole = self._whole(step)
-        start = float(dots(step, left))
+        full_step = self._expand(step)
+        start = float(dots(step, residual))
         if start <= 0.0:
             raise TooFarError
         low: tuple[float, float] = (0.0, start)
@@ -391,7 +394,7 @@ class Loading:
         fraction = 1.0
         for _ in range(MAX_SEARCHES):
             try:
-                state_there = state.moved(fraction * whole)
+                state_there = state.moved(fraction * full_step)
                 force = self._force(state_there)
             except TooFarError:
                 fraction = 0.5 * (low[0] + fraction)
@@ -413,23 +416,26 @@ class Loading:
         return best
 
     def _bfgs_step(
-        self, factors: SuperLU, pairs: list[tuple[FloatArray, FloatArray, float]], left: FloatArray
+        self, factors: SuperLU, pairs: list[tuple[FloatArray, FloatArray, float]], residual: FloatArray
     ) -> FloatArray:
-        """Step against the residual ``left``, by a factorisation with BFGS updates (two-loop recursion)."""
+        """Return the step against a residual, by a factorisation with BFGS updates (two-loop recursion).
+
+        ``pairs`` are s, y and 1 / y.s of earlier steps s, which changed the forces by y.
+        """
         # H = (1 - s y^T / y.s) H' (1 - y s^T / y.s) + s s^T / y.s for each pair, from H' = K^-1; step = H r
-        left = left.copy()
-        shares = []
+        residual = residual.copy()
+        weights = []
         for taken, change, inverse in reversed(pairs):
-            weight = inverse * float(dots(taken, left))
-            left -= weight * change
-            shares.append(weight)
-        step = self._solve(factors, left)
-        for (taken, change, inverse), weight in zip(pairs, reversed(shares), strict=True):
+            weight = inverse * float(dots(taken, residual))
+            residual -= weight * change
+            weights.append(weight)
+        step = self._solve(factors, residual)
+        for (taken, change, inverse), weight in zip(pairs, reversed(weights), strict=True):
             step += (weight - inverse * float(dots(change, step))) * taken
         return step
 
     def _start(self, state: State) -> "_BalancedState":
-        """A state with its forces and the factorised tangent.
+        """Return a state with its forces and the factorised tangent.
 
         Raises:
             TooFarError: If the tangent is singular.
@@ -442,20 +448,21 @@ class Loading:
             )
         except RuntimeError:  # exactly singular
             raise TooFarError from None
-        # negative pivots of a symmetric factorisation count unstable directions
+        # a symmetric factorisation has as many negative pivots as there are unstable directions
         pivots = factors.U.diagonal() / matrix.diagonal()[np.argsort(factors.perm_c)]
         unstable = bool(np.any(factors.perm_r != factors.perm_c) or pivots.min() <= MIN_PIVOT_RATIO)
         return _BalancedState(state, force.reshape(-1)[self.assembly.free], factors, unstable)
 
-    def _solve(self, factors: SuperLU, left: FloatArray) -> FloatArray:
+    def _solve(self, factors: SuperLU, right_side: FloatArray) -> FloatArray:
         self.effort.solves += 1
-        return np.asarray(factors.solve(left))
+        return np.asarray(factors.solve(right_side))
 
     def _force(self, state: State) -> FloatArray:
         self.effort.forces += 1
         return self.assembly.force(state).reshape(-1)[self.assembly.free]
 
-    def _whole(self, step: FloatArray) -> FloatArray:
+    def _expand(self, step: FloatArray) -> FloatArray:
+        """Return a step over the free freedoms as (n, 6), with 0 for the fixed ones."""
         out = np.zeros(6 * len(self.sheet.nodes))
         out[self.assembly.free] = step
         return out.reshape(-1, 6)
@@ -479,6 +486,7 @@ class _BalancedState:
 
 
 def _check_supports(sheet: ShellSheet, supports: Supports) -> None:
+    """Raise ``ValueError`` if the arrays of supports do not have one row for each node."""
     count = len(sheet.nodes)
     if supports.fixed.shape != (count, 6) or supports.spring.shape != (count, 3):
         raise ValueError(f"supports: got {supports.fixed.shape}, {supports.spring.shape} for {count} nodes")

@@ -46,8 +46,9 @@ Tool = WireHolder | Bow | Gripper | FormingTool | Mill | Torch | Knife | PlainTo
 def working_solid(tool: Tool) -> Shape | None:
     """Return the solid, in the flange frame, with which a tool works the stock.
 
-    None for tools without a rigid one. It is the wire of a bow, the head of a forming tool, a mill's cutter,
-    a torch with its nozzle, or a knife's blade. It alone may touch the stock, in segments that work it.
+    It is the wire of a bow, the head of a forming tool, a mill's cutter, a torch with its nozzle, or a
+    knife's blade. No other solid of the tool may touch the stock, and this one only in the segments that
+    work it. The result is None for tools that have no such rigid solid.
     """
     match tool:
         case Bow():

@@ -25,7 +25,7 @@ class OnFlange:
         tcp: TCP (4, 4).
         mass: Mass [kg].
         cog: Centre of gravity (3,) [m].
-        shapes: Solids, which may touch nothing.
+        shapes: Solids that must not touch anything.
     """
 
     name: str
@@ -44,16 +44,19 @@ def tilted_rotation(tilt: float) -> FloatArray:
 
 
 def pose_along_z(distance: float, rotation: FloatArray | None = None) -> FloatArray:
-    """Return the pose (4, 4) at a distance [m] along the z axis of a tool.
+    """Return the pose (4, 4) in the flange frame at a distance [m] along the z axis of a tool.
 
-    The tool has the rotation ``rotation`` (3, 3).
+    ``rotation`` (3, 3) is the tool's rotation on the flange, by default none. It is that of the pose, too.
     """
     rotation = np.eye(3) if rotation is None else rotation
     return from_parts(rotation, rotation @ np.array([0.0, 0.0, distance]))
 
 
 def hull(points: FloatArray, pose: FloatArray) -> Shape:
-    """Return the convex solid around points (N, 3) in the frame ``pose``."""
+    """Return the convex hull of points (N, 3) as a solid with the pose ``pose`` (4, 4).
+
+    The points are in the frame that ``pose`` describes.
+    """
     import trimesh  # slow to import
 
     mesh = trimesh.convex.convex_hull(points)
@@ -82,12 +85,14 @@ def plain_tool(
 
 
 Mounting = Literal["along", "across", "diagonal"]
+"""Direction in which the wire leaves the holder, relative to the flange's z axis."""
 Side = Literal["start", "end"]
+"""End of the wire that a holder clamps."""
 
 TILT_DEG: Final[dict[Mounting, float]] = {"along": 0.0, "diagonal": 45.0, "across": 90.0}
 """Angle [deg] between the flange axis and the clamp's slide, by how the holder is mounted."""
 HOLDER_REACH_M: Final[dict[Mounting, float]] = {"along": 0.120, "diagonal": 0.110, "across": 0.100}
-"""Distance [m] of the TCP from the flange's face, on the flange axis, with the slide at zero."""
+"""Distance [m] of the TCP from the flange's face, along the flange's axis, with the slide at zero."""
 
 HOLDER_MASS_KG: Final = 0.6
 """Mass [kg] of a wire holder, assumed: an aluminium plate and post, a ceramic block and a brass clamp
@@ -152,8 +157,8 @@ def wire_holder(
         name: Name of the holder.
 
     Raises:
-        KeyError: Unknown mounting.
-        ValueError: Unknown side, or sizes that do not fit.
+        KeyError: The mounting is unknown.
+        ValueError: The side is unknown, or reach or slide is out of range.
     """
     if side not in ("start", "end"):
         raise ValueError(f"side is {side!r}; it must be 'start' or 'end'")
@@ -163,28 +168,32 @@ def wire_holder(
     if not 0.0 <= slide <= 0.040:
         raise ValueError(f"slide is {slide * 1e3:g} mm; the clamp moves from 0 to 40 mm")
     tilt = np.deg2rad(TILT_DEG[mounting])
-    out = np.array([-np.sin(tilt), 0.0, np.cos(tilt)])
+    outward = np.array([-np.sin(tilt), 0.0, np.cos(tilt)])  # direction in which the wire leaves the holder
     up = np.array([-np.cos(tilt), 0.0, -np.sin(tilt)])
-    tangent = out if side == "start" else -out
+    tangent = outward if side == "start" else -outward
     rotation = np.stack([tangent, up, np.cross(tangent, up)], axis=-1).round(15) + 0.0
-    corner = np.array([0.0, 0.0, distance])
-    along = np.stack([np.cross(up, out), up, out], axis=-1)
-    clamp = 0.028 + slide
-    block = corner - 0.046 * out
-    post = 0.72 * block[0]
+    tcp_without_slide = np.array([0.0, 0.0, distance])
+    slide_rotation = np.stack([np.cross(up, outward), up, outward], axis=-1)
+    clamp_length = 0.028 + slide
+    block = tcp_without_slide - 0.046 * outward
+    post_x = 0.72 * block[0]
     shapes = (
         _flange(body.plate_radius),
         Shape(
             "box",
             (0.026, 0.034, block[2] - 0.010),
-            from_rpy((post, 0.0, (block[2] + 0.010) / 2), (0.0, 0.0, 0.0)),
+            from_rpy((post_x, 0.0, (block[2] + 0.010) / 2), (0.0, 0.0, 0.0)),
         ),
-        Shape("box", (0.036, 0.036, 0.040), from_parts(along, block)),
-        Shape("cylinder", (0.008, clamp), from_parts(along, corner + (slide - 0.5 * clamp) * out)),
+        Shape("box", (0.036, 0.036, 0.040), from_parts(slide_rotation, block)),
+        Shape(
+            "cylinder",
+            (0.008, clamp_length),
+            from_parts(slide_rotation, tcp_without_slide + (slide - 0.5 * clamp_length) * outward),
+        ),
     )
     return WireHolder(
         name=name or f"wire_holder_{mounting}_{side}",
-        tcp=from_parts(rotation, corner + slide * out),
+        tcp=from_parts(rotation, tcp_without_slide + slide * outward),
         mass=body.mass,
         cog=np.array([0.45 * block[0], 0.0, 0.45 * distance]),
         shapes=shapes,
@@ -212,11 +221,11 @@ BOW_HEAD_MASS: Final = 0.35
 
 @dataclasses.dataclass(frozen=True)
 class Bow(OnFlange):
-    """A bow.
+    """A bow that keeps a straight hot wire taut between two prongs.
 
     Attributes:
-        wire: Straight wire between the clamps, a capsule in the flange frame along x of the TCP, which is
-            its middle.
+        wire: Straight wire between the clamps, as a capsule in the flange frame. It is along the x axis of
+            the TCP, which is the middle of the wire.
     """
 
     wire: Shape
@@ -233,26 +242,31 @@ class Bow(OnFlange):
 
     @property
     def throat(self) -> float:
-        """Free depth [m] behind the middle of the wire, to the nearest solid of the bow."""
+        """Free depth [m] behind the middle of the wire, to the nearest solid of the bow.
+
+        Only solids that reach into the middle 80 % of the span count, so the prongs do not.
+        """
         to_tcp = inverse(self.tcp)
-        nearest = [-np.inf]
+        highest_z = [-np.inf]
         for shape in self.shapes:
             points = transform(to_tcp @ shape.pose, hull_points(shape))
             low, high = points.min(axis=0), points.max(axis=0)
             if low[0] < 0.4 * self.span and high[0] > -0.4 * self.span:
-                nearest.append(float(high[2]))
-        return -max(nearest)
+                highest_z.append(float(high[2]))
+        return -max(highest_z)
 
     @property
     def stated_throat(self) -> float:
-        """Throat [m] as cells state it: from the middle of the beam."""
+        """Throat [m] as cell files state it: from the wire to the middle of the beam."""
         return self.throat + 0.5 * BEAM_WIDTH
 
 
 BOW_SPAN: Final = 0.4
+"""Default length [m] of a bow's wire between its clamps."""
 BOW_THROAT: Final = 0.4
+"""Default distance [m] of a bow's wire from the middle of its beam."""
 BOW_WIRE_DIAMETER: Final = 0.0004
-"""Default sizes [m] of a bow."""
+"""Default diameter [m] of a bow's wire."""
 
 
 def bow(
@@ -262,7 +276,7 @@ def bow(
     tilt: float = 0.0,
     name: str | None = None,
 ) -> Bow:
-    """Return a bow.
+    """Return a bow of given sizes.
 
     The TCP is the middle of the wire. Its x axis runs along the wire, its z axis from the beam to the wire.
     Without tilt the wire crosses the flange's axis. A spring keeps the hot wire straight and at its length.
@@ -270,13 +284,13 @@ def bow(
 
     Args:
         span: Length [m] of the wire between its clamps.
-        throat: Distance [m] of the wire from the beam.
+        throat: Distance [m] of the wire from the middle of the beam.
         wire_diameter: Diameter [m] of the wire.
         tilt: Rotation [rad] of the bow about x of the flange's frame.
         name: Name of the bow.
 
     Raises:
-        ValueError: Sizes out of range.
+        ValueError: A size is out of range.
     """
     if not (0.05 <= span <= 3.0 and 0.05 <= throat <= 3.0 and 1e-5 <= wire_diameter <= 0.01):
         raise ValueError(
@@ -289,26 +303,26 @@ def bow(
         """Return a pose in the flange frame: x along the wire, z from the middle of the beam."""
         return frame @ from_parts(np.eye(3), np.array([x, 0.0, z]))
 
-    half = 0.5 * span + 0.5 * TIP_SIZE[0]
+    prong_x = 0.5 * span + 0.5 * TIP_SIZE[0]
     shapes = [
         _flange(),
         Shape("box", (0.040, 0.040, STEM_LENGTH_M), pose_along_z(0.5 * STEM_LENGTH_M)),
-        Shape("box", (2.0 * half + PRONG_WIDTH, BEAM_WIDTH, BEAM_WIDTH), at(0.0, 0.0)),
+        Shape("box", (2.0 * prong_x + PRONG_WIDTH, BEAM_WIDTH, BEAM_WIDTH), at(0.0, 0.0)),
     ]
     for side in (-1.0, 1.0):
-        shapes.append(Shape("box", (PRONG_WIDTH, PRONG_WIDTH, throat), at(side * half, 0.5 * throat)))
-        shapes.append(Shape("box", TIP_SIZE, at(side * half, throat)))
-    along = at(0.0, throat) @ from_rpy((0.0, 0.0, 0.0), (0.0, np.pi / 2.0, 0.0))
-    tubes = TUBE_LINE_DENSITY * (2.0 * half + PRONG_WIDTH), 2.0 * TUBE_LINE_DENSITY * throat
-    mass = BOW_HEAD_MASS + sum(tubes)
-    lever = (tubes[1] * 0.5 * throat) / mass
+        shapes.append(Shape("box", (PRONG_WIDTH, PRONG_WIDTH, throat), at(side * prong_x, 0.5 * throat)))
+        shapes.append(Shape("box", TIP_SIZE, at(side * prong_x, throat)))
+    wire_pose = at(0.0, throat) @ from_rpy((0.0, 0.0, 0.0), (0.0, np.pi / 2.0, 0.0))
+    tube_masses = TUBE_LINE_DENSITY * (2.0 * prong_x + PRONG_WIDTH), 2.0 * TUBE_LINE_DENSITY * throat
+    mass = BOW_HEAD_MASS + sum(tube_masses)
+    cog_z = (tube_masses[1] * 0.5 * throat) / mass  # from the middle of the beam
     return Bow(
         name=name or f"bow_{span * 1e3:.0f}",
         tcp=at(0.0, throat),
         mass=round(mass, 3),
-        cog=np.asarray(frame @ np.array([0.0, 0.0, lever, 1.0]))[:3].round(6),
+        cog=np.asarray(frame @ np.array([0.0, 0.0, cog_z, 1.0]))[:3].round(6),
         shapes=tuple(shapes),
-        wire=Shape("capsule", (0.5 * wire_diameter, span), along),
+        wire=Shape("capsule", (0.5 * wire_diameter, span), wire_pose),
     )
 
 
@@ -354,11 +368,11 @@ def gripper_plate(
         width: Width [m] of the plate.
         depth: Depth [m] of the plate.
         reach: Distance [m] of the TCP from the flange.
-        holding_force: Holding force [N]. By default from the area.
+        holding_force: Holding force [N]. By default :data:`NEEDLE_PRESSURE` on the area of the plate.
         name: Name of the gripper.
 
     Raises:
-        ValueError: Sizes out of range.
+        ValueError: A size is out of range.
     """
     if not (0.02 <= width <= 2.0 and 0.02 <= depth <= 2.0 and 0.03 <= reach <= 0.5):
         raise ValueError(
@@ -371,9 +385,9 @@ def gripper_plate(
         Shape("box", (0.050, 0.050, stem), pose_along_z(0.5 * stem)),
         Shape("box", (width, depth, PLATE_THICKNESS), pose_along_z(reach - 0.5 * PLATE_THICKNESS)),
     )
-    plate = ALUMINIUM_DENSITY * width * depth * PLATE_THICKNESS
+    plate_mass = ALUMINIUM_DENSITY * width * depth * PLATE_THICKNESS
     force = NEEDLE_PRESSURE * width * depth if holding_force is None else holding_force
-    return _gripper(name or "gripper_plate", reach, shapes, plate, (width, depth), force)
+    return _gripper(name or "gripper_plate", reach, shapes, plate_mass, (width, depth), force)
 
 
 def vacuum_cup(
@@ -384,11 +398,11 @@ def vacuum_cup(
     Args:
         radius: Radius [m] of the cup.
         reach: Distance [m] of the TCP from the flange.
-        holding_force: Holding force [N]. By default from the area.
+        holding_force: Holding force [N]. By default :data:`SUCTION_PRESSURE` on the area of the cup.
         name: Name of the cup.
 
     Raises:
-        ValueError: Sizes out of range.
+        ValueError: A size is out of range.
     """
     if not (0.01 <= radius <= 0.5 and 0.03 <= reach <= 0.5):
         raise ValueError(
@@ -401,12 +415,13 @@ def vacuum_cup(
         Shape("cylinder", (0.020, stem), pose_along_z(0.5 * stem)),
         Shape("cylinder", (radius, PLATE_THICKNESS), pose_along_z(reach - 0.5 * PLATE_THICKNESS)),
     )
-    plate = 0.5 * ALUMINIUM_DENSITY * np.pi * radius**2 * PLATE_THICKNESS
+    cup_mass = 0.5 * ALUMINIUM_DENSITY * np.pi * radius**2 * PLATE_THICKNESS
     force = SUCTION_PRESSURE * np.pi * radius**2 if holding_force is None else holding_force
-    return _gripper(name or "vacuum_cup", reach, shapes, plate, (2.0 * radius, 2.0 * radius), float(force))
+    return _gripper(name or "vacuum_cup", reach, shapes, cup_mass, (2.0 * radius, 2.0 * radius), float(force))
 
 
 def _flange(radius: float = 0.034) -> Shape:
+    """Return the round plate of a radius [m] with which a tool is bolted to the flange."""
     return Shape("cylinder", (radius, 0.010), pose_along_z(0.005))
 
 
@@ -414,17 +429,22 @@ def _gripper(
     name: str,
     reach: float,
     shapes: tuple[Shape, ...],
-    plate: float,
+    face_mass: float,
     footprint: tuple[float, float],
     holding_force: float,
 ) -> Gripper:
-    mass = GRIPPER_HEAD_MASS + plate
-    middle = (GRIPPER_HEAD_MASS * 0.03 + plate * (reach - 0.006)) / mass
+    """Return a gripper with the TCP at ``reach`` [m] on the flange's axis.
+
+    Its centre of gravity is that of the head, taken 30 mm from the flange, and of the plate or cup of
+    ``face_mass`` [kg] in front of it.
+    """
+    mass = GRIPPER_HEAD_MASS + face_mass
+    cog_z = (GRIPPER_HEAD_MASS * 0.03 + face_mass * (reach - 0.006)) / mass
     return Gripper(
         name=name,
         tcp=pose_along_z(reach),
         mass=round(float(mass), 3),
-        cog=np.array([0.0, 0.0, round(float(middle), 6)]),
+        cog=np.array([0.0, 0.0, round(float(cog_z), 6)]),
         shapes=shapes,
         footprint=footprint,
         holding_force=holding_force,

@@ -26,11 +26,11 @@ class Blade:
     The TCP is the front of its straight end. From there the edge rises and advances to the full width.
 
     Attributes:
-        thickness: Thickness [m].
-        width: Full width [m].
-        end: Length [m] of the straight end.
-        ground: Height [m] over which the blade reaches its full width.
-        length: Length [m] out of its body.
+        thickness: Thickness [m] along the tool's y axis.
+        width: Full width [m] along the tool's x axis.
+        end: Length [m] of the straight end along the tool's x axis.
+        ground: Height [m] over the end at which the blade reaches its full width.
+        length: Length [m] of the part that sticks out of the knife's body.
     """
 
     thickness: float
@@ -49,7 +49,7 @@ class Blade:
 
     @property
     def corners(self) -> FloatArray:
-        """Outline (5, 2) [m]: distance ahead of the TCP, and height over it."""
+        """Corners (5, 2) [m] of the outline: distance ahead of the TCP, and height over it."""
         full = self.width - self.end
         return np.array(
             [[-self.end, 0.0], [0.0, 0.0], [full, self.ground], [full, self.length], [-self.end, self.length]]
@@ -63,8 +63,8 @@ class Knife(OnFlange):
     Attributes:
         blade: The blade.
         body: Radius [m] of the body behind the blade.
-        back: Distance [m] behind the TCP at which the holder starts.
-        solid: Blade in the flange frame.
+        back: Distance [m] behind the TCP, along the tool's axis, at which the holder starts.
+        solid: Solid of the blade in the flange frame.
     """
 
     blade: Blade
@@ -80,17 +80,17 @@ def knife(
     tilt: float = 0.0,
     mass: float | None = None,
 ) -> Knife:
-    """Return a knife.
+    """Return a knife: holder on the flange, body, and blade, one behind the other on one axis.
 
     Args:
         blade: The blade.
-        body: Radius of the body, and length from the flange to the tip [m].
+        body: Radius of the body, and length from the flange to the blade's tip [m].
         rotation: Angle [rad] of the edge about the tool's axis from the flange's x axis.
         tilt: Tilt [rad] of the tool about the flange's y axis.
-        mass: Mass [kg]. By default from sizes and densities.
+        mass: Mass [kg]. By default computed from sizes and densities.
 
     Raises:
-        ValueError: Sizes that make no tool.
+        ValueError: The sizes are not positive or do not fit together.
     """
     if not 0.0 < blade.thickness <= blade.width or not 0.0 <= blade.end <= blade.width:
         raise ValueError(
@@ -111,10 +111,10 @@ def knife(
             "body must be at least as thick as the blade is wide"
         )
     tilted = tilted_rotation(tilt)
-    around = np.array(
+    edge_rotation = np.array(
         [[np.cos(rotation), -np.sin(rotation), 0], [np.sin(rotation), np.cos(rotation), 0], [0, 0, 1]]
     )
-    tcp = from_parts(tilted @ around, tilted @ np.array([0.0, 0.0, length]))
+    tcp = from_parts(tilted @ edge_rotation, tilted @ np.array([0.0, 0.0, length]))
     shape_centres = (0.5 * KNIFE_HOLDER[1], 0.5 * (KNIFE_HOLDER[1] + length - blade.length))
     body_length = length - blade.length - KNIFE_HOLDER[1]
     sizes = (KNIFE_HOLDER, (radius, body_length))
@@ -140,11 +140,12 @@ def knife(
 
 
 def _solid(blade: Blade, tcp: FloatArray) -> Shape:
-    flat = blade.corners
+    """Return the blade as a plate with the outline :attr:`Blade.corners`, in the flange frame."""
+    corners = blade.corners
     if blade.ground == 0.0:
-        flat = np.delete(flat, 2, axis=0)
+        corners = np.delete(corners, 2, axis=0)  # equal to corner 1 then
     half = 0.5 * blade.thickness
     points = np.concatenate(
-        [np.column_stack([flat[:, 0], np.full(len(flat), y), -flat[:, 1]]) for y in (-half, half)]
+        [np.column_stack([corners[:, 0], np.full(len(corners), y), -corners[:, 1]]) for y in (-half, half)]
     )
     return hull(points, tcp)

@@ -19,7 +19,7 @@ TORCH_HOLDER: Final = (0.038, 0.090)
 TORCH_DENSITY: Final = 3500.0
 """Density [kg/m^3] of a torch with its leads, assumed. State ``mass_kg`` if it is known."""
 _SIDES: Final = 24
-"""Number of sides of the solid that contains a torch."""
+"""Number of sides of the prism-like solid that contains a round torch."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Torch(OnFlange):
     Attributes:
         cuts_by: Means by which it cuts.
         standoff: Distance [m] of the nozzle's end from the TCP.
-        kerf: Width [m] of its slot.
+        kerf: Width [m] of the slot that it cuts.
         nozzle: Radius [m] of the nozzle's end.
         cone: Length [m] over which the nozzle widens to the body.
         body: Radius [m] of the body.
@@ -57,19 +57,19 @@ def torch(
     tilt: float = 0.0,
     mass: float | None = None,
 ) -> Torch:
-    """Return a torch.
+    """Return a torch: holder on the flange, body, and conical nozzle, one behind the other on one axis.
 
     Args:
         cuts_by: Means by which it cuts.
         standoff: Distance [m] of the nozzle's end from the TCP.
-        kerf: Width [m] of its slot.
+        kerf: Width [m] of the slot that it cuts.
         size: Radius of the nozzle's end, length of its cone, radius of the body, length from the flange to
             the nozzle's end [m].
         tilt: Tilt [rad] of the torch about the flange's y axis.
-        mass: Mass [kg]. By default from sizes and densities.
+        mass: Mass [kg]. By default computed from sizes and densities.
 
     Raises:
-        ValueError: Sizes that make no tool.
+        ValueError: The sizes are not positive or do not fit together.
     """
     nozzle, cone, body, length = size
     if not 0.0 < nozzle <= body:
@@ -86,19 +86,18 @@ def torch(
     tcp = pose_along_z(length + standoff, rotation)
     holder = Shape("cylinder", TORCH_HOLDER, pose_along_z(0.5 * TORCH_HOLDER[1], rotation))
     back = length + standoff - TORCH_HOLDER[1]
-    outline = np.array(
-        [[standoff, nozzle], [standoff + cone, body], [back, body]]
-    )  # distance behind the TCP, radius
+    # Distance behind the TCP, and radius there
+    outline = np.array([[standoff, nozzle], [standoff + cone, body], [back, body]])
     torch_mass = TORCH_DENSITY * np.pi * float(np.trapezoid(outline[:, 1] ** 2, outline[:, 0]))
     holder_mass = ALUMINIUM_DENSITY * np.pi * TORCH_HOLDER[0] ** 2 * TORCH_HOLDER[1]
-    middle = (torch_mass * 0.5 * (length + TORCH_HOLDER[1]) + holder_mass * 0.5 * TORCH_HOLDER[1]) / (
+    cog_z = (torch_mass * 0.5 * (length + TORCH_HOLDER[1]) + holder_mass * 0.5 * TORCH_HOLDER[1]) / (
         torch_mass + holder_mass
     )
     return Torch(
         name=f"{cuts_by}_torch",
         tcp=tcp,
         mass=torch_mass + holder_mass if mass is None else mass,
-        cog=rotation @ np.array([0.0, 0.0, middle]),
+        cog=rotation @ np.array([0.0, 0.0, cog_z]),
         shapes=(holder,),
         cuts_by=cuts_by,
         standoff=standoff,
@@ -112,8 +111,14 @@ def torch(
 
 
 def _solid(outline: FloatArray, tcp: FloatArray) -> Shape:
-    """Return the convex hull of rings around an outline (K, 2)."""
-    around = np.linspace(0.0, 2.0 * np.pi, _SIDES, endpoint=False)
-    ring = np.stack([np.cos(around), np.sin(around)], axis=1) / np.cos(np.pi / _SIDES)
-    rows = [np.column_stack([r * ring, np.full(_SIDES, -back)]) for back, r in outline]
-    return hull(np.concatenate(rows), tcp)
+    """Return a convex solid in the flange frame that contains the body of revolution of an outline.
+
+    Args:
+        outline: Distance behind the TCP and radius there (K, 2) [m].
+        tcp: TCP (4, 4) in the flange frame.
+    """
+    angle = np.linspace(0.0, 2.0 * np.pi, _SIDES, endpoint=False)
+    # Corners of polygons around the unit circle, so that the hull contains the circles
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1) / np.cos(np.pi / _SIDES)
+    rings = [np.column_stack([r * ring, np.full(_SIDES, -back)]) for back, r in outline]
+    return hull(np.concatenate(rings), tcp)

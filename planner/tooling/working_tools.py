@@ -25,8 +25,8 @@ class FormingHead:
         kind: Kind of the head.
         radius: Radius [m] of ball, disk or nozzle.
         shaft_radius: Radius [m] of the shaft.
-        neck: Distance [m] behind a ball's centre at which the shaft starts, with a neck as thick as the
-            thinner of both between them; thickness [m] of a disk.
+        neck: Distance [m] behind a ball's centre at which the shaft starts. Up to there, the neck is as thick
+            as the thinner of ball and shaft. For a disk, its thickness [m].
         length: Length [m] of head and shaft behind the TCP.
         rim: Rounding [m] of a disk's rim.
         standoff: Distance [m] of a nozzle from the TCP.
@@ -42,6 +42,7 @@ class FormingHead:
 
 
 CutterKind = Literal["cylinder", "ball", "bull"]
+"""Kind of a cutter: with a flat end, a ball nose, or a flat end with rounded corners (bull nose)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,23 +72,25 @@ class Cutter:
 
 
 def head_outline(head: FormingHead) -> FloatArray:
-    """Return the outline (K, 2) [m] of a head.
+    """Return the outline (K, 2) [m] of a head: distance behind the TCP along its axis, and radius there.
 
-    It is the ascending distance behind the TCP along its axis, and the radius there. A ball starts ``radius``
-    ahead of the TCP, a disk at it, a nozzle ``standoff`` behind it.
+    Distances ascend. A ball starts ``radius`` ahead of the TCP, which is a negative distance. A disk starts
+    at the TCP, and a nozzle ``standoff`` behind it.
     """
     if head.kind == "heat":
         return np.array([[head.standoff, head.radius], [head.length, head.radius]])
     if head.kind == "disk":
-        turn = np.linspace(0.0, 0.5 * np.pi, 9)
-        rim = np.stack([head.rim * (1 - np.cos(turn)), head.radius - head.rim + head.rim * np.sin(turn)], 1)
+        angle = np.linspace(0.0, 0.5 * np.pi, 9)
+        rim = np.stack([head.rim * (1 - np.cos(angle)), head.radius - head.rim + head.rim * np.sin(angle)], 1)
         back = [[head.neck, head.radius], [head.neck, head.shaft_radius], [head.length, head.shaft_radius]]
         return np.concatenate([rim, back])
-    thin = min(head.radius, head.shaft_radius)
-    turn = np.linspace(0.0, np.pi - np.arcsin(thin / head.radius), 25)
-    ball = head.radius * np.stack([-np.cos(turn), np.sin(turn)], 1)
+    neck_radius = min(head.radius, head.shaft_radius)
+    angle = np.linspace(0.0, np.pi - np.arcsin(neck_radius / head.radius), 25)
+    ball = head.radius * np.stack([-np.cos(angle), np.sin(angle)], 1)
     neck = max(head.neck, float(ball[-1, 0]))
-    return np.concatenate([ball, [[neck, thin], [neck, head.shaft_radius], [head.length, head.shaft_radius]]])
+    return np.concatenate(
+        [ball, [[neck, neck_radius], [neck, head.shaft_radius], [head.length, head.shaft_radius]]]
+    )
 
 
 FORMING_HOLDER_SIZE: Final = (0.038, 0.090)
@@ -105,7 +108,7 @@ class FormingTool(OnFlange):
 
     Attributes:
         head: Its working end.
-        solid: Working end as a solid in the flange frame, from the TCP to the holder.
+        solid: Solid of the working end in the flange frame, from its tip to the holder.
     """
 
     head: FormingHead
@@ -122,13 +125,13 @@ def ball_tool(
 
     Args:
         radius: Radius [m] of the ball.
-        length: Distance [m] of its centre from the flange.
+        length: Distance [m] of the ball's centre from the flange.
         shaft_radius: Radius [m] of the shaft. By default that of the ball.
-        neck: Distance [m] behind the centre at which the shaft starts.
+        neck: Distance [m] behind the ball's centre at which the shaft starts.
         tilt: Tilt [rad] of the tool about the flange's y axis.
 
     Raises:
-        ValueError: Sizes that make no tool.
+        ValueError: The sizes are not positive or do not fit together.
     """
     shaft = radius if shaft_radius is None else shaft_radius
     if not (radius > 0.0 and shaft > 0.0 and neck >= 0.0 and length - neck - FORMING_HOLDER_SIZE[1] >= 0.01):
@@ -161,10 +164,10 @@ def disk_tool(
         length: Distance [m] of the TCP from the flange.
         thickness: Thickness [m] of the disk.
         shaft_radius: Radius [m] of the shaft.
-        rim: Rounding [m] of its edge.
+        rim: Radius [m] of the rounding of the disk's edge.
 
     Raises:
-        ValueError: Sizes that make no tool.
+        ValueError: The sizes are not positive or do not fit together.
     """
     if not (0.0 < shaft_radius <= radius and thickness > 0.0 and 0.0 <= rim <= min(thickness, radius)):
         raise ValueError(
@@ -173,7 +176,7 @@ def disk_tool(
     if length - thickness - FORMING_HOLDER_SIZE[1] < 0.01:
         raise ValueError(f"a disk tool of {length * 1e3:g} mm is too short for holder and disk")
     head = FormingHead("disk", radius, shaft_radius, thickness, length - FORMING_HOLDER_SIZE[1], rim)
-    return _forming_tool("disk_tool", head, length, 0.0)
+    return _forming_tool("disk_tool", head, length, tilt=0.0)
 
 
 def heat_tool(radius: float, length: float, standoff: float) -> FormingTool:
@@ -185,15 +188,28 @@ def heat_tool(radius: float, length: float, standoff: float) -> FormingTool:
         standoff: Distance [m] of the TCP from the nozzle.
 
     Raises:
-        ValueError: Sizes that make no tool.
+        ValueError: The sizes are not positive or do not fit together.
     """
     if not (radius > 0.0 and standoff > 0.0 and length - FORMING_HOLDER_SIZE[1] >= 0.01):
         raise ValueError("a heat tool needs a radius, a stand-off and a length above that of its holder")
-    head = FormingHead("heat", radius, radius, 0.0, length + standoff - FORMING_HOLDER_SIZE[1], 0.0, standoff)
-    return _forming_tool("heat_tool", head, length + standoff, 0.0)
+    head = FormingHead(
+        "heat",
+        radius,
+        shaft_radius=radius,
+        neck=0.0,
+        length=length + standoff - FORMING_HOLDER_SIZE[1],
+        rim=0.0,
+        standoff=standoff,
+    )
+    return _forming_tool("heat_tool", head, length + standoff, tilt=0.0)
 
 
 def _forming_tool(name: str, head: FormingHead, length: float, tilt: float) -> FormingTool:
+    """Return a tool of a round holder and a head, with the TCP at ``length`` [m] from the flange.
+
+    Holder and head are on an axis with a ``tilt`` [rad] about the flange's y axis. The mass is that of an
+    aluminium holder and of a steel head.
+    """
     rotation = tilted_rotation(tilt)
     frame = pose_along_z(length, rotation)
     holder = Shape("cylinder", FORMING_HOLDER_SIZE, pose_along_z(0.5 * FORMING_HOLDER_SIZE[1], rotation))
@@ -215,18 +231,20 @@ def _forming_tool(name: str, head: FormingHead, length: float, tilt: float) -> F
 
 
 def _forming_solid(head: FormingHead, tcp: FloatArray) -> Shape:
-    """Return the head as one convex solid in the flange frame.
+    """Return a convex solid in the flange frame that contains the head.
 
-    It is a capsule if the shaft is no thicker than the ball, else the hull of rings.
+    It is a capsule for a ball on a shaft that is not thicker, else the hull of polygons around the circles of
+    the head's outline.
     """
     if head.kind == "ball" and head.shaft_radius <= head.radius:
         shaft = head.length - head.radius
         return Shape("capsule", (head.radius, shaft), tcp @ pose_along_z(-0.5 * shaft))
-    outline, around = head_outline(head), np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
-    out = 1.0 / np.cos(np.pi / 24)  # polygons around the circles, so that the hull contains these
-    ring = np.stack([np.cos(around), np.sin(around)], axis=1) * out
-    rows = [np.column_stack([r * ring, np.full(len(ring), -back)]) for back, r in outline if r > 0.0]
-    return hull(np.concatenate(rows), tcp)
+    outline = head_outline(head)
+    angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    corner_radius = 1.0 / np.cos(np.pi / 24)  # polygons around the circles, so that the hull contains these
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1) * corner_radius
+    rings = [np.column_stack([r * ring, np.full(len(ring), -back)]) for back, r in outline if r > 0.0]
+    return hull(np.concatenate(rings), tcp)
 
 
 SPINDLE_PLATE_SIZE: Final = (0.060, 0.020)
@@ -241,7 +259,7 @@ Assumed. State ``mass_kg`` if it is known.
 
 @dataclasses.dataclass(frozen=True)
 class Mill(OnFlange):
-    """A milling tool.
+    """A milling tool: a cutter in a holder on a spindle.
 
     Attributes:
         cutter: Its cutter.
@@ -253,8 +271,9 @@ class Mill(OnFlange):
 
 
 MILL_HOLDER: Final = ((0.040, 0.025),)
+"""Default pieces of a mill's holder, each (length, radius) [m]."""
 MILL_SPINDLE: Final = (0.050, 0.220)
-"""Default pieces of a mill's holder (length, radius) and its spindle (radius, length) [m]."""
+"""Default (radius, length) [m] of a mill's spindle."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -299,10 +318,10 @@ def mill(
         holder: (length, radius) [m] of the pieces of the holder from the nose to the spindle.
         spindle: Radius and length [m] of the spindle.
         tilt: Tilt [rad] of the spindle about the flange's y axis.
-        mass: Mass [kg]. By default from sizes and densities.
+        mass: Mass [kg]. By default computed from sizes and densities.
 
     Raises:
-        ValueError: Sizes that make no tool.
+        ValueError: The sizes are not positive or do not fit together.
     """
     _check_cutter(geometry)
     kind, radius, overhang = geometry.kind, geometry.radius, geometry.overhang
@@ -310,23 +329,27 @@ def mill(
         raise ValueError(
             "a holder needs one piece or more; lengths and radii of holder and spindle must be positive"
         )
-    rings: list[tuple[float, float]] = []
+    holder_outline: list[tuple[float, float]] = []  # two points for each piece, with the spindle as the last
     back = overhang
-    for length, radius_here in (*holder, (spindle[1], spindle[0])):
-        rings += [(back, radius_here), (back + length, radius_here)]
+    for length, piece_radius in (*holder, (spindle[1], spindle[0])):
+        holder_outline += [(back, piece_radius), (back + length, piece_radius)]
         back += length
     corner = radius if kind == "ball" else geometry.corner
-    cutter = Cutter(kind, radius, corner, geometry.flute, overhang, geometry.shank_radius, np.array(rings))
-    middle = SPINDLE_PLATE_SIZE[1] + spindle[0] * abs(np.sin(tilt)) + 0.5 * spindle[1] * abs(np.cos(tilt))
+    shank_radius = geometry.shank_radius
+    cutter = Cutter(kind, radius, corner, geometry.flute, overhang, shank_radius, np.array(holder_outline))
+    spindle_z = SPINDLE_PLATE_SIZE[1] + spindle[0] * abs(np.sin(tilt)) + 0.5 * spindle[1] * abs(np.cos(tilt))
     rotation = tilted_rotation(tilt)
-    tip = np.array([0.0, 0.0, middle]) + (back - 0.5 * spindle[1]) * rotation[:, 2]
+    tip = np.array([0.0, 0.0, spindle_z]) + (back - 0.5 * spindle[1]) * rotation[:, 2]
     tcp = from_parts(rotation, tip)
     shapes = [Shape("cylinder", SPINDLE_PLATE_SIZE, pose_along_z(0.5 * SPINDLE_PLATE_SIZE[1]))]
-    for (start, radius_here), (end, _) in zip(rings[::2], rings[1::2], strict=True):
-        shapes.append(Shape("cylinder", (radius_here, end - start), tcp @ pose_along_z(-0.5 * (start + end))))
+    for (start, piece_radius), (end, _) in zip(holder_outline[::2], holder_outline[1::2], strict=True):
+        shapes.append(
+            Shape("cylinder", (piece_radius, end - start), tcp @ pose_along_z(-0.5 * (start + end)))
+        )
     if abs(np.sin(tilt)) > 1e-6:
-        wide, high = 2.0 * BRACKET_WIDTH_RATIO * spindle[0], middle
-        shapes.append(Shape("box", (wide, wide, high), pose_along_z(0.5 * high)))
+        bracket_width = 2.0 * BRACKET_WIDTH_RATIO * spindle[0]
+        bracket_size = (bracket_width, bracket_width, spindle_z)
+        shapes.append(Shape("box", bracket_size, pose_along_z(0.5 * spindle_z)))
     weights, centres = _masses_and_centres(cutter, tcp, shapes[0])
     return Mill(
         name=f"{kind}_mill",
@@ -340,7 +363,7 @@ def mill(
 
 
 def _check_cutter(geometry: CutterGeometry) -> None:
-    """Raise ``ValueError`` for sizes that make no cutter."""
+    """Raise ``ValueError`` if the sizes of a cutter are not positive or do not fit together or its kind."""
     kind, radius, corner, flute = geometry.kind, geometry.radius, geometry.corner, geometry.flute
     overhang = geometry.overhang
     if not (radius > 0.0 and geometry.shank_radius > 0.0 and 0.0 < flute <= overhang):
@@ -364,29 +387,30 @@ def _check_cutter(geometry: CutterGeometry) -> None:
 def _mill_solid(cutter: Cutter, tcp: FloatArray) -> Shape:
     """Return the cutter as one solid in the flange frame.
 
-    It is a capsule for a ball nose on a shank no thicker than itself, else a cylinder that contains it.
+    It is a capsule for a ball nose on a shank that is not thicker, else a cylinder that contains the cutter.
     """
     if cutter.kind == "ball" and cutter.shank <= cutter.radius and cutter.overhang > 2.0 * cutter.radius:
         size = (cutter.radius, cutter.overhang - 2.0 * cutter.radius)
         return Shape("capsule", size, tcp @ pose_along_z(-0.5 * cutter.overhang))
-    around = max(cutter.radius, cutter.shank)
-    return Shape("cylinder", (around, cutter.overhang), tcp @ pose_along_z(-0.5 * cutter.overhang))
+    radius = max(cutter.radius, cutter.shank)
+    return Shape("cylinder", (radius, cutter.overhang), tcp @ pose_along_z(-0.5 * cutter.overhang))
 
 
 def _masses_and_centres(cutter: Cutter, tcp: FloatArray, plate: Shape) -> tuple[FloatArray, FloatArray]:
-    """Return masses (K,) [kg] and centres (K, 3) [m] in the flange frame.
+    """Return masses (K,) [kg] and centres (K, 3) [m] in the flange frame of the K parts of a mill.
 
-    They are those of plate, cutter, pieces of the holder and spindle.
+    The parts are the plate on the flange, the cutter, the pieces of the holder and the spindle. All are taken
+    as steel, except for the spindle.
     """
     masses = [np.pi * plate.size[0] ** 2 * plate.size[1] * STEEL_DENSITY]
     centres = [plate.pose[:3, 3]]
-    rows = [(0.0, cutter.overhang, max(cutter.radius, cutter.shank))]
-    rows += [
-        (a[0], b[0], a[1])
-        for a, b in zip(cutter.holder_outline[::2], cutter.holder_outline[1::2], strict=True)
+    cylinders = [(0.0, cutter.overhang, max(cutter.radius, cutter.shank))]
+    cylinders += [
+        (start[0], end[0], start[1])
+        for start, end in zip(cutter.holder_outline[::2], cutter.holder_outline[1::2], strict=True)
     ]
-    for k, (start, end, around) in enumerate(rows):
-        density = SPINDLE_DENSITY if k == len(rows) - 1 else STEEL_DENSITY
-        masses.append(np.pi * around**2 * (end - start) * density)
+    for k, (start, end, radius) in enumerate(cylinders):
+        density = SPINDLE_DENSITY if k == len(cylinders) - 1 else STEEL_DENSITY
+        masses.append(np.pi * radius**2 * (end - start) * density)
         centres.append((tcp @ pose_along_z(-0.5 * (start + end)))[:3, 3])
     return np.array(masses), np.array(centres)

@@ -24,7 +24,9 @@ _TERMS: Final = AxisTerms(
 
 
 def _checks(setup: ControllerSetup) -> list[ControllerCheck]:
-    controller, out = setup.problem.cell.controller, list[ControllerCheck]()
+    """Return what to check at a KUKA controller: name of the setting or file, and its required state."""
+    controller = setup.problem.cell.controller
+    out: list[ControllerCheck] = []
     (arm,) = setup.arms
     signals = [
         (signal, number)
@@ -72,13 +74,14 @@ def _checks(setup: ControllerSetup) -> list[ControllerCheck]:
 
 
 def _rail_checks(arm: Arm) -> list[ControllerCheck]:
-    """Rows on what the machine data must contain for the linear axes under an arm.
+    """Return rows on what the machine data must contain for the linear axes under an arm.
 
-    Source: KR C2, machine data, 2.1.9 $ERSYSROOT. Their kinematic is #ERSYS, of up to three linear axes, and
-    moves $ROBROOT_C without a statement in the program.
+    The kinematic of these axes is #ERSYS, of up to three linear axes. It moves $ROBROOT_C without a statement
+    in the program. Source: KR C2, machine data, 2.1.9 $ERSYSROOT.
     """
     unit, gantry = arm.linear_axes[0].unit, arm.track is None
-    out, numbers = list[ControllerCheck](), [rail.column + 1 for rail in arm.linear_axes]
+    numbers = [rail.column + 1 for rail in arm.linear_axes]
+    out: list[ControllerCheck] = []
     for n, rail in zip(numbers, arm.linear_axes, strict=True):
         travel = f"{rail.low / MM:g} to {rail.high / MM:g} mm, at most {rail.speed / MM:g} mm/s"
         world_direction = ", ".join(markup.fixed_decimals(float(v), 6) for v in rail.axis)
@@ -110,9 +113,10 @@ def _rail_checks(arm: Arm) -> list[ControllerCheck]:
 
 
 def _turntable_axis_checks(table: Turntable) -> list[ControllerCheck]:
-    """Rows on the axes of a turntable or positioner in the machine data.
+    """Return rows on the axes of a turntable or positioner in the machine data.
 
-    Values of an endless axis count modulo 360, and it takes the shorter direction. This was not tested.
+    The axes must not be endless: an endless axis counts modulo 360 and takes the shorter direction. This was
+    not tested.
 
     Source: KR C2, machine data, 2.1.4 $AXIS_TYPE; order of the axes: 2.2.6 $ET1_AX.
     """
@@ -129,19 +133,20 @@ def _turntable_axis_checks(table: Turntable) -> list[ControllerCheck]:
 
 
 def _unused_axis_checks(arm: Arm, table: Turntable | None) -> list[ControllerCheck]:
-    """Row on external axes that the program of an arm does not use.
+    """Return a row on the external axes that the program of an arm does not use, if it uses others.
 
-    Its joint positions state 0 for each of them, so a PTP would move it there.
+    The program's joint positions state 0 for each unused axis, so a PTP would move it there.
     """
     used_columns = {rail.column for rail in arm.linear_axes}
     if table is not None and table.arm == arm.name:
         used_columns |= {axis.column for axis in table.axes.values()}
-    rest = ", ".join(f"E{column + 1}" for column in range(6) if column not in used_columns)
-    what = f"none of {rest} is present, or it is decoupled: PTP would move it to 0"
-    return [("other external axes", what)] if used_columns else []
+    unused = ", ".join(f"E{column + 1}" for column in range(6) if column not in used_columns)
+    requirement = f"none of {unused} is present, or it is decoupled: PTP would move it to 0"
+    return [("other external axes", requirement)] if used_columns else []
 
 
 def _program_rows(problem: Problem, arms: Sequence[Arm]) -> list[SetupRow]:
+    """Return a row on the program of each arm: dialect, signal numbers, and whether it has spline blocks."""
     controller = problem.cell.controller
     dialect = {"krc4": "KRC4, KSS 8.3 or later", "krc2": "KRC2"}[controller.dialect]
     blocks = "; spline blocks, not seen on a controller" if controller.path == "spline" else ""

@@ -7,16 +7,20 @@ from planner.claims.sentences import Sentence
 RESTART_BUTTONS: Final = ("Free", "On", "Stop")
 """Answers to :func:`restart_question`: nothing blocks the next moves; the power is on again; neither."""
 POSITION_DEVIATION: Final = "deviates by [mm]"
+"""Deviation of a frame of the controller from the plan; the distance in mm follows."""
 ROTATION_DEVIATION: Final = "and is rotated by [degrees]"
+"""Second line of this deviation; the angle in degrees follows."""
 HOME_DEVIATION: Final = "deviates from its home by"
 """Deviation of a track or turntable from its home; the value in mm or degrees follows."""
 DIFFERS_FROM_PLAN: Final = "differs from the plan."
 MOTION_BLOCKED: Final = ("No arm moves. Correct the cell,", "then PP to main in all tasks.")
+"""Last lines of the cell check after a deviation; the program stays stopped."""
 RESTART_REFUSED: Final = (
     "Not started: the power was on at the",
     "stop. Free the wire or tool, then",
     "PP to main in all tasks.",
 )
+"""Shown after the answer Stop to :func:`restart_question`."""
 
 
 def restart_question(signal: str) -> tuple[str, ...]:

@@ -19,24 +19,25 @@ _TERMS: Final = AxisTerms(
 
 
 def _checks(setup: ControllerSetup) -> list[ControllerCheck]:
+    """Rows on the configuration of one ABB controller, each with the item and its required state."""
     problem, controller = setup.problem, setup.problem.cell.controller
     uses_handshake = controller.sync == "handshake"
     ending = "sys" if controller.robotware == 6 else "sysx"
-    out = [("RobotWare", f"{controller.robotware}; its modules end in .{ending.replace('sys', 'mod')}")]
+    rows = [("RobotWare", f"{controller.robotware}; its modules end in .{ending.replace('sys', 'mod')}")]
     signals = setup.signals
     folder = f"programs/controller/{setup.arms[0].name}" if uses_handshake else "programs/controller"
     if setup.joined and not signals:
-        out.append((f"EIO.cfg of {folder}", "loaded"))
+        rows.append((f"EIO.cfg of {folder}", "loaded"))
     if setup.joined:
-        out += _running_wire_checks(problem, setup.arms[0].name)
+        rows += _running_wire_checks(problem, setup.arms[0].name)
     if signals:
-        out.append((f"EIO.cfg, SYS.cfg and TandemPower.{ending} of {folder}", "loaded"))
+        rows.append((f"EIO.cfg, SYS.cfg and TandemPower.{ending} of {folder}", "loaded"))
         for signal in signals:
             output = controller.interlock.power_output(signal)
             wiring = (
                 f"{output.device}, bit {output.bit}" if output.device else "NO DEVICE stated, so no power"
             )
-            out.append(
+            rows.append(
                 (f"{output.signal} falls at a stop, with the motors, with the enabling device", wiring)
             )
     if signals and setup.hot:
@@ -44,24 +45,26 @@ def _checks(setup: ControllerSetup) -> list[ControllerCheck]:
             "not in automatic: mount it cold, or in manual at reduced speed while a second person holds "
         )
         mounting += "the enabling device, and run the job to its end in manual"
-        out.append((f"mounting while {setup.hot} is hot and the gate open", mounting))
-    out += setup.torch_checks(signals, "PP to main in all tasks, Start")
-    out.append(("SoftES in SYS.cfg (RUNCHN_BOOL)", "selected: arms keep to their path at an emergency stop"))
+        rows.append((f"mounting while {setup.hot} is hot and the gate open", mounting))
+    rows += setup.torch_checks(signals, "PP to main in all tasks, Start")
+    rows.append(("SoftES in SYS.cfg (RUNCHN_BOOL)", "selected: arms keep to their path at an emergency stop"))
     for number, arm in enumerate(problem.cell.arms):
         if arm.linear_axes and (arm.name == setup.arms[0].name or not uses_handshake):
-            out += _rail_checks(arm, controller.robot_name(number))
+            rows += _rail_checks(arm, controller.robot_name(number))
     table = problem.cell.turntable
     if table is not None and (table.arm == setup.arms[0].name or not uses_handshake):
-        out += external_axes_sheet.turntable(problem, table, _TERMS, _turntable_unit_checks(table))
-    if any(setup_of_job.stock.held_by for setup_of_job in problem.setups):
-        out.append(("ModalPayLoadMode (SYS_MISC)", "1: otherwise GripLoad of the held block has no effect"))
-    out.append(("CAB_REGAIN_DIST, AUTO", "small: within this distance an arm returns to its path by itself"))
-    out.append(("after an error, or a stop that is not resumed", "PP to main in all tasks, then start"))
-    return out
+        rows += external_axes_sheet.turntable(problem, table, _TERMS, _turntable_unit_checks(table))
+    if any(job_setup.stock.held_by for job_setup in problem.setups):
+        rows.append(("ModalPayLoadMode (SYS_MISC)", "1: otherwise GripLoad of the held block has no effect"))
+    rows.append(("CAB_REGAIN_DIST, AUTO", "small: within this distance an arm returns to its path by itself"))
+    rows.append(("after an error, or a stop that is not resumed", "PP to main in all tasks, then start"))
+    return rows
 
 
 def _running_wire_checks(problem: Problem, arm: str) -> list[ControllerCheck]:
-    signals, interlock = problem.cell.controller.handshake.of(arm), problem.cell.controller.interlock
+    """Rows on the two running wires between the controllers: on which device bit each one is."""
+    signals = problem.cell.controller.handshake.of(arm)
+    interlock = problem.cell.controller.interlock
     connections = [
         (name, interlock.device_bit(arm, name)) for name in (signals.running, signals.partner_running)
     ]
@@ -77,15 +80,15 @@ def _running_wire_checks(problem: Problem, arm: str) -> list[ControllerCheck]:
 
 
 def _rail_checks(arm: Arm, robot: str) -> list[ControllerCheck]:
-    """Rows on what the configuration (MOC.cfg) must contain for the linear axes under an arm."""
-    out = list[ControllerCheck]()
+    """Rows on what the configuration (MOC.cfg) of a robot must contain for the linear axes that carry it."""
+    rows = list[ControllerCheck]()
     for rail in arm.linear_axes:
-        direction = ", ".join(markup.fixed_decimals(float(v), 6) for v in rail.axis)
+        direction = ", ".join(markup.fixed_decimals(float(value), 6) for value in rail.axis)
         limits = f"{rail.low / MM:g} to {rail.high / MM:g} mm, at most {rail.speed / MM:g} mm/s and "
         number = "the first external one" if rail.column == 0 else f"external axis number {rail.column + 1}"
-        what = f"present, one linear axis, {number} ({_axis_name(rail.column)}), in mm"
-        out += [
-            (f"mechanical unit {rail.label}", what),
+        description = f"present, one linear axis, {number} ({_axis_name(rail.column)}), in mm"
+        rows += [
+            (f"mechanical unit {rail.label}", description),
             (f"{rail.label}: base frame", f"positive direction ({direction}) in the world"),
             (f"{rail.label}: joint", f"{limits}{rail.acceleration / MM:g} mm/s²; home {rail.home / MM:g} mm"),
             *external_axes_sheet.rail_checks(rail),
@@ -93,9 +96,9 @@ def _rail_checks(arm: Arm, robot: str) -> list[ControllerCheck]:
         ]
     units = list(dict.fromkeys(rail.unit for rail in arm.linear_axes))
     # from the floor up: each unit carries the base frame of the next one
-    out += [(f"{upper}: base frame moved by", lower) for lower, upper in itertools.pairwise(units)]
+    rows += [(f"{upper}: base frame moved by", lower) for lower, upper in itertools.pairwise(units)]
     return [
-        *out,
+        *rows,
         (f"{robot}: base frame moved by", units[-1]),
         (
             f"{robot}: base frame",
@@ -106,23 +109,23 @@ def _rail_checks(arm: Arm, robot: str) -> list[ControllerCheck]:
 
 
 def _turntable_unit_checks(table: Turntable) -> list[ControllerCheck]:
-    column, task = (
-        f"number {table.column + 1} ({_axis_name(table.column)})",
-        f"of the task of arm {table.arm}",
-    )
-    what = f"present, one rotary axis, external axis {column} {task}, in deg"
+    """Row on the mechanical unit of a turntable, with or without a tilt axis."""
+    column = f"number {table.column + 1} ({_axis_name(table.column)})"
+    task = f"of the task of arm {table.arm}"
+    description = f"present, one rotary axis, external axis {column} {task}, in deg"
     if table.tilt is not None:
         columns = f"tilt number {table.tilt.column + 1} ({_axis_name(table.tilt.column)}), turn {column}"
-        what = f"present, two rotary axes of one unit, external axes {task}: {columns}, in deg"
-    return [(f"mechanical unit {table.unit}", what)]
+        description = f"present, two rotary axes of one unit, external axes {task}: {columns}, in deg"
+    return [(f"mechanical unit {table.unit}", description)]
 
 
 def _axis_name(column: int) -> str:
-    """Name of an external axis in a jointtarget."""
+    """Name of an external axis in a jointtarget; ``column`` counts from 0."""
     return f"eax_{'abcdef'[column]}"
 
 
 def _task_rows(problem: Problem, arms: Sequence[Arm]) -> list[SetupRow]:
+    """Row with the RAPID task of each of the given arms; none if the problem names no tasks."""
     tasks = zip(problem.cell.arms, problem.cell.controller.tasks, strict=False)
     task_names = [f"{arm.name}: {task}" for arm, task in tasks if arm in arms]
     return [("tasks", ", ".join(task_names))] if task_names else []

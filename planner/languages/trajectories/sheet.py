@@ -10,7 +10,9 @@ from planner.report.plugin_contributions import ControllerCheck, ControllerSetup
 
 
 def _checks(setup: ControllerSetup) -> list[ControllerCheck]:
-    controller, out = setup.problem.cell.controller, list[ControllerCheck]()
+    """Rows on the settings of the controller and of the runner, each with the item and its required state."""
+    controller = setup.problem.cell.controller
+    rows: list[ControllerCheck] = []
     names = [
         f"{controller.joint_prefix.get(arm.name, '')}{joint}"
         for arm in setup.arms
@@ -20,13 +22,13 @@ def _checks(setup: ControllerSetup) -> list[ControllerCheck]:
         float(np.rad2deg(value)) for value in (controller.path_tolerance, controller.goal_tolerance)
     )
     for signal in setup.signals:
-        out.append((f"the service that sets {signal}", "answers once the output has the value"))
-        out.append(
+        rows.append((f"the service that sets {signal}", "answers once the output has the value"))
+        rows.append(
             (f"{signal} with the runner killed, the computer off, its network unplugged", "falls within 1 s")
         )
-        out.append((f"the power of {signal} at a safety stop and with the drives", "falls: wired so"))
+        rows.append((f"the power of {signal} at a safety stop and with the drives", "falls: wired so"))
     return [
-        *out,
+        *rows,
         ("controller", "one joint_trajectory_controller for all joints, interpolation_method splines"),
         ("its joints, in any order", ", ".join(names)),
         ("state interfaces", "position and velocity of all joints"),

@@ -11,15 +11,13 @@ UR_CALLED: Final = Sentence("Does the panel of arm {other} say to start this pro
 UR_START_PARTNER: Final = Sentence(
     "Start the program of arm {other} now. When its panel says that it is ready, press Continue here."
 )
-"""Shown on a UR controller, whose next popup asks whether the other arm is ready."""
+"""Shown on the leading UR controller before it asks whether the other arm is ready."""
 PARTNER_LOST: Final = Sentence("The program of arm {other} does not run any more, so this one ends.")
 """Shown on a UR controller that has seen the other one stop."""
 STAYS_ON: Final = Sentence(
     "{signal} is on before the program: set it to low when not running in Installation, I/O."
 )
-"""Shown on a UR controller whose running wire, or the output of a torch, stays high when a program
-stops.
-"""
+"""Shown on a UR controller whose running wire or torch output is high before a program runs."""
 NO_ARC: Final = Sentence("No {signal} in {seconds:g} s: the program ends. Begin it anew.")
 """Shown on a UR controller whose program waited in vain for a torch to burn."""
 ARC_LOST: Final = Sentence(

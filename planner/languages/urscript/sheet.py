@@ -17,21 +17,25 @@ _STANDARD_OUTPUTS: Final = 8
 
 
 def _checks(setup: ControllerSetup) -> list[ControllerCheck]:
-    controller, out = setup.problem.cell.controller, list[ControllerCheck]()
+    """Rows on the settings of one UR controller, each with the item and its required state."""
+    controller = setup.problem.cell.controller
+    rows: list[ControllerCheck] = []
     arm = setup.arms[0].name
     partner_signals = controller.handshake.of(arm)
     for signal in setup.signals:
         name = _signal_name(controller.signal_number(arm, signal), "output")
-        out.append((f"{signal} is {name}, in Installation, I/O", "low when the program does not run"))
-        out.append(("the power falls at a safety stop and with the drives", f"wired so, after {name}"))
+        rows.append((f"{signal} is {name}, in Installation, I/O", "low when the program does not run"))
+        rows.append(("the power falls at a safety stop and with the drives", f"wired so, after {name}"))
         if setup.joined:
             wire = f"the wire that ends at {partner_signals.partner_running}"
-            out.append((f"the power of {signal} falls with {wire}", "a relay in series, outside the program"))
+            rows.append(
+                (f"the power of {signal} falls with {wire}", "a relay in series, outside the program")
+            )
     if setup.joined:
-        out += _joined_checks(controller, arm)
-    lit = torch_signals(setup.problem.operations) & set(setup.signals)
-    out += [row for signal in sorted(lit) for row in _torch_checks(signal)]
-    out += [
+        rows += _joined_checks(controller, arm)
+    torches = torch_signals(setup.problem.operations) & set(setup.signals)
+    rows += [row for signal in sorted(torches) for row in _torch_checks(signal)]
+    rows += [
         ("pose of the flange at home in Base, at the panel", "as in the program's get_forward_kin"),
         ("mounting in Installation", "as the arm stands"),
         ("motion version in Installation", "noted; blends and times may depend on it"),
@@ -40,14 +44,11 @@ def _checks(setup: ControllerSetup) -> list[ControllerCheck]:
         ("Program loops forever, in the program's head", "off; the program would restart at its end"),
         ("after an error or an abandoned stop", "start the program from its beginning"),
     ]
-    return out
+    return rows
 
 
 def _torch_checks(signal: str) -> list[ControllerCheck]:
-    """Return the requirements on a UR controller so that a torch goes out at each stop.
-
-    It must not be lit again.
-    """
+    """Return the requirements on a UR controller so that a torch goes out at each stop and stays out."""
     return [
         (
             f"Stop, Pause, emergency stop, safeguard stop, protective stop, each while {signal} is on, "
@@ -73,9 +74,9 @@ def _torch_checks(signal: str) -> list[ControllerCheck]:
 
 
 def _joined_checks(controller: Controller, arm: str) -> list[ControllerCheck]:
-    """Return the requirements on a UR controller for a program that is joined with another one.
+    """Return the requirements on a UR controller whose program meets the one of another controller.
 
-    The other one's program must know when this one stops.
+    The other program must notice when this one stops.
     """
     partner_signals = controller.handshake.of(arm)
     ends = [
@@ -124,8 +125,8 @@ def _signal_name(number: int | None, kind: str) -> str:
 
 
 def _programs(problem: Problem, arms: Sequence[Arm]) -> list[SetupRow]:
-    what = "one program, not run on a controller yet"
-    return [(f"URScript of {arm.name}", f"{what}{signal_numbers(problem, arm)}") for arm in arms]
+    description = "one program, not run on a controller yet"
+    return [(f"URScript of {arm.name}", f"{description}{signal_numbers(problem, arm)}") for arm in arms]
 
 
 REPORT: Final = ReportOfLanguage(

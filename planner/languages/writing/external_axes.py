@@ -34,14 +34,15 @@ class ExternalAxisSpeed(NamedTuple):
 
 
 def external_axis_speeds(task: TaskProgram, plan: Plan, problem: Problem) -> dict[int, ExternalAxisSpeed]:
-    """Return the speeds of the external axes that a task moves, by column.
+    """Return the speeds of the external axes that a task moves, by column from 0.
 
-    What they carry moves at most at :data:`planner.problem.MAX_BLIND_SPEED_M_S`.
+    Between stations no point of an arm or block on these axes moves faster than
+    :data:`planner.problem.MAX_BLIND_SPEED_M_S`.
 
     Args:
         task: The task.
         plan: The plan.
-        problem: Its problem.
+        problem: Problem of the plan.
     """
     out: dict[int, ExternalAxisSpeed] = {}
     speeds = external_axis_motion.travel_speeds(problem, plan.stock_poses)
@@ -54,7 +55,7 @@ def external_axis_speeds(task: TaskProgram, plan: Plan, problem: Problem) -> dic
 
 
 def external_axis_names(task: TaskProgram) -> dict[int, tuple[str, str]]:
-    """Return names and units of the external axes that a task moves, by column."""
+    """Return label and unit, "mm" or "deg", of the external axes that a task moves, by column from 0."""
     out = {axis.column: (axis.label, "mm") for axis in task.arm.linear_axes}
     if (table := task.table) is not None:
         out |= {axis.column: (axis.label, "deg") for axis in table.axes.values()}
@@ -63,6 +64,8 @@ def external_axis_names(task: TaskProgram) -> dict[int, tuple[str, str]]:
 
 def external_axis_values(arm: Arm, cell: Cell, values: Mapping[str, float]) -> ExternalAxisValues | None:
     """Return the values of the external axes that the program of an arm moves, None if it moves none.
+
+    They are in mm or deg, rounded as written, in the order of the columns.
 
     Args:
         arm: The arm.
@@ -81,10 +84,10 @@ def external_axis_values(arm: Arm, cell: Cell, values: Mapping[str, float]) -> E
 def axis_legs(
     start: ExternalAxisValues, end: ExternalAxisValues, arm: Arm, table: Turntable | None
 ) -> list[ExternalAxisValues]:
-    """Return the values that external axes take in turn from one station to another.
+    """Return the values of all external axes after each leg of their way from one station to another.
 
-    The axes of a gantry move in the order of :func:`planner.problem.motion_order`. The turn axis of a
-    positioner moves before its tilt axis.
+    In each leg one axis moves. The axes of a gantry move in the order of
+    :func:`planner.problem.motion_order`. The turn axis of a positioner moves before its tilt axis.
 
     Args:
         start: Values at the start.
@@ -92,14 +95,16 @@ def axis_legs(
         arm: The arm.
         table: Turntable that its program moves, or None.
     """
-    out, current, target_values = list[ExternalAxisValues](), dict(start), dict(end)
+    out: list[ExternalAxisValues] = []
+    current, target_values = dict(start), dict(end)
     rails = arm.axes_by_name
     ends = [
         {name: MM * values[axis.column] for name, axis in rails.items()}
         for values in (current, target_values)
     ]
     columns = [rails[name].column for name in motion_order(rails, *ends)]
-    columns += [] if table is None else [axis.column for axis in table.axes.values()]
+    if table is not None:
+        columns += [axis.column for axis in table.axes.values()]
     for column in columns:
         if current[column] != target_values[column]:
             current[column] = target_values[column]
@@ -108,7 +113,7 @@ def axis_legs(
 
 
 def with_axis_setpoint(step: TaskStep, axis_setpoint: ExternalAxisValues | None) -> TaskStep:
-    """Return a step with the values of the external axes if it is a joint move that does not state them.
+    """Return a joint move that states no external axes with their values, and any other step unchanged.
 
     Args:
         step: The step.

@@ -7,15 +7,14 @@ drift.
 The lead asks and the other program answers, so no line changes before its previous change was answered.
 Programs that both set their output and then wait would lose an edge if one of them is late.
 
-Before the first meeting each program sees the other one's running wire at 0 and then at 1: the lead is
+Before the first meeting each program reads the other one's running wire at 0 and then at 1: the lead is
 started while the other program is stopped, and is itself stopped while the other one checks. A wire that is
-cut or stuck is therefore detected before anything moves. Every meeting starts with a check of it.
+cut or stuck is therefore detected before anything moves. Every meeting starts with a check of this wire.
 
 No program switches the running wire: the controller holds it at 1 while its program runs with the motors on.
 It is connected to the other controller's stop input and to the interlock of its power. A stop of either side
 therefore stops both and switches the power off, whatever the programs do. A cut wire reads 0: not running.
-This module also holds what each controller's configuration needs for it besides the program, and what the
-operator reads about it.
+This module also holds texts about these wires for the README of each controller and for the operator.
 """
 
 import dataclasses
@@ -41,25 +40,26 @@ _MULTIMOVE_HINT = "use one MultiMove controller for both arms (sync: multimove)"
 
 
 def meeting_rows(stop: BoolArray, every: int) -> BoolArray:
-    """Return whether the arms meet after each move (M,): at all stops, and every ``every`` moves in between.
+    """Return after which moves the arms meet, (M,): at all stops, and every ``every`` moves in between.
 
     Args:
         stop: Whether each move ends in a stop, (M,).
         every: Number of moves between two meetings.
     """
-    rows = np.arange(len(stop))
-    begins = np.where(np.concatenate([[True], stop[:-1]]), rows, 0) if len(stop) else rows
-    since = rows - np.maximum.accumulate(begins)
-    return np.asarray(stop | ((since + 1) % every == 0))
+    index = np.arange(len(stop))
+    first_after_stop = np.where(np.concatenate([[True], stop[:-1]]), index, 0) if len(stop) else index
+    moves_since_stop = index - np.maximum.accumulate(first_after_stop)
+    return np.asarray(stop | ((moves_since_stop + 1) % every == 0))
 
 
 def lengthen_for_stops(
     duration: FloatArray, stop: BoolArray, min_duration: FloatArray, steps: Sequence[FloatArray]
 ) -> FloatArray:
-    """Return the times (M,) [s] of moves with additional stops, rounded up as written.
+    """Return the times (M,) [s] of moves with additional stops; longer times are rounded up as written.
 
-    From stop to stop with a cubic, a move of mean speed 1 has the maximum speed 3/2 and, in time 1, the
-    maximum acceleration 6. With a stop at one end and the mean speed at the other these are 4/3 and 4.
+    The motion between stops is taken as a cubic in time. From stop to stop, a move over the distance 1 in the
+    time 1 has the maximum speed 3/2 and the maximum acceleration 6. With a stop at one end and the mean speed
+    at the other these are 4/3 and 4.
 
     Args:
         duration: Planned times, (M,) [s]; lower bounds of the result.
@@ -67,19 +67,21 @@ def lengthen_for_stops(
         min_duration: Times at the maximum allowed speed, (M,) [s].
         steps: For each arm the joint steps (M, 6) divided by the allowed accelerations [s^2].
     """
-    ends = stop.astype(np.int64) + np.concatenate([[True], stop[:-1]]) if len(stop) else np.zeros(0, np.int64)
-    out = np.maximum(duration, np.array([1.0, 4.0 / 3.0, 1.5])[ends] * min_duration)
+    stop_count = (
+        stop.astype(np.int64) + np.concatenate([[True], stop[:-1]]) if len(stop) else np.zeros(0, np.int64)
+    )
+    out = np.maximum(duration, np.array([1.0, 4.0 / 3.0, 1.5])[stop_count] * min_duration)
     for step in steps:
         out = np.maximum(
-            out, np.sqrt(np.array([0.0, 4.0, 6.0])[ends] * np.abs(step).max(axis=1, initial=0.0))
+            out, np.sqrt(np.array([0.0, 4.0, 6.0])[stop_count] * np.abs(step).max(axis=1, initial=0.0))
         )
-    unit = 10.0**TIME_DECIMALS
+    scale = 10.0**TIME_DECIMALS
     changed = out > duration
-    return np.asarray(np.where(changed, np.ceil(out * unit - 1e-6) / unit, duration))
+    return np.asarray(np.where(changed, np.ceil(out * scale - 1e-6) / scale, duration))
 
 
 def handshake_refusals(problem: Problem, targets_by_operation: Sequence[Targets]) -> tuple[Issue, ...]:
-    """Return issues of operations that fail if one arm is a step ahead (``post.handshake_process``).
+    """Return issues of operations that fail if one arm is a move ahead (``post.handshake_process``).
 
     Args:
         problem: The problem.
@@ -88,34 +90,37 @@ def handshake_refusals(problem: Problem, targets_by_operation: Sequence[Targets]
     issues = []
     for i, (operation, targets) in enumerate(zip(problem.operations, targets_by_operation, strict=False)):
         if targets.coupled:
-            what = (
+            message = (
                 f"operation {operation.name}: a wire joins {' and '.join(targets.arms)}, whose controllers "
                 "share only digital signals; one arm may be a whole step ahead of the other, which bends the "
                 "wire out of its shape, kinks it or tears it"
             )
-            issues.append(Issue("post.handshake_process", what, index=i, hint=_MULTIMOVE_HINT))
+            issues.append(Issue("post.handshake_process", message, index=i, hint=_MULTIMOVE_HINT))
         holder = problem.setup_of(i).stock.held_by
         carried = any(frame.startswith("held:") for frame in targets.frame.values())
         if len(targets.arms) > 1 and (carried or holder in targets.arms):
-            what = (
+            message = (
                 f"operation {operation.name}: {holder or 'an arm'} moves the block that it holds while the "
                 "other arm works on it, and their controllers share only digital signals; one arm may be a "
                 "whole step ahead of the other, so the tool would leave its path on the block"
             )
-            issues.append(Issue("post.handshake_process", what, index=i, hint=_MULTIMOVE_HINT))
-        row = _first_stop_with_min_feed(targets, problem.cell.controller.handshake.every)
-        if row is not None:
-            what = (
-                f"operation {operation.name}: the arms stop at {targets.name(row)}, where their controllers "
-                "meet or one arm stands still, but a minimum feed is required there"
+            issues.append(Issue("post.handshake_process", message, index=i, hint=_MULTIMOVE_HINT))
+        target_index = _first_stop_with_min_feed(targets, problem.cell.controller.handshake.every)
+        if target_index is not None:
+            message = (
+                f"operation {operation.name}: the arms stop at {targets.name(target_index)}, where their "
+                "controllers meet or one arm stands still, but a minimum feed is required there"
             )
             hint = f"lower feed_min_mm_s there, or {_MULTIMOVE_HINT}"
-            issues.append(Issue("post.handshake_process", what, index=i, hint=hint))
+            issues.append(Issue("post.handshake_process", message, index=i, hint=hint))
     return tuple(issues)
 
 
 def _first_stop_with_min_feed(targets: Targets, every: int) -> int | None:
-    """First target at which arms that meet every ``every`` moves stop although a minimum feed is required."""
+    """Return the first target at which the arms stop although a minimum feed is required; None if none.
+
+    The arms stop where they meet, every ``every`` moves, and where one of them stands still.
+    """
     if len(targets.arms) < 2 or targets.run_up is None or targets.count < 3:
         return None
     stops = meeting_rows(targets.stop[1:], every)[:-1]
@@ -123,31 +128,36 @@ def _first_stop_with_min_feed(targets: Targets, every: int) -> int | None:
         still = np.all(np.diff(pose, axis=0) == 0.0, axis=(1, 2))
         stops |= still[1:] | still[:-1]
     requires_feed = (targets.feed_min[1:-1] > 0.0) | (targets.feed_min[2:] > 0.0)
-    rows = np.flatnonzero(stops & ~targets.stop[1:-1] & requires_feed)
-    return int(rows[0]) + 1 if len(rows) else None
+    conflicts = np.flatnonzero(stops & ~targets.stop[1:-1] & requires_feed)
+    return int(conflicts[0]) + 1 if len(conflicts) else None
 
 
 DRIFT_SAMPLES: Final = 8
-"""Sampled instants on each move of one arm; for the other arm the extremum over all instants is exact."""
+"""Number of sampled instants on each move of one arm, before its end.
+
+For the other arm the extremum over all instants is exact.
+"""
 _DENSE_INSTANTS: Final = 100
-"""Number of samples of a long interval, unless it has more moves."""
+"""Maximum number of samples of a long interval between meetings, but at least one on each move."""
 _MAX_PAIRS: Final = 500_000
 """Maximum number of pairs of a sample and a move in one array operation; bounds the memory."""
 
 
 def distance_change(first: FloatArray, second: FloatArray, meets: IntArray) -> FloatArray:
-    """Return the maximum change (M,) [m] of the distance of two points at different instants.
+    """Return the maximum change (M,) [m] of the distance of two points if one arm is ahead of the other.
 
-    Both arms are at any instants of the same interval between two meetings. With one point at instant s and
-    the other at any instant t of the interval the change is | |a(s) - b(t)| - |a(s) - b(s)| |. Over t it is
-    exact: the distance of a point from straight segments is smallest at a foot point or an end, and largest
-    at an end. s takes :data:`DRIFT_SAMPLES` + 1 samples of every move, including its ends, and fewer in long
-    intervals.
+    Between two meetings each arm may be at any instant of the interval. With one point at instant s and the
+    other at instant t the change is | |a(s) - b(t)| - |a(s) - b(s)| |. Its maximum over t is exact: the
+    distance of a point from straight segments is smallest at a foot point or an end, and largest at an end. s
+    takes :data:`DRIFT_SAMPLES` + 1 samples of every move, including its ends, and fewer in long intervals.
 
     Args:
         first: Positions of one point, (M + 1, 3) [m], connected by straight segments of equal times.
         second: Positions of the other point in the same frame, (M + 1, 3) [m].
         meets: Nonzero if the arms meet after the move, (M,).
+
+    Returns:
+        The maximum in the interval to which each move belongs, (M,) [m].
     """
     count = len(meets)
     out = np.zeros(count)
@@ -156,20 +166,27 @@ def distance_change(first: FloatArray, second: FloatArray, meets: IntArray) -> F
         ends = np.append(ends, count - 1) if count else ends
     interval_starts = np.concatenate([[0], ends[:-1] + 1]).astype(np.int64)
     lengths = ends + 1 - interval_starts
+    # intervals of equal length are computed together, in batches that fit into memory
     for length in np.unique(lengths).tolist():
         batch_size = max(1, _MAX_PAIRS // (length * length * (DRIFT_SAMPLES + 1)))
-        group = interval_starts[lengths == length]
-        for low in range(0, len(group), batch_size):
-            starts = group[low : low + batch_size]
-            rows = starts[:, None] + np.arange(length + 1)
-            a, b = first[rows], second[rows]
-            worst = np.maximum(_max_distance_change(a, b), _max_distance_change(b, a))
-            out[rows[:, :-1]] = worst[:, None]
+        starts_of_length = interval_starts[lengths == length]
+        for batch_start in range(0, len(starts_of_length), batch_size):
+            starts = starts_of_length[batch_start : batch_start + batch_size]
+            index = starts[:, None] + np.arange(length + 1)
+            first_points, second_points = first[index], second[index]
+            max_change = np.maximum(
+                _max_distance_change(first_points, second_points),
+                _max_distance_change(second_points, first_points),
+            )
+            out[index[:, :-1]] = max_change[:, None]
     return out
 
 
 def _max_distance_change(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Maximum change (G,) for positions (G, L + 1, 3) of G intervals, with ``a`` at sampled instants."""
+    """Return the maximum change (G,) [m] of the distance of two points in G intervals of L moves each.
+
+    ``a`` (G, L + 1, 3) [m] is taken at sampled instants, ``b`` (G, L + 1, 3) [m] at all instants.
+    """
     samples = max(1, min(DRIFT_SAMPLES, _DENSE_INSTANTS // (a.shape[1] - 1)))
     fractions = np.linspace(0.0, 1.0, samples + 1)[:, None]
 
@@ -177,22 +194,24 @@ def _max_distance_change(a: FloatArray, b: FloatArray) -> FloatArray:
         points = x[:, :-1, None] + fractions * (x[:, 1:, None] - x[:, :-1, None])
         return np.asarray(points.reshape(len(x), -1, 3))
 
-    leading, planned_partner = sample(a), sample(b)
-    planned = np.linalg.norm(leading - planned_partner, axis=2)
-    offset = leading[:, :, None] - b[:, None, :-1]  # (G, S, L, 3) from the starts of the other arm's moves
+    sampled, partner_at_same_instant = sample(a), sample(b)
+    planned_distance = np.linalg.norm(sampled - partner_at_same_instant, axis=2)
+    offset = sampled[:, :, None] - b[:, None, :-1]  # (G, S, L, 3) from the starts of the other arm's moves
     step = (b[:, 1:] - b[:, :-1])[:, None]
     square = np.maximum(np.sum(step * step, axis=3), 1e-30)
     # foot point of a(s) on each segment of b, clipped to its ends
     foot = np.clip(np.sum(offset * step, axis=3) / square, 0.0, 1.0)
     min_distance = np.linalg.norm(offset - foot[..., None] * step, axis=3).min(axis=2)
-    max_distance = np.linalg.norm(leading[:, :, None] - b[:, None], axis=3).max(axis=2)
-    return np.asarray(np.maximum(planned - min_distance, max_distance - planned).max(axis=1))
+    max_distance = np.linalg.norm(sampled[:, :, None] - b[:, None], axis=3).max(axis=2)
+    return np.asarray(
+        np.maximum(planned_distance - min_distance, max_distance - planned_distance).max(axis=1)
+    )
 
 
 def operation_drifts(
     plan: Plan, setups: Mapping[int, Setup], programs: Sequence[Mapping[str, OperationProgram]]
 ) -> tuple[Drift, ...]:
-    """Return the drift of every operation in which both arms move.
+    """Return the drift of the TCP distance in every operation in which both arms move.
 
     Args:
         plan: The plan.
@@ -201,9 +220,9 @@ def operation_drifts(
     """
     out = []
     for i, (operation, parts) in enumerate(zip(plan.operations, programs, strict=True)):
-        moving = [part.moves for part in parts.values() if part.moves is not None]
+        move_tables = [part.moves for part in parts.values() if part.moves is not None]
         meets = next(iter(parts.values())).meets
-        if len(moving) != 2 or not len(meets):
+        if len(move_tables) != 2 or not len(meets):
             continue
         stock_pose = plan.stock_poses[setups[i].number - 1]
         poses = operation.targets.poses(operation.values)
@@ -211,24 +230,26 @@ def operation_drifts(
             arm: (stock_pose @ pose[0] if operation.targets.frame[arm] == "stock" else pose[0])[:3, 3]
             for arm, pose in poses.items()
         }
-        paths = []
+        tcp_paths = []
         for arm in operation.targets.arms:
-            track = parts[arm].moves
-            if track is None:
+            moves = parts[arm].moves
+            if moves is None:
                 continue
-            position = 1e-3 * track.position
-            if track.frame == "stock":
+            position = 1e-3 * moves.position
+            if moves.frame == "stock":
                 position = position @ stock_pose[:3, :3].T + stock_pose[:3, 3]
-            paths.append(np.concatenate([start[arm][None], position]))
-        change = distance_change(paths[0], paths[1], meets)
-        row = int(np.argmax(change))
+            tcp_paths.append(np.concatenate([start[arm][None], position]))
+        change = distance_change(tcp_paths[0], tcp_paths[1], meets)
+        worst_index = int(np.argmax(change))
         segments = next(iter(parts.values())).segments
-        out.append(Drift(operation.name, change, float(change[row]), row, segments[row]))
+        out.append(
+            Drift(operation.name, change, float(change[worst_index]), worst_index, segments[worst_index])
+        )
     return tuple(out)
 
 
 def drift_issues(job: JobPrograms) -> tuple[Issue, ...]:
-    """Return a note on the drift of each operation (``post.handshake_drift``)."""
+    """Return a note (``post.handshake_drift``) on the drift of each operation in which both arms move."""
     return tuple(
         Issue(
             "post.handshake_drift",
@@ -245,7 +266,7 @@ def drift_issues(job: JobPrograms) -> tuple[Issue, ...]:
 
 
 def drift_sentence(drift: Drift) -> str:
-    """Return the drift as a clause."""
+    """Return the maximum and the median of a drift as a clause of a message."""
     return (
         "with one arm ahead of the other between two meetings the distance of the TCPs differs from the "
         f"planned one by up to {drift.worst * 1e3:.3f} mm, at move {drift.row + 1} ({drift.segment}); on "
@@ -298,7 +319,9 @@ def running_wires(wires: Sequence[SignalWire], arm: str) -> tuple[SignalWire, Si
         wires: Both running wires.
         arm: The arm.
     """
-    return next(w for w in wires if w.source == arm), next(w for w in wires if w.sink == arm)
+    outgoing = next(wire for wire in wires if wire.source == arm)
+    incoming = next(wire for wire in wires if wire.sink == arm)
+    return outgoing, incoming
 
 
 @dataclasses.dataclass(frozen=True)
@@ -347,23 +370,24 @@ class ShowText:
 
 @dataclasses.dataclass(frozen=True)
 class CommentStep:
-    """A comment."""
+    """Has no effect; the program contains ``text`` as a comment."""
 
     text: str
 
 
 PartnerStep = SetLine | AwaitLine | AwaitRunning | StopAndAsk | AskOperator | ShowText | CommentStep
+"""One step of the handshake with the other program; each language writes it as statements."""
 
 
 @dataclasses.dataclass(frozen=True)
 class HandshakeSide:
-    """One side of the handshake.
+    """The handshake of two programs as one of them sees it.
 
     Attributes:
         handshake: Signals and times of the handshake.
         arm: Name of this arm.
         other: Name of the other arm.
-        lead: Whether this side leads; the first task does.
+        lead: Whether this side leads, as the first task does: it changes its line first.
         meets: Number of meetings of the job.
     """
 
@@ -387,15 +411,17 @@ class HandshakeSide:
         return HandshakeSide(job.handshake, task.arm.name, other, task.number == 1, job.meets)
 
     def phases(self, number: int) -> tuple[int, ...]:
-        """Return the levels that the lines take in turn at meeting ``number``, from 1."""
+        """Return the levels that both lines take in turn at meeting ``number``, from 1."""
         return (number % 2,) if self.handshake.kind == "toggle" else (1, 0)
 
     def meeting(self, number: int, wait: float) -> list[PartnerStep]:
         """Return the steps of a meeting: check that the other program runs, then change the lines.
 
+        The lead sets its line and waits for the other's, the other side waits first.
+
         Args:
             number: Number of the meeting, from 1.
-            wait: Timeout [s].
+            wait: Timeout of each wait [s].
         """
         out: list[PartnerStep] = [AwaitRunning(1, wait)]
         for phase in self.phases(number):
@@ -417,24 +443,24 @@ class HandshakeSide:
         return self.meeting(number, self.handshake.timeout)
 
     def meeting_kinds(self, task: TaskProgram) -> dict[tuple[int, ...], int]:
-        """Return one meeting number for each sequence of phases that occurs after the task's moves."""
+        """Return the sequences of phases that occur after the task's moves, each with one meeting number."""
         numbers = np.concatenate([operation.meets for operation in task.operations])
-        return {self.phases(n): n for n in np.unique(numbers[numbers > 0]).tolist()}
+        return {self.phases(number): number for number in np.unique(numbers[numbers > 0]).tolist()}
 
     def start_steps(self, earlier: Sentence, question: str) -> list[PartnerStep]:
-        """Return the first steps of the program.
+        """Return the first steps of the program, up to the first meeting.
 
-        Both lines are set to 0 and checked, the other program is seen to be stopped and then to run, and the
-        first meeting follows.
+        Each program sets its line to 0 and checks the other's. It sees the other program stopped and, at the
+        first meeting, running.
 
         Args:
-            earlier: Question whether the other arm's program still runs.
-            question: The lead's question before the start.
+            earlier: Question whether a program of an earlier run still runs at the other controller.
+            question: Question that the lead asks the operator before the start.
         """
-        limit = self.handshake.timeout
-        first = AskOperator(earlier.format(other=self.other))
-        out: list[PartnerStep] = [first, SetLine(0), AwaitRunning(0, limit)]
-        wait = limit if self.lead else self.handshake.patience
+        timeout = self.handshake.timeout
+        earlier_question = AskOperator(earlier.format(other=self.other))
+        out: list[PartnerStep] = [earlier_question, SetLine(0), AwaitRunning(0, timeout)]
+        wait = timeout if self.lead else self.handshake.patience
         if self.lead:
             ready = sentences.PARTNER_READY.format(other=self.other, arm=self.arm, start=question)
             out += [
@@ -447,23 +473,23 @@ class HandshakeSide:
         return [*out, CommentStep("First meeting: both programs run."), *self.meeting(1, wait)]
 
     def end_steps(self) -> list[PartnerStep]:
-        """Return the last steps of the program, which set both lines to 0."""
+        """Return the last steps of the program, which set both lines to 0, unless they are 0 already."""
         if self.handshake.kind == "four_phase" or self.meets % 2 == 0:
             return []
         return [CommentStep("Last meeting: both lines are 0."), *self.meeting_after_solo(self.meets + 1, 0.0)]
 
     @property
     def timeout_text(self) -> str:
-        """Text for a wait that timed out."""
+        """Text that a program shows after a wait for the other one that timed out."""
         return sentences.UNANSWERED.format(other=self.other)
 
     def wrong_level_text(self, value: int) -> str:
-        """Return the text for a running wire that did not reach level ``value`` in time."""
+        """Return the text that a program shows if the running wire did not reach level ``value`` in time."""
         text = PARTNER_NOT_RUNNING if value else PARTNER_STILL_RUNNING
         return text.format(other=self.other, input=self.handshake.of(self.arm).partner_running)
 
     def header(self) -> tuple[str, str]:
-        """Return sentences on the signals, and on the wires between the controllers."""
+        """Return two paragraphs for the header of the program: on the signals, and on the wires."""
         signals, kind = self.handshake.of(self.arm), self.handshake.kind.replace("_", "-")
         role = "leads" if self.lead else "follows"
         wires = " ".join(

@@ -17,15 +17,17 @@ def header(
     assumptions: Sequence[str] = (),
     untested: Sequence[str] = (),
 ) -> list[str]:
-    """Return the header of a program for an arm whose outputs keep their state when its program stops.
+    """Return the comments at the start of a program, one sentence or paragraph each.
+
+    They assume a controller whose outputs keep their state when the program stops, and warn of it.
 
     Args:
         task: The task.
         job: All tasks.
         plan: The plan.
         margins: Smallest margins of the plan, as text by name.
-        assumptions: Assumptions of its moves.
-        untested: Statements on what was not tested.
+        assumptions: Sentences on what the moves assume of the controller.
+        untested: Sentences on what was not tested.
     """
     switched = ", ".join(job.switched_signals(task))
     power_warning = (
@@ -43,8 +45,8 @@ def header(
 
 
 def tool_names(task: TaskProgram) -> str:
-    """Return the tools of a task, in the order in which its arm carries them."""
-    return ", then ".join(dict.fromkeys(op.arm.tool.name for op in task.operations))
+    """Return the names of a task's tools as a list in words, in the order in which its arm carries them."""
+    return ", then ".join(dict.fromkeys(operation.arm.tool.name for operation in task.operations))
 
 
 def origin(plan: Plan, margins: Margins) -> list[str]:

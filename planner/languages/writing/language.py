@@ -1,4 +1,4 @@
-"""Interface of a robot language that programs are written in, and the available languages."""
+"""Interface between the planner and the writer of a robot language, and the available writers."""
 
 import contextlib
 import dataclasses
@@ -19,13 +19,13 @@ from planner.targets import Targets
 
 @dataclasses.dataclass(frozen=True)
 class WrittenPrograms:
-    """Program files.
+    """Program files of one or several arms, and how their times differ from the plan.
 
     Attributes:
         files: Texts by relative name.
-        clocks: For operations whose moves take longer in the programs than planned, by index: (2, K) path
-            positions (3.5 is half way from target 3 to target 4), and the times [s] at which they are
-            passed.
+        clocks: Times of operations whose moves take longer in the programs than planned, by index of the
+            operation. Each is an array (2, K): positions on the path (3.5 is half way from target 3 to
+            target 4), and the times [s] at which the arms pass them.
     """
 
     files: dict[str, str]
@@ -34,7 +34,7 @@ class WrittenPrograms:
 
 @dataclasses.dataclass(frozen=True)
 class PoweredSignals:
-    """Signals that the configuration of a controller needs besides its programs.
+    """Signals that the configuration of a controller must know.
 
     Attributes:
         signals: Signals that the programs switch and that power something, sorted.
@@ -65,7 +65,8 @@ def _unchanged_poses(position: FloatArray, quaternion: FloatArray) -> Poses:
 class Writer:
     """Writer of programs of one language. All members but ``write`` have defaults.
 
-    Functions get the tasks or arms of this language only. They may raise :class:`TandemError` (``post.*``).
+    All functions get the tasks or arms of this language only, and may raise :class:`TandemError`
+    (``post.*``).
 
     Attributes:
         write: Returns the programs of tasks. Files of arms with separate controllers are in folders by arm.
@@ -74,9 +75,11 @@ class Writer:
             manufacturer's language.
         unmixed: Why its arms do not work in one job with arms of other languages, a clause. Empty if they
             do.
-        stops_at_turns: Whether an arm stops where its TCP stands, because corners are lengths on its path.
+        stops_at_turns: Whether an arm stops where it only rotates about its TCP, because the language states
+            corners as lengths on the path.
         stops_at_pauses: Whether an arm stops before and after it stands still while the other one moves.
-        round_poses: Returns poses in which those that the language cannot distinguish are equal.
+        round_poses: Returns positions and quaternions in which consecutive poses that the language cannot
+            distinguish are equal.
         refuse: Returns why these arms cannot do the job, however it is planned.
         refuse_settings: Returns why the job does not work with settings that only this language has; called
             for every job.
@@ -102,21 +105,26 @@ class Writer:
 
 
 def writers() -> dict[str, tuple[str, Writer]]:
-    """Return title and writer of the language of each family of robots, Tandem's first.
+    """Return title and writer of the language of each family of robots.
 
-    Languages whose writer cannot be loaded are left out.
+    If several languages serve a family, Tandem's own one counts. Languages whose writer cannot be loaded are
+    left out.
     """
     out: dict[str, tuple[str, Writer]] = {}
     for language in plugins.usable(Language).values():
         with contextlib.suppress(PluginError):
-            loaded = language.title, plugins.load(language.writer, Writer)
-            out |= {family: loaded for family in language.families if family not in out}
+            title_and_writer = language.title, plugins.load(language.writer, Writer)
+            out |= {family: title_and_writer for family in language.families if family not in out}
     return out
 
 
 def manufacturer_languages() -> dict[str, tuple[str, Writer]]:
     """Return the result of :func:`writers` without languages for arms of any family."""
-    return {family: known for family, known in writers().items() if not known[1].opt_in}
+    return {
+        family: title_and_writer
+        for family, title_and_writer in writers().items()
+        if not title_and_writer[1].opt_in
+    }
 
 
 def writers_in_use(arms: Iterable[Arm]) -> list[Writer]:
@@ -129,7 +137,7 @@ def writer_of(arm: Arm) -> Writer:
     """Return the writer of an arm's programs.
 
     Raises:
-        TandemError: There is none (``post.language``).
+        TandemError: No language is available for the arm's family (``post.language``).
     """
     for writer in writers_in_use([arm]):
         return writer
@@ -139,16 +147,16 @@ def writer_of(arm: Arm) -> Writer:
 def no_writer_issue(arm: Arm) -> Issue:
     """Return the issue that no programs are written for the controller of an arm (``post.language``)."""
     family, manufacturers = arm.data.family, manufacturer_languages()
-    what = f"is of the family {family}, whose language is not written yet"
+    reason = f"is of the family {family}, whose language is not written yet"
     if arm.data.axes > 6:
-        what = "has seven axes, and no supported language of a controller states seven joints"
+        reason = "has seven axes, and no supported language of a controller states seven joints"
     if (language := plugins.language_of(family)) is not None:
         try:
             plugins.load(language.writer, Writer)
         except PluginError as error:
-            what = f"is of the family {family}, and the writer of {language.title} {error}"
-    what += "; allowed are " + ", ".join(f"{name} ({title})" for name, (title, _) in manufacturers.items())
+            reason = f"is of the family {family}, and the writer of {language.title} {error}"
+    reason += "; allowed are " + ", ".join(f"{name} ({title})" for name, (title, _) in manufacturers.items())
     remedies = [writer.opt_in for _, writer in writers().values() if writer.opt_in]
     hint = "; else ".join([*remedies, f"plan with an arm of {' or '.join(manufacturers)}"])
     hint += "; check still reports its reach"
-    return Issue("post.language", f"arm {arm.name} ({arm.robot}) {what}", arm=arm.name, hint=hint)
+    return Issue("post.language", f"arm {arm.name} ({arm.robot}) {reason}", arm=arm.name, hint=hint)

@@ -1,8 +1,8 @@
 """Data structures that all writers share: a plan as steps of each task, and the split of moves into modules.
 
 All tasks execute the same operations in parallel. Outside synchronised blocks one arm works while the others
-wait at the next :class:`Meeting`. Inside a block, the tasks have equal runs of moves, in pairs. An action is
-always outside a block. Modules are split at the same moves for all tasks, at stops.
+wait at the next :class:`Meeting`. Inside a block all tasks have the same number of moves, which run in pairs.
+An action is always outside a block. The moves of all tasks are split into modules at the same stops.
 
 Two controllers that only share digital signals (:class:`planner.claims.handshake.Handshake`) also meet
 inside blocks: at the moves that :attr:`OperationProgram.meets` numbers.
@@ -38,7 +38,7 @@ TIME_DECIMALS = 5
 
 
 ExternalAxisValues = tuple[tuple[int, float], ...]
-"""External axes of a target: column from 0 and value [mm or deg] of each, rounded as written."""
+"""External axes of a target: pairs of column, from 0, and value [mm or deg], rounded as written."""
 TRACK_COLUMN = 0
 """Column of a track among external axes: the first one, eax_a or E1."""
 
@@ -48,10 +48,10 @@ class JointMove:
     """A joint move that ends in a stop.
 
     Attributes:
-        q: Joints at its end, (6,) [rad, serial].
+        q: Joints of the serial chain at its end, (6,) [rad].
         role: Role of the move: home, entry, start, exit or station.
-        id: Number of the move in a synchronised block, in which all arms move at once; None for a move of
-            one arm.
+        id: Number of the move in a synchronised block, in which all arms move at once; None if one arm moves
+            alone.
         axis_setpoint: Values of the external axes that its program moves, None if not stated yet.
     """
 
@@ -63,7 +63,7 @@ class JointMove:
 
 @dataclasses.dataclass(frozen=True)
 class AxesCheck:
-    """Ends the program unless its external axes are at ``axis_setpoint`` before its first move."""
+    """Ends the program unless the external axes are at ``axis_setpoint``; precedes the first move."""
 
     axis_setpoint: ExternalAxisValues
 
@@ -74,8 +74,8 @@ class Meeting:
 
     Attributes:
         number: Number of the meeting, from 1.
-        reached: What holds after the meeting.
-        seconds: Planned time [s] that another arm needs alone before, as far as it is known.
+        reached: State that holds after the meeting, as a clause for comments.
+        seconds: Planned time [s] for which another arm acts alone before the meeting, as far as it is known.
     """
 
     number: int
@@ -132,19 +132,19 @@ class CarryLoad:
 
 @dataclasses.dataclass(frozen=True)
 class MoveTable:
-    """Moves of one arm in one operation, one row for each target that is moved to.
+    """Moves of one arm in one operation, one for each target that is moved to.
 
     Attributes:
-        position: Positions in the work frame, (M, 3) [mm, rounded].
-        quaternion: Orientations in the work frame, (M, 4) [rounded, continuous sign].
-        q: Joints, (M, 6) [rad, serial].
-        duration: Times of the moves, (M,) [s, rounded].
-        distance: Distances of the TCP, (M,) [mm].
+        position: Positions of the targets in the work frame, rounded as written, (M, 3) [mm].
+        quaternion: Orientations in the work frame, rounded as written, with continuous signs, (M, 4).
+        q: Joints of the serial chain at the targets, (M, 6) [rad].
+        duration: Times of the moves, rounded as written, (M,) [s].
+        distance: Distances that the TCP moves, (M,) [mm].
         max_zone: Maximum distance of a zone at the target, (M,) [mm].
         max_zone_rotation: Maximum rotation of a zone at the target, (M,) [rad].
         frame: Name of the work frame.
-        track_positions: Values of a coordinated track, (M,) [mm, rounded]; None if external axes stand
-            still.
+        track_positions: Values of a coordinated track at the targets, rounded as written, (M,) [mm]; None if
+            external axes stand still.
     """
 
     position: FloatArray
@@ -160,7 +160,7 @@ class MoveTable:
 
 @dataclasses.dataclass(frozen=True)
 class SegmentRun:
-    """Rows ``first`` to ``last`` - 1 of the operation's moves: one visit of ``segment``."""
+    """Consecutive moves of one segment: those of an operation with indices ``first`` to ``last`` - 1."""
 
     operation: int
     segment: Segment
@@ -170,6 +170,7 @@ class SegmentRun:
 
 
 TaskStep = JointMove | AxesCheck | Meeting | SyncOn | SyncOff | ActionStep | CarryLoad | SegmentRun
+"""One step of a task, independent of the robot language."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -179,16 +180,16 @@ class OperationProgram:
     Attributes:
         name: Name of the operation.
         setup: Number of its setup, from 1.
-        arm: The arm with the tool that it carries then.
-        moves: Its moves, None for an arm that waits.
+        arm: The arm with the tool that it carries in this operation.
+        moves: Moves of the arm, None for an arm that waits.
         ids: Numbers of the moves, (M,).
         stop: Whether each move ends in a stop, (M,).
-        meets: Number of the handshake after each move, (M,), counted with the meetings of the job; 0 for
-            none.
+        meets: Number of the handshake meeting after each move, counted with all meetings of the job; 0 if
+            there is none after it, (M,).
         segments: Segment of each move.
         targets: Index in the plan of the target of each move, (M,).
         steps: Steps of the operation.
-        axis_setpoint: Values of the external axes that its program moves.
+        axis_setpoint: Values of the external axes that the program moves, during this operation.
     """
 
     name: str
@@ -238,9 +239,9 @@ class Drift:
     Attributes:
         change: Maximum difference of the TCP distance from the planned one, in the interval between meetings
             to which each move belongs, (M,) [m].
-        worst: Its maximum [m].
-        row: Move with the maximum.
-        segment: Segment of this move.
+        worst: Maximum of ``change`` [m].
+        row: Index of the move with this maximum.
+        segment: Segment of that move.
     """
 
     name: str
@@ -256,7 +257,7 @@ class JobPrograms:
 
     Attributes:
         tasks: The tasks.
-        meets: Number of meetings, with the first one in ``main`` if there is a handshake.
+        meets: Number of meetings, including the first one in ``main`` if there is a handshake.
         blocks: Number of synchronised blocks.
         coupled: Whether the arms are joined in some operation.
         signals: Signals that actions switch.
@@ -273,7 +274,7 @@ class JobPrograms:
     drifts: tuple[Drift, ...] = ()
 
     def switched_signals(self, task: TaskProgram) -> tuple[str, ...]:
-        """Return the signals that a task can switch: all, or those of its own controller's actions."""
+        """Return the signals that a task can switch: all or, with a handshake, those of its own actions."""
         if self.handshake is None:
             return self.signals
         steps = (step for operation in task.operations for step in operation.steps)
@@ -282,19 +283,24 @@ class JobPrograms:
 
 
 _UNSPLIT_KINDS = frozenset({"cut", "trim"})
-"""Kinds of segments in which a hot wire or a burning arc would wait for the next module."""
+"""Kinds of segments within which programs are not split at stops.
+
+A hot wire or a burning arc would wait there for the next module.
+"""
 
 
 def split_points(program: OperationProgram) -> BoolArray:
-    """Return after which moves (M,) a program may be split.
+    """Return after which moves a program may be split, (M,).
 
-    These are stops that are not inside one cut, where a hot wire or an arc would wait, and meetings of the
-    arms.
+    It may be split at stops, unless they are inside one cut, where a hot wire or an arc would wait. Stops at
+    which the arms meet by handshake are allowed also there.
     """
     out = program.stop.copy()
     for i in np.flatnonzero(out[:-1] & (program.meets[:-1] == 0)):
-        inside = program.segments[i] == program.segments[i + 1] and program.segments[i].kind in _UNSPLIT_KINDS
-        out[i] = not inside
+        inside_cut = (
+            program.segments[i] == program.segments[i + 1] and program.segments[i].kind in _UNSPLIT_KINDS
+        )
+        out[i] = not inside_cut
     return out
 
 
@@ -325,15 +331,16 @@ def to_ascii(text: str) -> str:
 
     Accents are dropped, letters such as ß are spelt out, and other characters become "?".
     """
-    flat = unicodedata.normalize("NFKD", " ".join(text.translate(ASCII_REPLACEMENTS).split()))
-    kept = "".join(c for c in flat if not unicodedata.combining(c))
+    decomposed = unicodedata.normalize("NFKD", " ".join(text.translate(ASCII_REPLACEMENTS).split()))
+    kept = "".join(c for c in decomposed if not unicodedata.combining(c))
     return "".join(c if 32 <= ord(c) < 127 else "?" for c in kept)
 
 
 def segment_mark(segment: Segment) -> str:
     """Return the label of a segment in programs without procedures.
 
-    A name with more than letters, digits and underscores is reduced to what programs can distinguish.
+    A label with characters other than letters, digits, underscores and slashes is replaced by the key, which
+    is what programs can distinguish.
     """
     label = str(segment)
     return label if re.fullmatch(r"[\w/]+", label, re.ASCII) else segment.key
@@ -345,18 +352,20 @@ def is_question(step: TaskStep | None) -> bool:
 
 
 def question_follows(steps: Sequence[TaskStep]) -> bool:
-    """Return whether the next step that is no message is a question."""
-    rest = (step for step in steps if not (isinstance(step, ActionStep) and step.action.kind == "message"))
-    return is_question(next(rest, None))
+    """Return whether the first of the steps that is not a message is a question."""
+    other_steps = (
+        step for step in steps if not (isinstance(step, ActionStep) and step.action.kind == "message")
+    )
+    return is_question(next(other_steps, None))
 
 
 _MIN_PART_MOVES = 200
-"""Minimum number of moves of a part if the arms meet at every move, unless a module takes fewer."""
+"""Minimum number of moves between two meetings at which a segment is split, unless a module takes fewer."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ModulePart:
-    """Rows ``first`` to ``last`` - 1 of an operation's moves, of one segment; ``module`` counts from 1."""
+    """Moves ``first`` to ``last`` - 1 of an operation, of one segment; ``module`` counts from 1."""
 
     segment: Segment
     operation: int
@@ -368,33 +377,40 @@ class ModulePart:
 def module_parts(
     job: JobPrograms, sizes: Sequence[IntArray], frame: int, max_moves: int, max_bytes: int
 ) -> tuple[ModulePart, ...]:
-    """Return the parts of a job in the order in which they are executed.
+    """Split the moves of a job into modules that the controllers accept.
 
     Args:
         job: Programs of all tasks.
-        sizes: For each operation the sizes (M,) of its moves in the largest task [bytes].
+        sizes: For each operation the sizes of its moves in the largest task, (M,) [bytes].
         frame: Size of a part without its moves [bytes].
         max_moves: Maximum number of moves of a module.
         max_bytes: Maximum size of a module [bytes].
 
+    Returns:
+        The parts in the order in which they are executed; a segment that is split has several.
+
     Raises:
-        TandemError: ``post.no_split``.
+        TandemError: Too many moves in a row have no stop at which to split them (``post.no_split``).
     """
     out: list[ModulePart] = []
     packer = _ModulePacker(frame, max_moves, max_bytes)
     for number, runs in enumerate(_operation_runs(job)):
-        program = next(t.operations[number] for t in job.tasks if t.operations[number].moves is not None)
+        programs = (task.operations[number] for task in job.tasks)
+        program = next(program for program in programs if program.moves is not None)
         run_starts = [run.first for run in runs]
-        largest = max(1, int(max(sizes[number], default=1)))
-        grain = max(1, min(_MIN_PART_MOVES, max_moves // 4, max_bytes // (4 * largest)))
-        for first, last in _split_spans(runs, program, grain):
-            packer.add(program, first, last, sizes[number][first:last])
-            inside = slice(bisect.bisect_right(run_starts, first) - 1, bisect.bisect_left(run_starts, last))
-            for run in runs[inside]:
-                low, high = max(run.first, first), min(run.last, last)
+        max_move_size = max(1, int(max(sizes[number], default=1)))
+        min_part_moves = max(1, min(_MIN_PART_MOVES, max_moves // 4, max_bytes // (4 * max_move_size)))
+        for first, end in _split_spans(runs, program, min_part_moves):
+            packer.add(program, first, end, sizes[number][first:end])
+            overlapping = slice(
+                bisect.bisect_right(run_starts, first) - 1, bisect.bisect_left(run_starts, end)
+            )
+            for run in runs[overlapping]:
+                low, high = max(run.first, first), min(run.last, end)
                 if low >= high:
                     continue
                 previous = out[-1] if out else None
+                # the run continues in the same module: extend its last part instead of starting a new one
                 if (
                     previous
                     and (previous.operation, previous.last, previous.module) == (number, low, packer.module)
@@ -420,7 +436,7 @@ def require_sizes(files: Mapping[str, str], limits: Controller, what: str) -> No
         what: Name of the files in the hint.
 
     Raises:
-        TandemError: ``post.no_split``.
+        TandemError: A file is too large (``post.no_split``).
     """
     for path, text in files.items():
         if len(text.encode()) > limits.max_bytes:
@@ -440,52 +456,67 @@ def require_one_file(path: str, text: str, limits: Controller, moves: int, what:
         what: Name of the moves in the message.
 
     Raises:
-        TandemError: ``post.no_split``.
+        TandemError: The program has too many moves or bytes (``post.no_split``).
     """
     if moves > limits.max_moves or len(text.encode()) > limits.max_bytes:
-        got = f"{path} has {moves} {what} and {len(text.encode())} bytes"
-        message = f"{got}; allowed: {limits.max_moves} and {limits.max_bytes}, because it is one program"
+        size_text = f"{path} has {moves} {what} and {len(text.encode())} bytes"
+        message = (
+            f"{size_text}; allowed: {limits.max_moves} and {limits.max_bytes}, because it is one program"
+        )
         required = max(moves, limits.max_moves), max(kilobytes(text), limits.max_bytes // 1000)
         hint = f"allow it: controller: {{max_moves: {required[0]}, max_kilobytes: {required[1]}}}"
         raise issue_error("post.no_split", message, file=path, hint=hint)
 
 
 class _ModulePacker:
-    """Fills modules one after the other."""
+    """Fills modules one after the other.
+
+    Attributes:
+        module: Number of the current module, from 1.
+        moves: Number of moves in it.
+        bytes: Size of it [bytes].
+    """
 
     def __init__(self, frame: int, max_moves: int, max_bytes: int) -> None:
         self.frame, self.max_moves, self.max_bytes = frame, max_moves, max_bytes
         self.module, self.moves, self.bytes = 1, 0, frame
 
     def add(self, program: OperationProgram, first: int, last: int, sizes: IntArray) -> None:
-        """Add a span of moves that must stay together; sets ``module``.
+        """Add moves that must stay together to the current module, or to a new one if they do not fit.
 
         Args:
             program: The operation.
-            first: First move.
-            last: Move after the last one.
-            sizes: Sizes of the moves [bytes].
+            first: Index of the first move.
+            last: Index of the move after the last one.
+            sizes: Sizes of the moves, (M,) [bytes].
+
+        Raises:
+            TandemError: The moves do not fit into any module (``post.no_split``).
         """
-        segments = 1 + sum(program.segments[i] != program.segments[i - 1] for i in range(first + 1, last))
-        need = int(sizes.sum()) + self.frame * segments
-        if last - first > self.max_moves or need + self.frame > self.max_bytes:
-            got = f"operation {program.name}: {last - first} moves ({need} bytes) from target row {first} on"
+        segment_count = 1 + sum(
+            program.segments[i] != program.segments[i - 1] for i in range(first + 1, last)
+        )
+        required_bytes = int(sizes.sum()) + self.frame * segment_count
+        if last - first > self.max_moves or required_bytes + self.frame > self.max_bytes:
             message = (
-                f"{got} have no stop outside the work to split at; a module takes {self.max_moves} moves and "
+                f"operation {program.name}: {last - first} moves ({required_bytes} bytes) from target row "
+                f"{first} on have no stop outside the work to split at; a module takes {self.max_moves} "
+                f"moves and {self.max_bytes} bytes"
             )
-            message += f"{self.max_bytes} bytes"
-            required = max(self.max_moves, last - first), max(self.max_bytes, need + self.frame)
+            required = max(self.max_moves, last - first), max(self.max_bytes, required_bytes + self.frame)
             hint = "stop the motion between two cuts, or allow larger modules: controller: "
             hint += f"{{max_moves: {required[0]}, max_kilobytes: {math.ceil(required[1] / 1000)}}}"
             raise issue_error("post.no_split", message, index=first, hint=hint)
-        if self.moves and (self.moves + last - first > self.max_moves or self.bytes + need > self.max_bytes):
+        if self.moves and (
+            self.moves + last - first > self.max_moves or self.bytes + required_bytes > self.max_bytes
+        ):
             self.module, self.moves, self.bytes = self.module + 1, 0, self.frame
         self.moves += last - first
-        self.bytes += need
+        self.bytes += required_bytes
 
 
 def _operation_runs(job: JobPrograms) -> list[list[SegmentRun]]:
-    """Runs of each operation, from a task that takes part in it."""
+    """Return the runs of segments of each operation. All tasks that take part in it have the same ones."""
     out = []
     for programs in zip(*(task.operations for task in job.tasks), strict=True):
         moving = next(program for program in programs if program.moves is not None)
@@ -493,21 +524,23 @@ def _operation_runs(job: JobPrograms) -> list[list[SegmentRun]]:
     return out
 
 
-def _split_spans(runs: Sequence[SegmentRun], program: OperationProgram, grain: int) -> list[tuple[int, int]]:
-    """Spans of moves between positions at which a program may be split; every operation starts at one.
+def _split_spans(
+    runs: Sequence[SegmentRun], program: OperationProgram, min_moves: int
+) -> list[tuple[int, int]]:
+    """Return the spans of moves (first, end) between the positions at which an operation is split.
 
-    Of meetings inside a segment, only one in every ``grain`` moves is used.
+    Inside a segment there are at least ``min_moves`` moves between two meetings that are used for a split.
     """
     if not runs:
         return []
     is_split_point = split_points(program)
     edges = [0]
-    for row in np.flatnonzero(is_split_point).tolist():
-        inside = (
-            program.meets[row]
-            and row + 1 < len(is_split_point)
-            and program.segments[row] == program.segments[row + 1]
+    for index in np.flatnonzero(is_split_point).tolist():
+        inside_segment = (
+            program.meets[index]
+            and index + 1 < len(is_split_point)
+            and program.segments[index] == program.segments[index + 1]
         )
-        if not inside or row + 1 - edges[-1] >= grain:
-            edges.append(row + 1)
+        if not inside_segment or index + 1 - edges[-1] >= min_moves:
+            edges.append(index + 1)
     return list(itertools.pairwise(edges))

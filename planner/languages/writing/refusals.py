@@ -1,8 +1,8 @@
 """Reasons why programs cannot be written for a job, however it is planned.
 
-These are cells whose controllers cannot do the job together, signals without numbers, and names of segments
-that programs cannot represent. Each :class:`planner.languages.writing.language.Writer` has the refusals of
-its language.
+The reasons are controllers that cannot do the job together, signals without numbers, and names of segments
+that programs cannot represent. Further reasons that only one language has are in its
+:class:`planner.languages.writing.language.Writer`.
 """
 
 import dataclasses
@@ -36,16 +36,16 @@ def used_arms(problem: Problem, targets_by_operation: Sequence[Targets]) -> list
 def controller_refusals(problem: Problem, targets_by_operation: Sequence[Targets]) -> tuple[Issue, ...]:
     """Return the reasons why the controllers of this cell cannot do this job.
 
-    Some arms have no language (``post.language``), some cannot move together (``post.controller``), and
-    languages may refuse the job.
+    These are, in this order: arms without a language (``post.language``), arms whose programs cannot run
+    together (``post.controller``), and the reasons of each language. Only the first kind found is returned.
 
     Args:
         problem: The problem.
         targets_by_operation: Targets of each operation.
     """
     arms = used_arms(problem, targets_by_operation)
-    if unknown := [no_writer_issue(arm) for arm in arms if arm.data.family not in writers()]:
-        return tuple(unknown)
+    if no_writer_issues := [no_writer_issue(arm) for arm in arms if arm.data.family not in writers()]:
+        return tuple(no_writer_issues)
     if len(arms) > 1 and (mixed_refusal := _mixed_arms_refusal(problem, arms)) is not None:
         return (mixed_refusal,)
     return tuple(
@@ -58,21 +58,23 @@ def controller_refusals(problem: Problem, targets_by_operation: Sequence[Targets
 
 
 def _mixed_arms_refusal(problem: Problem, arms: Sequence[Arm]) -> Issue | None:
-    """Reason why arms cannot work in one job, or None."""
+    """Return the reason why the programs of several arms cannot run in one job, or None if they can."""
     sync, manufacturers, in_use = problem.cell.controller.sync, manufacturer_languages(), writers_in_use(arms)
     names = " and ".join(f"{arm.name} ({arm.robot})" for arm in arms)
     if sync == "multimove" and (len(in_use) > 1 or sync not in in_use[0].syncs):
         shared = [family for family, (_, writer) in manufacturers.items() if sync in writer.syncs]
         single = " and ".join(family for family in manufacturers if family not in shared)
-        what = f"{names} cannot move together: one controller for both arms (sync: multimove) is available "
-        what += f"from {' and '.join(shared)} only; arms of {single} have one each"
+        message = (
+            f"{names} cannot move together: one controller for both arms (sync: multimove) is available "
+        )
+        message += f"from {' and '.join(shared)} only; arms of {single} have one each"
         hint = "set controller: {sync: handshake} and wire two outputs in each direction, or use "
-        return Issue("post.controller", what, hint=f"{hint}{' or '.join(shared)} robots for both")
-    what = f"{names} cannot work in one job: "
+        return Issue("post.controller", message, hint=f"{hint}{' or '.join(shared)} robots for both")
+    message = f"{names} cannot work in one job: "
     for family, (title, writer) in writers().items():
         if writer in in_use and sync not in writer.syncs:
-            what += f"programs in {title} do not meet those of another controller"
-            return Issue("post.controller", what, hint="plan with one arm alone")
+            message += f"programs in {title} do not meet those of another controller"
+            return Issue("post.controller", message, hint="plan with one arm alone")
         if writer in in_use and writer.unmixed and len(in_use) > 1:
             mixed = [
                 name
@@ -80,7 +82,7 @@ def _mixed_arms_refusal(problem: Problem, arms: Sequence[Arm]) -> Issue | None:
                 if sync in writer_of_family.syncs and not writer_of_family.unmixed
             ]
             hint = f"use two arms of {family}, two of {' or '.join(mixed)}, or plan with one arm alone"
-            return Issue("post.controller", f"{what}{writer.unmixed}", hint=hint)
+            return Issue("post.controller", f"{message}{writer.unmixed}", hint=hint)
     return None
 
 
@@ -91,9 +93,9 @@ def unnumbered_signals(
     language: str,
     more_signals: Sequence[str] = (),
 ) -> list[Issue]:
-    """Return issues of signals without a number on a controller that needs one (``post.signal``).
+    """Return an issue if signals have no number on a controller that addresses them by number only.
 
-    Such a controller addresses signals by number only.
+    Its code is ``post.signal``. The list is empty if all signals have a number.
 
     Args:
         problem: The problem.
@@ -101,7 +103,7 @@ def unnumbered_signals(
         arm: Arm of the controller. Its programs use the signals of the actions that it leads, and those by
             which they meet programs of another controller.
         language: Name of the language in messages.
-        more_signals: Further signals that are used beside another controller.
+        more_signals: Further signals that the controller uses if another arm takes part.
     """
     order = [item.name for item in problem.cell.arms]
     controller = problem.cell.controller
@@ -126,16 +128,18 @@ def unnumbered_signals(
     ]
     if not missing:
         return []
-    got = f"arm {arm.name} ({arm.robot}) uses {', '.join(missing)}, which {language} addresses by number only"
+    message = (
+        f"arm {arm.name} ({arm.robot}) uses {', '.join(missing)}, which {language} addresses by number only"
+    )
     hint = f"state the actual numbers: controller: {{io: {{{arm.name}: {{{missing[0]}: 1}}}}}}"
-    return [Issue("post.signal", got, field=f"controller.io.{arm.name}", arm=arm.name, hint=hint)]
+    return [Issue("post.signal", message, field=f"controller.io.{arm.name}", arm=arm.name, hint=hint)]
 
 
 def name_refusals(problem: Problem, targets_by_operation: Sequence[Targets]) -> tuple[Issue, ...]:
     """Return issues of segment names (all ``post.name``).
 
-    Programs cannot distinguish two segments, two operations of one setup share a segment that has claims, or
-    a language has no name for a segment.
+    There is one if programs cannot distinguish two segments, if two operations of one setup share a segment
+    that has claims, or if a language has no name for a segment.
 
     Args:
         problem: The problem.
@@ -143,11 +147,11 @@ def name_refusals(problem: Problem, targets_by_operation: Sequence[Targets]) -> 
     """
     used_writers = writers_in_use(used_arms(problem, targets_by_operation))
     out: list[Issue] = []
-    known: dict[str, Segment] = {}
+    segments_by_key: dict[str, Segment] = {}
     for number, targets in enumerate(targets_by_operation):
         field = f"operations.{number}"
         for segment in dict.fromkeys(targets.segment):
-            other = known.setdefault(segment.key, segment)
+            other = segments_by_key.setdefault(segment.key, segment)
             issues = [issue for writer in used_writers for issue in writer.refuse_segment(segment)]
             issues = issues if other == segment else [equal_names_issue(other, segment)]
             out += [dataclasses.replace(issue, field=field) for issue in issues]
@@ -169,34 +173,35 @@ def equal_names_issue(first: Segment, second: Segment) -> Issue:
 
 
 def _shared_segment_issues(problem: Problem, targets_by_operation: Sequence[Targets]) -> list[Issue]:
-    """Segments of two operations of one setup, which the proof would check against the claims of both."""
+    """Return issues of segments that two operations of one setup share, so that claims of both apply."""
     out: list[Issue] = []
     setups = [problem.setup_of(number).number for number in range(len(targets_by_operation))]
     for number, targets in enumerate(targets_by_operation):
         for earlier in range(number):
             if setups[earlier] != setups[number]:
                 continue
-            keys = {segment.key: segment for segment in dict.fromkeys(targets.segment)}
+            segments_by_key = {segment.key: segment for segment in dict.fromkeys(targets.segment)}
             claimed = _claimed_keys(targets.claims) | _claimed_keys(targets_by_operation[earlier].claims)
-            both = [
+            shared_keys = [
                 key
-                for key in dict.fromkeys(s.key for s in targets_by_operation[earlier].segment)
-                if key in keys
+                for key in dict.fromkeys(segment.key for segment in targets_by_operation[earlier].segment)
+                if key in segments_by_key
             ]
+            # working segments of G-code have no claims of their own: G-code is claimed as a whole
             conflicting = [
-                keys[key] for key in both if key in claimed or keys[key].works
-            ]  # G-code is claimed as a whole
+                segments_by_key[key] for key in shared_keys if key in claimed or segments_by_key[key].works
+            ]
             if conflicting:
                 shown = str(conflicting[0].at(""))
                 names = [problem.operations[index].name for index in (earlier, number)]
-                what = f"operations {names[0]!r} and {names[1]!r} both have the segment {shown!r}"
+                message = f"operations {names[0]!r} and {names[1]!r} both have the segment {shown!r}"
                 hint = "remove one of them, rename one of them, or put the second into a separate setup"
-                out.append(Issue("post.name", what, field=f"operations.{number}", hint=hint))
+                out.append(Issue("post.name", message, field=f"operations.{number}", hint=hint))
     return out
 
 
 def _claimed_keys(claims: Sequence[Claim]) -> set[str]:
-    """Keys of the segments that have claims."""
+    """Return the keys of the segments that claims name."""
     out: set[str] = set()
     for claim in claims:
         claimed_segments = getattr(claim, "segments", None) or (getattr(claim, "segment", None),)

@@ -1,7 +1,7 @@
-"""Converts a plan to the steps of each task: who moves when, where tasks meet, and what arms carry.
+"""Converts a plan to the steps of each task: which arm moves when, where tasks meet, and what arms carry.
 
-It also decides which targets are moved to. What an arm carries is the block that its tool holds, as the
-controller must know it.
+It also decides which targets the programs move to. An arm carries the block that its tool holds, whose load
+the controller must know.
 """
 
 import dataclasses
@@ -44,10 +44,10 @@ def require_mass(tool: Tool, requirement: str = "a load needs at least {} kg") -
 
     Args:
         tool: The tool.
-        requirement: Requirement in the message, with a field for the mass.
+        requirement: Requirement in the message, with a field {} for the minimum mass.
 
     Raises:
-        TandemError: ``post.tool``.
+        TandemError: The mass is missing or too small (``post.tool``).
     """
     if not tool.mass >= MIN_MASS_KG:
         message = format_message(
@@ -57,11 +57,16 @@ def require_mass(tool: Tool, requirement: str = "a load needs at least {} kg") -
 
 
 def load_changes(plan: Plan, problem: Problem) -> dict[int, dict[str, layout.CarryLoad]]:
-    """Return changes of the carried load: {index of an operation: {arm: what it carries from there on}}.
+    """Return the changes of the load that arms carry, by index of the operation before which they happen.
+
+    A new holder takes the block of its setup, and the previous holder then carries nothing.
 
     Args:
         plan: The plan.
-        problem: Its problem.
+        problem: Problem of the plan.
+
+    Returns:
+        For the first operation of each setup a mapping {arm: what it carries from there on}.
 
     Raises:
         TandemError: A block is held and no claim states its mass (``post.load``).
@@ -72,11 +77,9 @@ def load_changes(plan: Plan, problem: Problem) -> dict[int, dict[str, layout.Car
         if setup.operations[0] >= len(plan.operations):
             break
         holder = setup.stock.held_by
-        change = (
-            {previous_holder: layout.CarryLoad(None)}
-            if previous_holder is not None and previous_holder != holder
-            else {}
-        )
+        change: dict[str, layout.CarryLoad] = {}
+        if previous_holder is not None and previous_holder != holder:
+            change[previous_holder] = layout.CarryLoad(None)
         if holder is not None:
             change[holder] = layout.CarryLoad(_held_load(plan, setup, holder))
         out[setup.operations[0]] = change
@@ -85,9 +88,12 @@ def load_changes(plan: Plan, problem: Problem) -> dict[int, dict[str, layout.Car
 
 
 def _held_load(plan: Plan, setup: Setup, holder: str) -> layout.HeldLoad:
-    """The block of a setup in the holder's TCP frame, as a solid box of uniform density.
+    """Return the load of a setup's block in the holder's TCP frame, as a solid box of uniform density.
 
-    I = m / 12 (|s|^2 - s^2) about each principal axis, with edge lengths s.
+    The moment of inertia about each principal axis is I = m / 12 (|s|^2 - s_i^2), with edge lengths s.
+
+    Raises:
+        TandemError: No claim states a sufficient mass of the block (``post.load``).
     """
     claims = [
         claim
@@ -97,8 +103,10 @@ def _held_load(plan: Plan, setup: Setup, holder: str) -> layout.HeldLoad:
         if isinstance(claim, HoldsStock) and claim.arm == holder
     ]
     if not claims or not claims[0].mass >= MIN_MASS_KG:
-        got = f"{claims[0].mass:g} kg" if claims else "no claim of its mass"
-        message = f"setup {setup.number}: arm {holder} holds the block, with {got}; at least {MIN_MASS_KG} kg"
+        mass_text = f"{claims[0].mass:g} kg" if claims else "no claim of its mass"
+        message = (
+            f"setup {setup.number}: arm {holder} holds the block, with {mass_text}; at least {MIN_MASS_KG} kg"
+        )
         hint = "use a larger block, or a denser foam" if claims else "name the block's foam (stock.foam)"
         raise issue_error("post.load", message, arm=holder, hint=f"{hint}, and plan again")
     claim, size = claims[0], setup.stock.upper - setup.stock.lower
@@ -109,15 +117,15 @@ def _held_load(plan: Plan, setup: Setup, holder: str) -> layout.HeldLoad:
 MAX_TASKS = 2
 """Maximum number of motion tasks."""
 JOINT_TOLERANCE_RAD = 1e-6
-"""Joint tolerance [rad] below which two postures are the same; about 0.00005 deg."""
+"""Largest joint difference [rad] of two postures that count as the same; about 0.00005 deg."""
 
 
 def build_job(plan: Plan, problem: Problem) -> layout.JobPrograms:
-    """Return the steps of every task.
+    """Return the steps of every task, with meetings and blocks numbered over the whole job.
 
     Args:
         plan: The plan.
-        problem: Its problem.
+        problem: Problem of the plan.
 
     Raises:
         TandemError: No program can execute the plan (``post.*``).
@@ -127,8 +135,8 @@ def build_job(plan: Plan, problem: Problem) -> layout.JobPrograms:
     controller = problem.cell.controller
     max_arms = min(len(controller.tasks), len(controller.units), MAX_TASKS)
     if not 1 <= len(arms) <= max_arms:
-        got = f"{len(arms)} arms move; the controller has tasks and units for {max_arms}"
-        raise issue_error("post.tasks", got, hint="name one task and one unit for each arm of the cell")
+        message = f"{len(arms)} arms move; the controller has tasks and units for {max_arms}"
+        raise issue_error("post.tasks", message, hint="name one task and one unit for each arm of the cell")
     setups = {index: setup for setup in problem.setups for index in setup.operations}
     if len(plan.operations) > len(setups) or len(plan.stock_poses) < len(problem.setups):
         message = (
@@ -138,14 +146,14 @@ def build_job(plan: Plan, problem: Problem) -> layout.JobPrograms:
         raise issue_error("post.plan", message, hint="plan this problem again")
     handshake = controller.handshake if controller.sync == "handshake" and len(arms) > 1 else None
     if handshake is not None:
-        refused = handshake_refusals(problem, [operation.targets for operation in plan.operations])
-        if refused:
-            raise TandemError(refused)
+        refusals = handshake_refusals(problem, [operation.targets for operation in plan.operations])
+        if refusals:
+            raise TandemError(refusals)
     homes = {arm.name: external_axis_values(arm, problem.cell, problem.axis_homes) for arm in arms}
     builder = _JobBuilder([arm.name for arm in arms], handshake, problem.settings, homes)
     loads = load_changes(plan, problem)
     travels = external_axis_motion.axis_travels(problem, plan.stock_poses)
-    parts = [
+    programs_by_operation = [
         builder.operation(
             i,
             operation,
@@ -168,7 +176,7 @@ def build_job(plan: Plan, problem: Problem) -> layout.JobPrograms:
             arm=arm,
             robot=arm.data,
             base=plan.bases.get(arm.name, arm.base),
-            operations=tuple(part[arm.name] for part in parts),
+            operations=tuple(part[arm.name] for part in programs_by_operation),
             table=table_of(arm, problem.cell),
             home_setpoint=homes[arm.name],
         )
@@ -177,7 +185,9 @@ def build_job(plan: Plan, problem: Problem) -> layout.JobPrograms:
     actions = [action for operation in plan.operations for action in operation.targets.actions]
     signals = dict.fromkeys(action.signal for action in actions if action.kind in ("on", "off"))
     coupled = any(operation.targets.coupled for operation in plan.operations)
-    drifts = () if handshake is None else handshake_drift.operation_drifts(plan, setups, parts)
+    drifts = (
+        () if handshake is None else handshake_drift.operation_drifts(plan, setups, programs_by_operation)
+    )
     return layout.JobPrograms(
         tasks, builder.meets, builder.blocks, coupled, tuple(signals), handshake, drifts
     )
@@ -188,8 +198,8 @@ class _Changeover:
     """Changes before and after an operation.
 
     Attributes:
-        loads: What arms carry from its start on, by arm.
-        travels: Travels of external axes before and after it, by name.
+        loads: What arms carry from the start of the operation on, by arm.
+        travels: Travels of external axes before the operation, and after it, each by name of the axis.
         closing: Setup after the operation, if external axes go home then.
     """
 
@@ -199,7 +209,14 @@ class _Changeover:
 
 
 class _JobBuilder:
-    """Lays out the operations of a job, and numbers its meetings and blocks."""
+    """Lays out the operations of a job as steps of each task, and numbers meetings and blocks.
+
+    Attributes:
+        meets: Number of meetings so far.
+        blocks: Number of synchronised blocks so far.
+        steps: Steps of the current operation, by arm.
+        axis_setpoints: Values of the external axes at this point of the job, by arm.
+    """
 
     def __init__(
         self,
@@ -219,14 +236,14 @@ class _JobBuilder:
     def operation(
         self, number: int, plan: OperationPlan, setup: Setup, stock_pose: FloatArray, changeover: _Changeover
     ) -> dict[str, layout.OperationProgram]:
-        """Return the operation's program for each task.
+        """Return the programs of an operation, by arm: approach, work, retreat, and changes before and after.
 
         Args:
             number: Index of the operation.
-            plan: Its plan.
-            setup: Its setup.
+            plan: Plan of the operation.
+            setup: Setup of the operation.
             stock_pose: Pose of the stock in the world, (4, 4) [m].
-            changeover: Changes before and after it.
+            changeover: Changes before and after the operation.
         """
         targets, travels, closing = plan.targets, changeover.travels, changeover.closing
         _check_plan(plan, self.handshake is None)
@@ -235,7 +252,7 @@ class _JobBuilder:
         writers = {arm: writer_of(arms[arm]) for arm in targets.arms}
         planned = _written_poses(plan, frames, stock_pose)
         written = {arm: writers[arm].round_poses(*poses) for arm, poses in planned.items()}
-        # targets that are moved to, stops, and meetings: all follow from the poses as written
+        # which targets the programs move to, stops, and meetings: all follow from the poses as written
         keep = _moved_targets(written)
         stop = _stops(targets, keep)
         meets = np.zeros(len(keep), dtype=np.int64)
@@ -251,7 +268,7 @@ class _JobBuilder:
         if meets.any() or rotation_stops.any():
             duration = _lengthened(moves, plan, written, arms, self.settings)
             moves = dataclasses.replace(moves, duration=duration)
-        tracks = {
+        move_tables = {
             arm: _move_table(plan, arms[arm], frames[arm], moves, *written[arm]) for arm in targets.arms
         }
         segments = tuple(targets.segment[i] for i in keep)
@@ -319,7 +336,7 @@ class _JobBuilder:
                 plan.name,
                 setup.number,
                 arms[arm],
-                tracks.get(arm),
+                move_tables.get(arm),
                 ids,
                 stop,
                 meets,
@@ -338,23 +355,23 @@ class _JobBuilder:
         cell: Cell,
         travels: Mapping[str, AxisTravel],
     ) -> None:
-        """Move external axes to their station, arm by arm, while the other arm waits.
+        """Append moves of external axes to their station, arm by arm, while the other arm waits.
 
-        The arm is folded at home meanwhile. The axes of a gantry or positioner move one after the other.
+        The arm is at home meanwhile. The axes of a gantry or positioner move one after the other.
         """
         for arm in self.arms:
             setpoint, current, table = setpoints[arm], self.axis_setpoints[arm], table_of(arms[arm], cell)
             if setpoint is not None and current is not None and setpoint != current:
                 legs = axis_legs(current, setpoint, arms[arm], table)
                 steps = [layout.JointMove(arms[arm].home, "station", axis_setpoint=leg) for leg in legs]
-                what = arm if table is None else "the block"
+                moved_item = arm if table is None else "the block"
                 names = arms[arm].axes_by_name if table is None else table.axes
                 seconds = sum(travels[name].seconds for name in names if name in travels)
-                self._solo(arm, steps, f"{what} is at its station", seconds)
+                self._solo(arm, steps, f"{moved_item} is at its station", seconds)
                 self.axis_setpoints[arm] = setpoint
 
     def _operator_setup(self, setup: Setup, reached: str = "") -> None:
-        """The first task shows what to do and asks whether it is done; no arm moves before all have met."""
+        """Append a dialogue in which the operator prepares and confirms a setup, while all arms wait."""
         messages = [TargetAction(0, "message", text=text) for text in setup.steps]
         question = TargetAction(0, "confirm", text=setup.confirmation)
         self._solo(
@@ -364,14 +381,14 @@ class _JobBuilder:
         )
 
     def _meet(self, reached: str, seconds: float = 0.0, by: str = "") -> None:
-        """All arms meet; all but ``by`` wait for what that arm does alone for ``seconds``."""
+        """Append a meeting of all arms; those other than ``by`` wait for it for ``seconds`` [s]."""
         if len(self.arms) > 1:
             self.meets += 1
             for arm in self.arms:
                 self.steps[arm].append(layout.Meeting(self.meets, reached, 0.0 if arm == by else seconds))
 
     def _solo(self, arm: str, steps: Sequence[layout.TaskStep], reached: str, seconds: float = 0.0) -> None:
-        """Steps of one arm while the others wait, for ``seconds`` plus the times of its actions."""
+        """Append steps of one arm, if any; at a meeting the others wait for them and ``seconds`` [s]."""
         if steps:
             self.steps[arm] += steps
             seconds += sum(step.action.seconds for step in steps if isinstance(step, layout.ActionStep))
@@ -380,34 +397,39 @@ class _JobBuilder:
     def _synchronised_move(
         self, paths: Mapping[str, Sequence[FloatArray]], role: str, last_role: str | None = None
     ) -> None:
-        """Move all arms through their postures in a synchronised block, starting at the first one.
+        """Append a synchronised block that moves all arms at once through their postures, from the first on.
 
-        The move to the ``last_role`` posture has its own role. If consecutive postures are equal for all
-        arms, the later one counts.
+        The last move has the role ``last_role``, if given. If consecutive postures are equal for all arms,
+        the later one counts. If no arm moves, there is no block.
         """
-        rows = np.stack([np.stack(paths[arm]) for arm in paths], axis=1)
-        moves = np.abs(np.diff(rows, axis=0)).max(axis=(1, 2)) >= JOINT_TOLERANCE_RAD
+        postures = np.stack([np.stack(paths[arm]) for arm in paths], axis=1)
+        moves = np.abs(np.diff(postures, axis=0)).max(axis=(1, 2)) >= JOINT_TOLERANCE_RAD
         if not moves.any():
             return
         started = np.logical_or.accumulate(moves)
-        rows = rows[1:][started & np.append(moves[1:], True)]
+        postures = postures[1:][started & np.append(moves[1:], True)]
         self.blocks += 1
         for k, arm in enumerate(paths):
-            names = [role] * (len(rows) - 1) + [last_role or role]
+            roles = [role] * (len(postures) - 1) + [last_role or role]
             steps = [
-                layout.JointMove(row[k], name, i)
-                for i, (row, name) in enumerate(zip(rows, names, strict=True), 1)
+                layout.JointMove(posture[k], move_role, i)
+                for i, (posture, move_role) in enumerate(zip(postures, roles, strict=True), 1)
             ]
             self.steps[arm] += [layout.SyncOn(self.blocks), *steps, layout.SyncOff(self.blocks)]
 
     def _actions(self, targets: Targets, row: int, keep: IntArray) -> None:
-        """Actions from the target of this row up to the one of the next row; row -1 is the first target."""
-        low = keep[row] if row >= 0 else 0
-        high = keep[row + 1] if row + 1 < len(keep) else targets.count
-        due = [action for action in targets.actions if low <= action.target < high]
-        due.sort(key=lambda action: action.target)
+        """Append the leading arm's actions at the target of move ``row``, and at dropped targets after it.
+
+        Move -1 stands for the first target of the operation.
+        """
+        first_target = keep[row] if row >= 0 else 0
+        end_target = keep[row + 1] if row + 1 < len(keep) else targets.count
+        actions = [action for action in targets.actions if first_target <= action.target < end_target]
+        actions.sort(key=lambda action: action.target)
         lead = next(arm for arm in self.arms if arm in targets.arms)
-        self._solo(lead, [layout.ActionStep(action) for action in due], "the actions at this stop are done")
+        self._solo(
+            lead, [layout.ActionStep(action) for action in actions], "the actions at this stop are done"
+        )
 
     def _blocks(
         self,
@@ -418,21 +440,27 @@ class _JobBuilder:
         meets: IntArray,
         duration: FloatArray,
     ) -> None:
-        """Lay out the moves, and number the rows that are marked in ``meets`` (M,)."""
+        """Append the moves to the targets ``keep``, interrupted by the actions at them.
+
+        Nonzero ``meets`` (M,) mark moves after which the arms meet; they become the numbers of the meetings.
+        """
         together = len(targets.arms) > 1
-        ends = {int(np.searchsorted(keep, action.target, side="right")) - 1 for action in targets.actions}
-        edges = sorted({0, len(keep)} | {end + 1 for end in ends})
+        moves_before_actions = {
+            int(np.searchsorted(keep, action.target, side="right")) - 1 for action in targets.actions
+        }
+        edges = sorted({0, len(keep)} | {end + 1 for end in moves_before_actions})
         for first, last in itertools.pairwise(edges):
             if together:
                 self.blocks += 1
             runs = _runs(number, segments, first, last, together)
             for arm in targets.arms:
-                self.steps[arm] += (
-                    [layout.SyncOn(self.blocks), *runs, layout.SyncOff(self.blocks)] if together else runs
-                )
-            marked = np.flatnonzero(meets[first:last]) + first
-            meets[marked] = self.meets + 1 + np.arange(len(marked))
-            self.meets += len(marked)
+                if together:
+                    self.steps[arm] += [layout.SyncOn(self.blocks), *runs, layout.SyncOff(self.blocks)]
+                else:
+                    self.steps[arm] += runs
+            moves_with_meeting = np.flatnonzero(meets[first:last]) + first
+            meets[moves_with_meeting] = self.meets + 1 + np.arange(len(moves_with_meeting))
+            self.meets += len(moves_with_meeting)
             if not together:
                 arm_name = targets.arms[0]
                 self._meet(f"{arm_name} has run its moves", float(duration[first:last].sum()), arm_name)
@@ -442,28 +470,29 @@ class _JobBuilder:
 def _runs(
     number: int, segments: Sequence[Segment], first: int, last: int, together: bool
 ) -> list[layout.SegmentRun]:
+    """Return the moves ``first`` to ``last`` - 1 of operation ``number`` as runs of one segment each."""
     edges = [first, *(i for i in range(first + 1, last) if segments[i] != segments[i - 1]), last]
     return [layout.SegmentRun(number, segments[a], a, b, together) for a, b in itertools.pairwise(edges)]
 
 
 def _joint_moves(postures: Sequence[FloatArray], role: str) -> list[layout.TaskStep]:
-    """Joint moves to the postures in order; of two that are the same the later one counts."""
+    """Return joint moves to the postures in order; of two consecutive equal ones the later one counts."""
     steps: list[layout.TaskStep] = []
-    last: FloatArray | None = None
+    previous: FloatArray | None = None
     for q in postures:
-        if last is not None and np.abs(q - last).max() < JOINT_TOLERANCE_RAD:
+        if previous is not None and np.abs(q - previous).max() < JOINT_TOLERANCE_RAD:
             steps.pop()
         steps.append(layout.JointMove(np.asarray(q, dtype=np.float64), role))
-        last = q
+        previous = q
     return steps
 
 
 def _check_plan(plan: OperationPlan, one_controller: bool) -> None:
-    """Raise issues for times, shapes, paths and actions that no program can express."""
+    """Raise `TandemError` if programs cannot express the times, joints, paths or actions of the plan."""
     targets = plan.targets
     issues = []
-    rows = [plan.time, *plan.q.values()]
-    if any(len(row) != targets.count or not np.isfinite(row).all() for row in rows):
+    arrays = [plan.time, *plan.q.values()]
+    if any(len(array) != targets.count or not np.isfinite(array).all() for array in arrays):
         message = (
             f"operation {plan.name}: times and joints must be finite, one row per target ({targets.count})"
         )
@@ -497,10 +526,10 @@ def _check_plan(plan: OperationPlan, one_controller: bool) -> None:
 
 
 def _written_frames(plan: OperationPlan, setup: Setup) -> dict[str, str]:
-    """Frame in which each arm's moves are written.
+    """Return the frame in which each arm's moves are written: the planned one, with one exception.
 
-    The moves of a holder, which are planned in the stock frame, are written in the world: no work object can
-    be what the arm itself carries.
+    The moves of an arm that holds the stock are planned in the stock frame but written in the world, because
+    an arm cannot carry its own work object.
     """
     holder = setup.stock.held_by
     frames = plan.targets.frame
@@ -512,15 +541,15 @@ def _written_frames(plan: OperationPlan, setup: Setup) -> dict[str, str]:
 def _written_poses(
     plan: OperationPlan, frames: Mapping[str, str], stock_pose: FloatArray
 ) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Positions (N, 3) [mm] and quaternions (N, 4) of each arm at all targets, rounded as written.
+    """Return positions (N, 3) [mm] and quaternions (N, 4) of each arm at all targets, rounded as written.
 
-    ``frames`` is the result of :func:`_written_frames`, ``stock_pose`` (4, 4) [m] the pose of the stock in
-    the world.
+    The signs of consecutive quaternions are those with which they are close to each other. ``frames`` is the
+    result of :func:`_written_frames`, ``stock_pose`` (4, 4) [m] the pose of the stock in the world.
     """
     out = {}
     for arm, planned in plan.targets.poses(plan.values).items():
-        moved = frames[arm] != plan.targets.frame[arm]
-        pose = stock_pose @ planned if moved else planned
+        changes_frame = frames[arm] != plan.targets.frame[arm]
+        pose = stock_pose @ planned if changes_frame else planned
         quaternion = to_quaternion(pose[:, :3, :3])
         flips = np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0.0
         sign = np.cumprod(np.concatenate([[1.0], np.where(flips, -1.0, 1.0)]))
@@ -533,59 +562,63 @@ def _written_poses(
 
 
 def _moved_targets(written: Mapping[str, tuple[FloatArray, FloatArray]]) -> IntArray:
-    """Indices of the targets that are moved to: all but the first, and those at which no arm moves."""
-    moves = [np.any(np.diff(value, axis=0) != 0.0, axis=1) for pair in written.values() for value in pair]
+    """Return the indices of the targets that are moved to: not the first, nor those at which no arm moves."""
+    moves = [np.any(np.diff(values, axis=0) != 0.0, axis=1) for pose in written.values() for values in pose]
     return np.flatnonzero(np.any(moves, axis=0)) + 1
 
 
 def _stops(targets: Targets, keep: IntArray) -> BoolArray:
-    """Whether each kept move ends in a stop; a stop at a dropped target applies to the previous move."""
+    """Return whether each move to a target ``keep`` ends in a stop, (M,). The last one does.
+
+    A stop at a target that no move leads to applies to the move before it.
+    """
     stop = np.zeros(len(keep), dtype=bool)
     for i in np.flatnonzero(targets.stop):
-        row = int(np.searchsorted(keep, i, side="right")) - 1
-        if row >= 0:
-            stop[row] = True
+        move = int(np.searchsorted(keep, i, side="right")) - 1
+        if move >= 0:
+            stop[move] = True
     if len(stop):
         stop[-1] = True
     return stop
 
 
 def _pause_stops(written: Sequence[tuple[FloatArray, FloatArray]], keep: IntArray) -> BoolArray:
-    """Whether the kept moves (M,) stop because an arm stands still in this move or the next one.
+    """Return whether each move must stop because an arm stands still in it or in the next one, (M,).
 
-    These arms cannot pass through a corner into standing still.
+    The arms of ``written`` cannot round a corner between a move and standing still.
     """
     still = np.zeros(len(keep), dtype=bool)
-    stations = np.concatenate([[0], keep])
+    path_targets = np.concatenate([[0], keep])
     for position, quaternion in written:
-        moves = np.any(np.diff(position[stations], axis=0) != 0.0, axis=1)
-        still |= ~(moves | np.any(np.diff(quaternion[stations], axis=0) != 0.0, axis=1))
+        moves = np.any(np.diff(position[path_targets], axis=0) != 0.0, axis=1)
+        still |= ~(moves | np.any(np.diff(quaternion[path_targets], axis=0) != 0.0, axis=1))
     return np.asarray(still | np.append(still[1:], False))
 
 
 def _rotation_stops(written: Sequence[FloatArray], targets: Targets, keep: IntArray) -> BoolArray:
-    """Whether the kept moves (M,) must stop because the TCP of an arm stands in this move or the next one.
+    """Return whether each move must stop because a TCP stands still in it or in the next one, (M,).
 
-    The corners of these arms are lengths on the path. Moves with a minimum feed do not stop.
+    The corners of the arms of ``written`` (N, 3) [mm] are lengths on the path of the TCP, which then has no
+    length. Moves with a minimum feed do not stop.
     """
     still = np.zeros(len(keep), dtype=bool)
     for position in written:
         step = np.diff(position[np.concatenate([[0], keep])], axis=0)
         still |= np.linalg.norm(step, axis=1) <= corner_rounding.REST_DISTANCE_MM
-    fed = targets.feed_min[keep] > 0.0
-    free = ~(fed | np.append(fed[1:], False))
-    return np.asarray((still | np.append(still[1:], False)) & free)
+    has_min_feed = targets.feed_min[keep] > 0.0
+    may_stop = ~(has_min_feed | np.append(has_min_feed[1:], False))
+    return np.asarray((still | np.append(still[1:], False)) & may_stop)
 
 
 def _durations(plan: OperationPlan, keep: IntArray) -> FloatArray:
-    """Times (M,) [s] of the kept moves, rounded as written."""
+    """Return the times (M,) [s], which must be positive, of the moves to the targets ``keep``, as written."""
     clock = np.round(plan.time, layout.TIME_DECIMALS)
     duration = np.round(clock[keep] - clock[keep - 1], layout.TIME_DECIMALS)
-    late = np.flatnonzero(duration <= 0.0)
-    if len(late):
-        i = int(keep[late[0]])
+    without_time = np.flatnonzero(duration <= 0.0)
+    if len(without_time):
+        i = int(keep[without_time[0]])
         location = f"operation {plan.name}, target {i} ({plan.targets.name(i)})"
-        message = f"{location}: the move takes {duration[late[0]]} s"
+        message = f"{location}: the move takes {duration[without_time[0]]} s"
         raise issue_error("post.plan", message, index=i, hint="every move needs a time above 0.00001 s")
     return np.asarray(duration)
 
@@ -612,7 +645,7 @@ def _lengthened(
     arms: Mapping[str, Arm],
     settings: Settings,
 ) -> FloatArray:
-    """Times of moves with more stops than planned."""
+    """Return the times (M,) [s] of the moves, longer than planned if there are more stops than planned."""
     targets, keep = plan.targets, moves.targets
     with np.errstate(divide="ignore", invalid="ignore"):
         min_duration = np.where(targets.travel > 0.0, targets.travel / targets.feed, 0.0)
@@ -635,13 +668,14 @@ def _move_table(
     position: FloatArray,
     quaternion: FloatArray,
 ) -> layout.MoveTable:
+    """Return the moves of one arm; ``position`` (N, 3) [mm] and ``quaternion`` (N, 4) are at all targets."""
     keep = moves.targets
     distance = np.linalg.norm(position[keep] - position[keep - 1], axis=1)
-    stations = np.concatenate([[0], keep])
+    path_targets = np.concatenate([[0], keep])
     segments = [plan.targets.segment[i] for i in keep]
-    room = corner_rounding.max_zones(
-        position[stations],
-        quaternion[stations],
+    max_zones = corner_rounding.max_zones(
+        position[path_targets],
+        quaternion[path_targets],
         moves.stop,
         1e3 * plan.targets.rounding.rotation_lever(arm.name, arm.tool),
         1e3 * plan.targets.rounding.deviations(segments),
@@ -654,5 +688,5 @@ def _move_table(
     )
     q = plan.q[arm.name][keep]
     return layout.MoveTable(
-        position[keep], quaternion[keep], q, moves.duration, distance, *room, frame, rounded_positions
+        position[keep], quaternion[keep], q, moves.duration, distance, *max_zones, frame, rounded_positions
     )

@@ -1,7 +1,7 @@
-"""Entry point of the writers: from a plan and its problem to program files, and what no program can do.
+"""Entry point of the writers: converts a plan to program files, and returns reasons why this is impossible.
 
-Each arm gets the language of its controller. Besides the programs there are files for the controllers, for
-power that programs switch and for wires by which two controllers observe each other.
+Each arm gets the language of its controller. Besides the programs there are files for the configuration of
+the controllers: for power that programs switch, and for wires by which two controllers observe each other.
 """
 
 from collections.abc import Sequence
@@ -58,7 +58,7 @@ def program_files(plan: Plan, problem: Problem, margins: Margins | None = None) 
 
     Args:
         plan: The plan.
-        problem: Its problem.
+        problem: Problem of the plan.
         margins: Results of the proof as text by name, for the comments of the headers.
 
     Raises:
@@ -72,7 +72,7 @@ def write_programs(plan: Plan, problem: Problem, margins: Margins | None = None)
 
     Args:
         plan: The plan.
-        problem: Its problem.
+        problem: Problem of the plan.
         margins: Results of the proof as text by name.
 
     Raises:
@@ -84,19 +84,21 @@ def write_programs(plan: Plan, problem: Problem, margins: Margins | None = None)
 def program_notes(plan: Plan, problem: Problem) -> tuple[Issue, ...]:
     """Return notes on the programs: the drift of arms that meet by handshake, and notes of their languages.
 
+    The programs are written only if a language has notes, which may depend on their texts.
+
     Args:
         plan: The plan.
-        problem: Its problem.
+        problem: Problem of the plan.
 
     Raises:
         TandemError: The plan cannot be written (``post.*``).
     """
     arms = used_arms(problem, [operation.targets for operation in plan.operations])
-    noted = [writer.notes is not None for writer in writers_in_use(arms)]
-    if problem.cell.controller.sync != "handshake" and not any(noted):
+    has_notes = any(writer.notes is not None for writer in writers_in_use(arms))
+    if problem.cell.controller.sync != "handshake" and not has_notes:
         return ()
     job = _job(plan, problem)
-    files = _write_all(job, plan, problem, {}).files if any(noted) else {}
+    files = _write_all(job, plan, problem, {}).files if has_notes else {}
     return (
         *handshake.drift_issues(job),
         *(
@@ -109,6 +111,7 @@ def program_notes(plan: Plan, problem: Problem) -> tuple[Issue, ...]:
 
 
 def _job(plan: Plan, problem: Problem) -> JobPrograms:
+    """Return the steps of every task, after a check that the controllers can do the job."""
     issues = controller_refusals(problem, [operation.targets for operation in plan.operations])
     if issues:
         raise TandemError(issues)
@@ -116,21 +119,24 @@ def _job(plan: Plan, problem: Problem) -> JobPrograms:
 
 
 def _by_language(job: JobPrograms) -> list[tuple[Writer, list[TaskProgram]]]:
+    """Return the writers in use, each with the tasks of its language."""
     in_use = writers_in_use(task.arm for task in job.tasks)
     return [(writer, [task for task in job.tasks if writer_of(task.arm) is writer]) for writer in in_use]
 
 
 def _write_all(job: JobPrograms, plan: Plan, problem: Problem, margins: Margins) -> WrittenPrograms:
-    files, clocks = dict[str, str](), dict[int, FloatArray]()
+    """Return the programs of all languages together with the files for the controllers."""
+    files: dict[str, str] = {}
+    clocks: dict[int, FloatArray] = {}
     for writer, tasks in _by_language(job):
-        out = writer.write(tasks, job, plan, problem, margins)
-        files |= out.files
-        clocks |= out.clocks
+        written = writer.write(tasks, job, plan, problem, margins)
+        files |= written.files
+        clocks |= written.clocks
     return WrittenPrograms(files | _controller_files(job, plan, problem), clocks)
 
 
 def _controller_files(job: JobPrograms, plan: Plan, problem: Problem) -> dict[str, str]:
-    """Files by relative name, such as ``controller/T_ROB1/EIO.cfg``.
+    """Return the files for the controllers by relative name, such as ``controller/T_ROB1/EIO.cfg``.
 
     Each controller has a folder, named after its first task, or after its arm if each arm has a controller.
     A single controller has files only if something is powered. Two controllers always have files, for the
@@ -140,22 +146,24 @@ def _controller_files(job: JobPrograms, plan: Plan, problem: Problem) -> dict[st
     actions = [action for operation in plan.operations for action in operation.targets.actions]
     powered = {action.signal for action in actions if action.switches_power}
     torches = powered & torch_signals(problem.operations)
-    switched = {
+    powered_by_arm = {
         task.arm.name: sorted(
             (signal for signal in job.switched_signals(task) if signal in powered), key=str.lower
         )
         for task in job.tasks
     }
     torches_by_arm = {
-        arm: [signal for signal in signals if signal in torches] for arm, signals in switched.items()
+        arm: [signal for signal in signals if signal in torches] for arm, signals in powered_by_arm.items()
     }
     wires = controller.handshake.running_wires(list(torches_by_arm)) if job.handshake is not None else ()
     out: dict[str, str] = {}
     for folder, tasks in _controller_groups(job, controller.sync):
-        arm, make = tasks[0].arm.name, writer_of(tasks[0].arm).controller_files
-        if make is None or not (switched[arm] or wires):
+        arm, build_files = tasks[0].arm.name, writer_of(tasks[0].arm).controller_files
+        if build_files is None or not (powered_by_arm[arm] or wires):
             continue
-        files = make(job, tasks, controller, PoweredSignals(switched[arm], torches_by_arm[arm], wires))
+        files = build_files(
+            job, tasks, controller, PoweredSignals(powered_by_arm[arm], torches_by_arm[arm], wires)
+        )
         if wires and any(torches_by_arm.values()):
             files["README.txt"] = files.get("README.txt", "") + handshake.torch_restart_section(
                 torches_by_arm, arm
@@ -166,6 +174,7 @@ def _controller_files(job: JobPrograms, plan: Plan, problem: Problem) -> dict[st
 
 
 def _controller_groups(job: JobPrograms, sync: str) -> list[tuple[str, Sequence[TaskProgram]]]:
+    """Return the tasks of each controller, with the name of its folder."""
     first = job.tasks[0]
     if sync == "multimove" and sync in writer_of(first.arm).syncs:
         return [(first.task, job.tasks)]

@@ -46,7 +46,7 @@ MIN_GAIN_FRACTION = 0.3
 """Relative gain that other branches must promise for them to be checked for collisions as well."""
 
 MAX_EXCESS_FRACTION = 1e-3
-"""Relative excess of a path's cost over the bound that ignores turns above which turns are searched, too."""
+"""Relative excess of a path's cost over its cost without turns, above which turns are searched, too."""
 
 MAX_MOVE_ROUNDS = 40
 """Maximum number of rounds in which steps with colliding linear moves are removed."""
@@ -62,9 +62,9 @@ class PathResult:
         q: {arm: (N, 6)} [rad] joints.
         choices: Number of branch combinations that have a path.
         checks: Number of collision checks.
-        rounds: Number of rounds.
-        has_colliding_moves: The path keeps clearance at the targets, but no path over the samples was found
-            that also does between them.
+        rounds: Number of rounds in which a path was checked for collisions.
+        has_colliding_moves: Whether the path keeps clearance at the targets only. No path over the samples
+            was found that also does between them.
     """
 
     path: GraphPath
@@ -80,19 +80,20 @@ class PathResult:
 class DeadEnd:
     """Dead end: the target that no path passes because of collisions.
 
-    This holds for any samples and any branches that reach all targets.
+    This holds for all samples of the grid and all branches that reach all targets.
 
     Attributes:
-        index: The target.
-        states: States of the branch combination that comes farthest.
-        grid: Samples.
+        index: Index of the target.
+        states: States of the branch combination whose paths come farthest.
+        grid: Samples of the freedoms at all targets.
         possible: (S,) whether every arm can take a sample of this target.
         free: (S,) whether such a sample is free.
-        later: If none is free: grid, index and free samples of the first later target that has some.
+        later: Grid, index and free samples (S,) of the first later target that has some; None if a sample of
+            this target is free, or if no later one has any.
         tried: Branch combinations that were tried, in the order of the arms.
-        shorter_count: How many of them end earlier.
-        find_connections: Returns :attr:`reached` and :attr:`next`, for which all targets may be checked.
-            None: unknown.
+        shorter_count: Number of these combinations whose paths end at an earlier target.
+        find_connections: Computes :attr:`reached` and :attr:`next`, for which it may have to check all
+            targets. None if they are unknown.
     """
 
     index: int
@@ -107,18 +108,18 @@ class DeadEnd:
 
     @property
     def reached(self) -> BoolArray:
-        """Whether (S,) a free path reaches a sample of the previous target."""
+        """Whether (S,) a free path reaches a sample of the previous target; all False if unknown."""
         return self._connections[0]
 
     @property
     def next(self) -> BoolArray:
-        """Whether (S,) a step leads to a sample of this target from those."""
+        """Whether (S,) a step leads from such a sample to one of this target; `possible` if unknown."""
         return self._connections[1]
 
     @functools.cached_property
     def _connections(self) -> tuple[BoolArray, BoolArray]:
-        nothing = np.zeros(len(self.possible), dtype=bool), self.possible
-        return nothing if self.find_connections is None else self.find_connections()
+        unknown = np.zeros(len(self.possible), dtype=bool), self.possible
+        return unknown if self.find_connections is None else self.find_connections()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,8 +131,8 @@ class JointWinding:
         joint: Index of the joint.
         low: Lower end [rad] of its motion along a path that ignores its limits, with the best whole turns.
         high: Upper end [rad].
-        jumps: Whether the joint would have to jump between the two values, because it can take both but none
-            beyond.
+        jumps: Whether the joint would have to jump from one value to the other, because it cannot turn beyond
+            the first.
     """
 
     arm: str
@@ -148,8 +149,8 @@ class BlockedSearch:
     Attributes:
         reach: Reach of all arms.
         common: First target that no branch combination passes; N if only collisions block paths.
-        dead_end: Where collisions block all paths.
-        collision: A target and joints {arm: (6,)} on the move to it that collide.
+        dead_end: Target at which collisions block all paths, if they do.
+        collision: Index of a target, and joints {arm: (6,)} on the move to it that collide.
         subset: The targets and their indices (K,) in the job, if only a subset was searched.
         winding: The joint whose turns end the paths, if turns do.
     """
@@ -173,87 +174,94 @@ def search_graph(
     """Find the path of least cost over branches, samples and turns that keeps clearance.
 
     Branches stay the same over the whole operation. Branch combinations are tried in the order of their cost
-    without collisions, which is a lower bound of their cost with collisions. The rest is skipped once none
-    promises much. Without a path all of them are tried.
+    without collisions, which is a lower bound of their cost with collisions. Once a path is found, the others
+    are skipped if they cannot be much better. If none is found, all of them are tried.
 
     Args:
         scene: Cell with the stock in its pose.
         targets: Targets of the operation.
         grid: Samples of the freedoms.
-        others: Arms that do not take part.
+        others: Arms that this search does not move.
         moves: Whether linear moves between targets have to keep clearance, if possible.
         only: Branch combinations to consider, in the order of the arms; None for all.
+
+    Returns:
+        The path, or why there is none. If no path has free moves, one that is free at the targets only is
+        returned, with ``has_colliding_moves``.
     """
     # Best-first over branch combinations: first without turns, then, if that is free, with turns. The key of
     # the queue is a lower bound: cost without turns <= cost with turns <= cost with turns and clearance.
-    table = compute_reach(scene, targets, grid)
-    choices, common = _branch_choices(scene, targets, grid, table, only)
+    reach = compute_reach(scene, targets, grid)
+    choices, common = _branch_choices(scene, targets, grid, reach, only)
     best: PathResult | None = None
-    loose_result: PathResult | None = None
-    checks: dict[int, CollisionChecker] = {}
-    shared = SharedCollisions(scene, grid, tuple(table)) if len(table) > 1 and len(choices) > 1 else None
+    colliding_result: PathResult | None = None
+    checkers: dict[int, CollisionChecker] = {}
+    shared = SharedCollisions(scene, grid, tuple(reach)) if len(reach) > 1 and len(choices) > 1 else None
     ends: list[tuple[int, int]] = []
-    closed: list[int] = []
-    tried, offered = 0, 0
-    queue = [
-        (p.cost, k, False)
-        for k, c in enumerate(choices)
-        if (p := c.graph_without_turns.shortest_path()) is not None
-    ]
+    blocked_targets: list[int] = []
+    tried_count, path_count = 0, 0
+    queue: list[tuple[float, int, bool]] = []
+    for k, choice in enumerate(choices):
+        path = choice.graph_without_turns.shortest_path()
+        if path is not None:
+            queue.append((path.cost, k, False))
     heapq.heapify(queue)
     while queue:
-        bound, k, exact = heapq.heappop(queue)
+        bound, k, includes_turns = heapq.heappop(queue)
         # prune: the rest costs at least ``bound`` >= best / (1 + MIN_GAIN_FRACTION), or enough were tried
         if best is not None and (
-            best.path.cost <= bound * (1.0 + MIN_GAIN_FRACTION) or tried >= MAX_BRANCH_CHOICES
+            best.path.cost <= bound * (1.0 + MIN_GAIN_FRACTION) or tried_count >= MAX_BRANCH_CHOICES
         ):
             break
-        if not exact:  # without a free path that ignores turns, the longer search with turns is not needed
-            checks[k] = CollisionChecker(scene, targets, grid, choices[k].states, others, shared)
+        if not includes_turns:
+            # without a free path that ignores turns, the longer search with turns is not needed
+            checkers[k] = CollisionChecker(scene, targets, grid, choices[k].states, others, shared)
             # targets that blocked other combinations completely probably block this one
-            checks[k].check_targets(np.array(closed, dtype=np.intp))
-            _, end = _find_free_path(choices[k].graph_without_turns.farthest_path, checks[k])
+            checkers[k].check_targets(np.array(blocked_targets, dtype=np.intp))
+            _, end = _find_free_path(choices[k].graph_without_turns.farthest_path, checkers[k])
             if end == targets.count:
                 path_with_turns = choices[k].shortest_path()
-                offered += path_with_turns is not None
-                queue += [] if path_with_turns is None else [(path_with_turns.path.cost, k, True)]
+                if path_with_turns is not None:
+                    path_count += 1
+                    queue.append((path_with_turns.path.cost, k, True))
                 heapq.heapify(queue)
                 continue
             result = None
         else:
-            tried += 1
-            result, end = choices[k].find_free_path(checks[k])
+            tried_count += 1
+            result, end = choices[k].find_free_path(checkers[k])
         if result is None:
             ends.append((end, k))
-            if end not in closed and not checks[k].free_samples(end).any():
-                closed.append(end)
+            if end not in blocked_targets and not checkers[k].free_samples(end).any():
+                blocked_targets.append(end)
             continue
         if moves:
-            result = _with_free_moves(scene, targets, choices[k], checks[k], result)
+            result = _with_free_moves(scene, targets, choices[k], checkers[k], result)
         if result.has_colliding_moves:
-            loose_result = loose_result or result
+            colliding_result = colliding_result or result
         elif best is None or result.path.cost < best.path.cost:
             best = result
-    chosen = best if best is not None else loose_result
+    chosen = best if best is not None else colliding_result
     if chosen is not None:
-        return dataclasses.replace(chosen, choices=offered)
+        return dataclasses.replace(chosen, choices=path_count)
     # No path: find out whether collisions, branches or turns block it.
-    dead_end = _find_dead_end(grid, [(end, choices[k], checks[k]) for end, k in ends])
+    dead_end = _find_dead_end(grid, [(end, choices[k], checkers[k]) for end, k in ends])
     if dead_end is not None:
-        return BlockedSearch(table, targets.count, dead_end)
+        return BlockedSearch(reach, targets.count, dead_end)
     common = max((c.graph_without_turns.first_unreached() for c in choices), default=common)
     winding = None
     if common == targets.count:  # only turns block the path
         common, winding = max((c.find_winding(scene) for c in choices), key=lambda candidate: candidate[0])
     elif choices:
         winding = max(choices, key=lambda c: c.graph_without_turns.first_unreached()).find_jump()
-    return BlockedSearch(table, min(common, targets.count - 1), winding=winding)
+    return BlockedSearch(reach, min(common, targets.count - 1), winding=winding)
 
 
 class BranchGraph:
-    """Graph of one branch combination.
+    """Layered graph of one branch combination.
 
-    Turns are searched only if ignoring them gives a path that cannot be lifted.
+    A path is searched without turns first and then lifted: turns are added that follow from continuity. The
+    larger graph with turns is searched only if the path cannot be lifted, or if turns make it costlier.
     """
 
     def __init__(
@@ -264,6 +272,15 @@ class BranchGraph:
         states_without_turns: Mapping[str, tuple[BranchStates, GraphSteps]],
         sample_cost: FloatArray | None,
     ) -> None:
+        """Build the graph without turns.
+
+        Args:
+            scene: Cell with the stock in its pose.
+            grid: Samples of the freedoms.
+            states: {arm: states on its branch}.
+            states_without_turns: {arm: these states without turns, and the steps between them}.
+            sample_cost: (N, S) [s] cost of samples for all arms; None for no cost.
+        """
         self.states = states
         self._scene, self._grid, self._sample_cost = scene, grid, sample_cost
         self.graph_without_turns = LayeredGraph(
@@ -276,21 +293,26 @@ class BranchGraph:
         self._forbidden_steps: list[tuple[int, int, int]] = []
 
     def _build_graph_with_turns(self) -> LayeredGraph:
+        """Build the graph with turns, without the steps that were forbidden so far."""
         moves = [_branch_steps(self._scene, r, self._grid) for r in self.states.values()]
-        ladder = LayeredGraph(self._grid, tuple(self.states.values()), moves, self._sample_cost)
+        graph = LayeredGraph(self._grid, tuple(self.states.values()), moves, self._sample_cost)
         for step in self._forbidden_steps:
-            ladder.forbid_step(*step)
-        return ladder
+            graph.forbid_step(*step)
+        return graph
 
     def shortest_path(self, blocked: FloatArray | None = None) -> PathResult | None:
-        """Path of least cost, including turns and limits; ``blocked`` (N, S) as in :class:`LayeredGraph`."""
+        """Find the path of least cost through all targets, including turns and joint limits, or None.
+
+        ``blocked`` (N, S) [s] is as in :meth:`LayeredGraph.shortest_path`.
+        """
         result = self.farthest_path(blocked)
         return result if result is not None and len(result.values) == len(self._grid.values) else None
 
     def farthest_path(self, blocked: FloatArray | None = None) -> PathResult | None:
-        """Path of least cost to the last target that any path reaches, which is as long as that.
+        """Find the path of least cost to the last target that any path reaches, including turns and limits.
 
-        None if no sample of the first target is allowed.
+        The path covers the targets up to that one. Returns None if no sample of the first target is allowed.
+        ``blocked`` (N, S) [s] is as in :meth:`LayeredGraph.shortest_path`.
         """
         path = self.graph_without_turns.farthest_path(blocked)
         if path is None:
@@ -303,16 +325,17 @@ class BranchGraph:
             return lifted
         if self._graph_with_turns is None:
             self._graph_with_turns = self._build_graph_with_turns()
-        exact = self._graph_with_turns.farthest_path(blocked)
-        if exact is None:
+        path_with_turns = self._graph_with_turns.farthest_path(blocked)
+        if path_with_turns is None:
             return None
-        rows = np.arange(len(exact.sample))
-        return PathResult(exact, self._grid.values[rows, exact.sample], path_joints(exact, self.states), 1)
+        values = self._grid.values[np.arange(len(path_with_turns.sample)), path_with_turns.sample]
+        return PathResult(path_with_turns, values, path_joints(path_with_turns, self.states), choices=1)
 
     def find_free_path(self, check: CollisionChecker) -> tuple[PathResult | None, int]:
-        """Shortest path whose targets are all free, including turns, and N.
+        """Find the path of least cost whose targets are all free, including turns.
 
-        Otherwise None, and the first target that no free path reaches.
+        Returns:
+            The path and N; or None and the first target that no free path reaches.
         """
         result, end = _find_free_path(self.farthest_path, check)
         if not isinstance(result, PathResult):
@@ -320,67 +343,71 @@ class BranchGraph:
         return dataclasses.replace(result, checks=check.checks, rounds=check.rounds), end
 
     def find_winding(self, scene: Scene) -> tuple[int, JointWinding | None]:
-        """First target that no path with continuous turns reaches, and the joint that has too few turns.
+        """Find the first target that no path with continuous turns reaches, and the joint that prevents it.
 
-        The joint is None if it is not one joint alone.
+        On the path without turns, this is the joint that exceeds its limits most, with the best whole turns.
+        It is None if that path ends early or if no joint exceeds its limits.
         """
-        path, lifted = self.graph_without_turns.farthest_path(), self.farthest_path()
-        end = 0 if lifted is None else len(lifted.values)
+        path, path_with_turns = self.graph_without_turns.farthest_path(), self.farthest_path()
+        end = 0 if path_with_turns is None else len(path_with_turns.values)
         if path is None or len(path.sample) < len(self._grid.values):
             return end, None
-        rows, worst, winding = np.arange(len(path.sample)), 0.0, None
+        rows = np.arange(len(path.sample))
+        max_excess, winding = 0.0, None
         turns = FULL_TURN_RAD * np.arange(-2, 3)[:, None]
         for arm, states in self.states.items():
             q, robot = np.unwrap(states.q[rows, path.sample], axis=0), scene.chains[arm].robot
             low, high = q.min(axis=0) + turns, q.max(axis=0) + turns
             margin = scene.settings.joint_margin
-            beyond = np.maximum(robot.lower + margin - low, high - robot.upper + margin)
-            turn = beyond.argmin(axis=0)
-            joint = int(beyond.min(axis=0).argmax())
-            if beyond[turn[joint], joint] > worst:
-                worst = float(beyond[turn[joint], joint])
-                winding = JointWinding(
-                    arm, joint, float(low[turn[joint], joint]), float(high[turn[joint], joint])
-                )
+            excess = np.maximum(robot.lower + margin - low, high - robot.upper + margin)
+            best_turn = excess.argmin(axis=0)
+            joint = int(excess.min(axis=0).argmax())
+            turn = best_turn[joint]
+            if excess[turn, joint] > max_excess:
+                max_excess = float(excess[turn, joint])
+                winding = JointWinding(arm, joint, float(low[turn, joint]), float(high[turn, joint]))
         return end, winding
 
     def find_jump(self) -> JointWinding | None:
-        """The joint that would jump by more than half a turn after the last target that a path reaches.
+        """Find the joint that would jump by more than half a turn after the last target that a path reaches.
 
-        None if there is none, or not one alone.
+        The jump is that to the nearest allowed state of the next target. Returns None if no joint jumps, or
+        more than one.
         """
         path = self.graph_without_turns.farthest_path()
         if path is None or not 0 < len(path.sample) < len(self._grid.values):
             return None
-        row, windings = len(path.sample), list[JointWinding]()
+        row = len(path.sample)
+        windings: list[JointWinding] = []
         for arm, states in self.states.items():
-            previous_joints, next_joints = (
-                states.q[row - 1, path.sample[-1]],
-                states.q[row][states.ok[row].any(axis=-1)],
-            )
+            previous_joints = states.q[row - 1, path.sample[-1]]
+            next_joints = states.q[row][states.ok[row].any(axis=-1)]
             if not len(next_joints):
                 continue
-            change = (
-                next_joints[int(np.abs(next_joints - previous_joints).max(axis=1).argmin())] - previous_joints
-            )
+            nearest = int(np.abs(next_joints - previous_joints).max(axis=1).argmin())
+            change = next_joints[nearest] - previous_joints
             for joint in np.flatnonzero(np.abs(change) > 0.5 * FULL_TURN_RAD).tolist():
                 start = float(previous_joints[joint])
-                windings.append(JointWinding(arm, joint, start, start + float(change[joint]), True))
+                windings.append(JointWinding(arm, joint, start, start + float(change[joint]), jumps=True))
         return windings[0] if len(windings) == 1 else None
 
     def active_graph(self) -> LayeredGraph:
-        """The graph with turns if these were searched, else the one that ignores them."""
+        """Return the graph with turns if turns were searched, else the one that ignores them."""
         return self.graph_without_turns if self._graph_with_turns is None else self._graph_with_turns
 
     def forbid_step(self, i: int, previous_sample: int, sample: int) -> None:
         """Forbid the step to ``sample`` of target i from a sample of the previous target."""
         self._forbidden_steps.append((i, previous_sample, sample))
-        for ladder in (self.graph_without_turns, self._graph_with_turns):
-            if ladder is not None:
-                ladder.forbid_step(i, previous_sample, sample)
+        for graph in (self.graph_without_turns, self._graph_with_turns):
+            if graph is not None:
+                graph.forbid_step(i, previous_sample, sample)
 
     def _lift(self, path: GraphPath) -> PathResult | None:
-        """The path with the turns that follow from continuity, from the first turn that costs least."""
+        """Add turns to a path without turns, or return None if it then exceeds joint limits.
+
+        The turns at the first target are those with the least cost of the whole path. All others follow,
+        because the joints move continuously.
+        """
         rows = np.arange(len(path.sample))
         q, turns, cost = {}, {}, path.cost
         for arm, r in self.states.items():
@@ -402,58 +429,76 @@ class BranchGraph:
             turns[arm] = state[:, start]
             q[arm] = angles + r.turns[turns[arm]]
         values = self._grid.values[rows, path.sample]
-        return PathResult(GraphPath(path.branch, path.sample, turns, cost), values, q, 1)
+        return PathResult(GraphPath(path.branch, path.sample, turns, cost), values, q, choices=1)
 
 
 def _branch_choices(
     scene: Scene,
     targets: Targets,
     grid: SampleGrid,
-    table: Mapping[str, ArmReach],
+    reach: Mapping[str, ArmReach],
     only: frozenset[tuple[int, ...]] | None,
 ) -> tuple[list[BranchGraph], int]:
-    """Branch combinations with a common sample at every target; and the farthest target where others fail."""
-    extra = _preference_cost(targets, grid)
+    """Build the graph of each branch combination with a sample at every target that all arms can take.
+
+    Args:
+        scene: Cell with the stock in its pose.
+        targets: Targets of the operation.
+        grid: Samples of the freedoms.
+        reach: {arm: its reach over the samples}.
+        only: Branch combinations to consider, in the order of the arms; None for all.
+
+    Returns:
+        The graphs, and the largest index of a target at which another combination has no such sample; 0 if
+        there is none.
+    """
+    sample_cost = _preference_cost(targets, grid)
     states_and_steps = {
         (arm, b): (r.without_turns(), _branch_steps(scene, r.without_turns(), grid))
-        for arm, arm_reach in table.items()
+        for arm, arm_reach in reach.items()
         for b, r in arm_reach.branches.items()
     }
     out, common = [], 0
-    for branches in itertools.product(*(r.branches for r in table.values())):
+    for branches in itertools.product(*(r.branches for r in reach.values())):
         if only is not None and branches not in only:
             continue
-        rungs = {arm: r.branches[b] for (arm, r), b in zip(table.items(), branches, strict=True)}
-        is_possible = np.logical_and.reduce([r.ok.any(axis=-1) for r in rungs.values()]).any(axis=1)
+        states = {arm: r.branches[b] for (arm, r), b in zip(reach.items(), branches, strict=True)}
+        is_possible = np.logical_and.reduce([r.ok.any(axis=-1) for r in states.values()]).any(axis=1)
         if is_possible.all():
-            modulo = {arm: states_and_steps[arm, b] for arm, b in zip(table, branches, strict=True)}
-            out.append(BranchGraph(scene, grid, rungs, modulo, extra))
+            states_without_turns = {
+                arm: states_and_steps[arm, b] for arm, b in zip(reach, branches, strict=True)
+            }
+            out.append(BranchGraph(scene, grid, states, states_without_turns, sample_cost))
         else:
             common = max(common, int(np.argmin(is_possible)))
     return out, common
 
 
-def _branch_steps(scene: Scene, rungs: BranchStates, grid: SampleGrid) -> GraphSteps:
-    return compute_steps(rungs, scene.chains[rungs.arm], grid, speed_limits(scene, rungs.arm))
+def _branch_steps(scene: Scene, states: BranchStates, grid: SampleGrid) -> GraphSteps:
+    """Compute the steps between the states of one branch, at the speed limits of its arm."""
+    return compute_steps(states, scene.chains[states.arm], grid, speed_limits(scene, states.arm))
 
 
 def speed_limits(scene: Scene, arm: str) -> FloatArray:
-    """Joint speed limits (J,) [rad/s] of an arm, with the fraction from the settings."""
+    """Return the joint speed limits (J,) [rad/s] of an arm, multiplied by the fraction from the settings."""
     return np.asarray(scene.chains[arm].robot.velocity * scene.settings.speed_fraction)
 
 
 def _preference_cost(targets: Targets, grid: SampleGrid) -> FloatArray | None:
-    """Cost (N, S) [s] of the distance from preferred values, relative to the width of the range."""
+    """Compute the cost (N, S) [s] of samples for their distance from preferred values of freedoms.
+
+    The distance is relative to half of the range. Returns None if no freedom has preferred values.
+    """
     out: FloatArray | None = None
     for j, freedom in enumerate(targets.freedoms):
         if freedom.prefer is None:
             continue
-        away = grid.values[..., j] - freedom.prefer[:, None]
+        distance = grid.values[..., j] - freedom.prefer[:, None]
         if is_full_turn(freedom):
-            away = away - FULL_TURN_RAD * np.round(away / FULL_TURN_RAD)
+            distance = distance - FULL_TURN_RAD * np.round(distance / FULL_TURN_RAD)
         width = np.maximum(freedom.upper - freedom.lower, 1e-12)[:, None]
-        part = freedom.weight / targets.count * np.square(2.0 * away / width)
-        out = part if out is None else out + part
+        cost = freedom.weight / targets.count * np.square(2.0 * distance / width)
+        out = cost if out is None else out + cost
     return out
 
 
@@ -461,46 +506,54 @@ _AnyPath = TypeVar("_AnyPath", GraphPath, PathResult)
 
 
 def _find_free_path(
-    farthest: Callable[[FloatArray | None], _AnyPath | None], check: CollisionChecker
+    farthest_path: Callable[[FloatArray | None], _AnyPath | None], checker: CollisionChecker
 ) -> tuple[_AnyPath | None, int]:
-    """Shortest path whose targets are all free, and N.
+    """Find the path of least cost whose targets are all free.
 
-    If there is none, None and the first target that no free path reaches.
+    A path is searched and its samples are checked for collisions. Samples that collide are forbidden, and the
+    search is repeated. After the first few rounds, every round checks all samples of at least one more
+    target, so the search ends.
 
-    Checks the path to the last target that ``farthest`` can still reach, removes what collides, and repeats.
-    After the first few rounds, every round makes at least one target completely known.
+    Args:
+        farthest_path: Finds the path of least cost to the last target that can be reached, given the cost
+            (N, S) [s] of samples.
+        checker: Checks samples for collisions and remembers the results.
+
+    Returns:
+        The path and N; or None and the first target that no free path reaches.
     """
-    count = len(check.known)
+    count = len(checker.known)
     for number in itertools.count():
-        check.rounds += 1
-        path = farthest(check.sample_cost())
+        checker.rounds += 1
+        path = farthest_path(checker.sample_cost())
         if path is None:
             return None, 0
         sample = path.sample if isinstance(path, GraphPath) else path.path.sample
         rows = np.arange(len(sample))
-        check.check_states(rows, sample)
-        hit = rows[check.collided[rows, sample]]
-        if not len(hit):
+        checker.check_states(rows, sample)
+        colliding = rows[checker.collided[rows, sample]]
+        if not len(colliding):
             return (path if len(rows) == count else None), len(rows)
-        if check.suspect_cost is None:
-            check.check_coarsely()
+        if checker.suspect_cost is None:
+            checker.check_coarsely()
         elif number > LAZY_ROUND_COUNT:
             # the radius doubles: 1, 2, 4, ...
             radius = min(2 ** (number - LAZY_ROUND_COUNT) // 2, count)
-            neighbourhood = np.unique(hit[:, None] + np.arange(-radius, radius + 1))
-            check.check_targets(neighbourhood[(neighbourhood >= 0) & (neighbourhood < count)])
+            neighbourhood = np.unique(colliding[:, None] + np.arange(-radius, radius + 1))
+            checker.check_targets(neighbourhood[(neighbourhood >= 0) & (neighbourhood < count)])
     raise AssertionError("unreachable")
 
 
 def _with_free_moves(
-    scene: Scene, targets: Targets, choice: BranchGraph, check: CollisionChecker, result: PathResult
+    scene: Scene, targets: Targets, choice: BranchGraph, checker: CollisionChecker, result: PathResult
 ) -> PathResult:
-    """The path, or the next one whose linear moves are free as well.
+    """Return the path if its linear moves keep clearance, else the next path whose moves do.
 
-    If there is none, the same path, marked loose. Transits of coupled TCPs are left to
-    :mod:`planner.motion.transit`.
+    Steps with colliding moves are forbidden in the graph ``choice``, and the path is searched again. If there
+    is no such path, the given one is returned with ``has_colliding_moves``. Transits of coupled TCPs are not
+    checked, because :mod:`planner.motion.transit` repairs them.
     """
-    first = result
+    first_result = result
     is_transit = np.array([targets.coupled and s.kind == TRANSIT_KIND for s in targets.segment], dtype=bool)
     for _ in range(MAX_MOVE_ROUNDS):
         samples = sample_moves(scene, targets, result.path.branch, result.q)
@@ -510,36 +563,44 @@ def _with_free_moves(
             samples.move[to_check], samples.fraction[to_check], {a: q[to_check] for a, q in samples.q.items()}
         )
         lost[to_check] = ~is_clear(scene, targets, checked)
-        bad = np.unique(samples.move[lost & ~is_transit[samples.move]])
-        if not len(bad):
+        blocked_moves = np.unique(samples.move[lost & ~is_transit[samples.move]])
+        if not len(blocked_moves):
             return result
-        for i in bad.tolist():
+        for i in blocked_moves.tolist():
             choice.forbid_step(i, int(result.path.sample[i - 1]), int(result.path.sample[i]))
-        again, _ = choice.find_free_path(check)
-        if again is None:
+        next_result, _ = choice.find_free_path(checker)
+        if next_result is None:
             break
-        result = again
-    return dataclasses.replace(first, has_colliding_moves=True)
+        result = next_result
+    return dataclasses.replace(first_result, has_colliding_moves=True)
 
 
 def _find_dead_end(
     grid: SampleGrid, ends: Sequence[tuple[int, BranchGraph, CollisionChecker]]
 ) -> DeadEnd | None:
-    """Dead end of the branch combination that comes farthest.
+    """Return the dead end of the branch combination whose free paths come farthest.
 
-    None if no combination has a path even without collisions.
+    Args:
+        grid: Samples of the freedoms.
+        ends: For each combination that was tried: the first target that no free path reaches, its graph and
+            its collision checker. The target may ignore turns, and is then too late.
+
+    Returns:
+        The dead end; None if no combination has a path even without collisions.
     """
+    # The queue has negative targets, so that the farthest comes first. Its target is computed with turns, and
+    # it is queued again, because another combination may then come farther.
     queue = [(-end, k, False) for k, (end, _, _) in enumerate(ends)]
     heapq.heapify(queue)
     while queue:
-        end, k, exact = heapq.heappop(queue)
-        _, choice, check = ends[k]
-        if exact:
-            shorter = sum(other < -end for other, _, _ in ends)
+        negative_end, k, includes_turns = heapq.heappop(queue)
+        _, choice, checker = ends[k]
+        if includes_turns:
+            shorter_count = sum(other_end < -negative_end for other_end, _, _ in ends)
             tried = frozenset(tuple(r.branch for r in c.states.values()) for _, c, _ in ends)
-            return _make_dead_end(grid, -end, choice, check, tried, shorter)
+            return _make_dead_end(grid, -negative_end, choice, checker, tried, shorter_count)
         if choice.shortest_path() is not None:
-            heapq.heappush(queue, (-choice.find_free_path(check)[1], k, True))
+            heapq.heappush(queue, (-choice.find_free_path(checker)[1], k, True))
     return None
 
 
@@ -547,24 +608,28 @@ def _make_dead_end(
     grid: SampleGrid,
     index: int,
     choice: BranchGraph,
-    check: CollisionChecker,
+    checker: CollisionChecker,
     tried: frozenset[tuple[int, ...]],
-    shorter: int,
+    shorter_count: int,
 ) -> DeadEnd:
-    count = len(check.known)
-    free: BoolArray = check.free_samples(index)
-    possible: BoolArray = np.asarray(check.possible[index])
+    """Describe the dead end at target ``index`` of a branch combination, given by its graph and its checker.
+
+    ``tried`` and ``shorter_count`` are those of :class:`DeadEnd`.
+    """
+    count = len(checker.known)
+    free: BoolArray = checker.free_samples(index)
+    possible: BoolArray = np.asarray(checker.possible[index])
 
     def find_connections() -> tuple[BoolArray, BoolArray]:
         if index == 0:
             return np.zeros(grid.samples, dtype=bool), possible
-        check.check_targets(np.arange(index))
-        reached = choice.active_graph().reachable_samples(check.sample_cost())[index - 1]
+        checker.check_targets(np.arange(index))
+        reached = choice.active_graph().reachable_samples(checker.sample_cost())[index - 1]
         return reached, choice.active_graph().samples_after(index, reached) & possible
 
     later = None
     for i in range(index + 1, count) if not free.any() else ():
-        if check.free_samples(i).any():
-            later = grid, i, check.free_samples(i)
+        if checker.free_samples(i).any():
+            later = grid, i, checker.free_samples(i)
             break
-    return DeadEnd(index, choice.states, grid, possible, free, later, tried, shorter, find_connections)
+    return DeadEnd(index, choice.states, grid, possible, free, later, tried, shorter_count, find_connections)

@@ -1,7 +1,7 @@
 """Path search for an operation, by the method that suits the number of its freedoms and targets.
 
-Tools that are to be turned toward a point, such as their robot's base, have preferred values of their spin.
-This module also computes these values and reports what following them costs.
+Tools that are to be turned toward a point, such as the base of their arm, have preferred values of their
+spin. This module also computes these values and reports what following them costs.
 
 **Very many targets** (`search_on_skeleton`): the path is searched on some of them, the skeleton, arm by arm,
 and then interpolated. If no freedom moves more than one arm, each arm has a layered graph of its own, and the
@@ -66,14 +66,15 @@ COARSE_SLIDE_SAMPLES: Final = 3
 
 
 def needs_skeleton(targets: Targets) -> bool:
-    """Whether there are so many targets that a skeleton is needed, and nothing couples the arms.
+    """Whether the path has to be searched on a skeleton, and can be.
 
-    Freedoms, frames and edges may couple arms.
+    It has to with more than :data:`MAX_FULL_SEARCH_TARGETS` targets. It can if the arms are independent: no
+    freedom moves more than one arm, no arm holds a work frame of another, and no wire joins them.
     """
-    joined = targets.coupled or targets.flexible_tool is not None
-    joined |= any(frame.startswith(HELD_PREFIX) for frame in targets.frame.values())
+    are_coupled = targets.coupled or targets.flexible_tool is not None
+    are_coupled |= any(frame.startswith(HELD_PREFIX) for frame in targets.frame.values())
     moves_one_arm = all(isinstance(f, ScrewFreedom) and len(f.axis) == 1 for f in targets.freedoms)
-    return targets.count > MAX_FULL_SEARCH_TARGETS and moves_one_arm and not joined
+    return targets.count > MAX_FULL_SEARCH_TARGETS and moves_one_arm and not are_coupled
 
 
 def search_on_skeleton(
@@ -86,8 +87,8 @@ def search_on_skeleton(
         targets: Targets of the operation.
 
     Returns:
-        A path that keeps margins and clearance at and between all targets, or why one arm alone has none.
-        None if each arm has a path of its own but none was found for all arms.
+        Samples, and a path that keeps margins and clearance at and between all targets or the reasons why one
+        arm alone has none. None if each arm has a path of its own, but none was found for all arms.
     """
     zero_angles = (
         np.stack(
@@ -108,13 +109,13 @@ def search_on_skeleton(
         if not isinstance(result, PathResult):
             return None if result is None else (grid, result)
         full_path = skeleton.interpolate(result)
-        faults = skeleton.find_faults(full_path)
-        if not faults.any():
+        is_faulty = skeleton.find_faults(full_path)
+        if not is_faulty.any():
             return SampleGrid(full_path.values[:, None], np.zeros((0, 1), dtype=np.intp)), full_path
-        refined = _refine_rows(rows, faults)
-        if len(refined) == len(rows):
+        refined_rows = _refine_rows(rows, is_faulty)
+        if len(refined_rows) == len(rows):
             return None
-        rows = refined
+        rows = refined_rows
     return None
 
 
@@ -123,9 +124,11 @@ class _Skeleton:
     """A subset of the targets of an operation.
 
     Attributes:
-        zero: (N, F) angle from which full turns are counted.
-        progress: (N,) measure that grows along the operation.
-        rows: (K,) targets of the skeleton.
+        scene: Cell with the stock in its pose.
+        targets: All N targets of the operation.
+        zero: (N, F) [rad] angle from which full turns are counted; 0 for other freedoms.
+        progress: (N,) measure that grows along the operation, as by :func:`_path_progress`.
+        rows: (K,) indices of the targets of the skeleton.
     """
 
     scene: Scene
@@ -135,7 +138,12 @@ class _Skeleton:
     rows: IndexArray
 
     def search_arms(self) -> tuple[SampleGrid, PathResult | BlockedSearch | None]:
-        """Search a path of all arms on the skeleton; each arm avoids those before it."""
+        """Search a path of all arms on the skeleton, arm by arm. Each arm avoids those before it.
+
+        Returns:
+            Samples, and the path or why one arm alone has none; None instead of a path if each arm has one of
+            its own, but no order of the arms led to paths of all of them.
+        """
         no_samples = SampleGrid(np.zeros((0, 1, 0)), np.zeros((0, 1), dtype=np.intp))
         for order in itertools.permutations(self.targets.arms):
             results: dict[str, PathResult] = {}
@@ -153,11 +161,12 @@ class _Skeleton:
         return no_samples, None
 
     def _search_arm(self, arm: str, others: OtherArms) -> tuple[SampleGrid, PathResult | BlockedSearch]:
-        """Search the path of one arm: over full turns only, then over all of its freedoms."""
-        arm_targets, columns = (
-            select_targets(_targets_of_arm(self.targets, arm), self.rows),
-            self._arm_columns(arm),
-        )
+        """Search the path of one arm on the skeleton: over full turns only, then over all of its freedoms.
+
+        ``others`` are the arms that have paths already, which this arm avoids, and those that it ignores.
+        """
+        arm_targets = select_targets(_targets_of_arm(self.targets, arm), self.rows)
+        columns = self._arm_columns(arm)
         full_turns_only = dataclasses.replace(
             arm_targets,
             freedoms=tuple(map(_fix_unless_full_turn, arm_targets.freedoms, arm_targets.neutral_values().T)),
@@ -177,9 +186,11 @@ class _Skeleton:
         return grid, result
 
     def _arm_columns(self, arm: str) -> IndexArray:
+        """Return the indices of the freedoms that move an arm."""
         return np.array([j for j, f in enumerate(self.targets.freedoms) if _moves_arm(f, arm)], dtype=np.intp)
 
     def _combine(self, results: Mapping[str, PathResult]) -> PathResult:
+        """Combine the paths of the single arms into one path of all arms on the skeleton."""
         arms = self.targets.arms
         values = np.zeros((len(self.rows), len(self.targets.freedoms)))
         for arm in arms:
@@ -192,7 +203,11 @@ class _Skeleton:
         return PathResult(path, values, {arm: results[arm].q[arm] for arm in arms}, choices, checks, rounds)
 
     def interpolate(self, result: PathResult) -> PathResult:
-        """The path at all targets: freedoms interpolated between those of the skeleton, joints exact."""
+        """Extend a path on the skeleton to all targets.
+
+        Freedoms are interpolated over the progress, and joints are computed exactly. Joints are NaN where the
+        branch is lost.
+        """
         targets, skeleton_progress = self.targets, self.progress[self.rows]
         values = np.zeros((targets.count, len(targets.freedoms)))
         for j, freedom in enumerate(targets.freedoms):
@@ -220,9 +235,9 @@ class _Skeleton:
         )
 
     def find_faults(self, path: PathResult) -> BoolArray:
-        """Whether (N,) a limit, the branch or the clearance is lost.
+        """Whether (N,) a path of all targets violates a margin, its branch or the clearance.
 
-        It may be lost at a target or on the linear move to it.
+        It may do so at a target or on the linear move to it. Moves are checked only if all targets are good.
         """
         scene, targets = self.scene, self.targets
         out = np.zeros(targets.count, dtype=np.bool_)
@@ -235,16 +250,17 @@ class _Skeleton:
             return out
         samples = sample_moves(scene, targets, path.path.branch, path.q)
         lost = np.isnan(np.concatenate(list(samples.q.values()), axis=1)).any(axis=1)
-        good = np.flatnonzero(~lost)
+        solved = np.flatnonzero(~lost)
         solved_samples = MoveSamples(
-            samples.move[good], samples.fraction[good], {a: v[good] for a, v in samples.q.items()}
+            samples.move[solved], samples.fraction[solved], {a: v[solved] for a, v in samples.q.items()}
         )
-        lost[good] = ~is_clear(scene, targets, solved_samples)
+        lost[solved] = ~is_clear(scene, targets, solved_samples)
         out[samples.move[lost]] = True
         return out
 
 
 def _targets_of_arm(targets: Targets, arm: str) -> Targets:
+    """Return the targets of one arm alone, with the freedoms that move it."""
     return dataclasses.replace(
         targets,
         arms=(arm,),
@@ -259,25 +275,31 @@ def _moves_arm(freedom: Freedom, arm: str) -> bool:
 
 
 def _fix_unless_full_turn(freedom: Freedom, neutral: FloatArray) -> Freedom:
-    """The freedom itself if it is a full turn, else fixed at its ``neutral`` values (N,)."""
+    """Return a full turn unchanged, and any other freedom fixed at its neutral values (N,)."""
     return freedom if is_full_turn(freedom) else dataclasses.replace(freedom, lower=neutral, upper=neutral)
 
 
-def _has_more_range(held: Targets, all_freedoms: Targets) -> bool:
-    return any(np.any(a.upper - a.lower != b.upper - b.lower) for a, b in _freedom_pairs(held, all_freedoms))
+def _has_more_range(fixed: Targets, free: Targets) -> bool:
+    """Whether a freedom of ``free`` has another range than the same freedom of ``fixed``."""
+    return any(np.any(a.upper - a.lower != b.upper - b.lower) for a, b in _freedom_pairs(fixed, free))
 
 
-def _freedom_pairs(held: Targets, all_freedoms: Targets) -> list[tuple[Freedom, Freedom]]:
-    return list(zip(held.freedoms, all_freedoms.freedoms, strict=True))
+def _freedom_pairs(fixed: Targets, free: Targets) -> list[tuple[Freedom, Freedom]]:
+    return list(zip(fixed.freedoms, free.freedoms, strict=True))
 
 
 def _path_progress(targets: Targets) -> FloatArray:
-    """Measure (N,) that grows along the operation by about 1 between targets of the skeleton."""
+    """Compute a measure (N,) that grows along the operation by about 1 between targets of the skeleton.
+
+    It is the path length of the TCPs in units of :data:`SKELETON_DISTANCE_M` plus their rotation in units of
+    :data:`SKELETON_ROTATION_RAD`, summed over the arms.
+    """
     step = np.full(targets.count - 1, 1e-6)
     for arm, pose in targets.pose.items():
         step += np.linalg.norm(np.diff(pose[:, :3, 3], axis=0), axis=1) / SKELETON_DISTANCE_M
-        turn = np.einsum("nij,nij->n", pose[1:, :3, :3], pose[:-1, :3, :3])
-        angle = np.arccos(np.clip(0.5 * (turn - 1.0), -1.0, 1.0))
+        # the angle of a rotation R follows from its trace: cos(angle) = (tr R - 1) / 2
+        trace = np.einsum("nij,nij->n", pose[1:, :3, :3], pose[:-1, :3, :3])
+        angle = np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))
         spins = [
             f.axis[arm][:3]
             for f in targets.freedoms
@@ -291,20 +313,24 @@ def _path_progress(targets: Targets) -> FloatArray:
 
 
 def _skeleton_rows(targets: Targets, progress: FloatArray) -> IndexArray:
-    """Targets (K,) about 1 apart in ``progress`` (N,), both ends, and both ends of long moves."""
+    """Choose the targets (K,) of the first skeleton.
+
+    They are about 1 apart in ``progress`` (N,), or farther if there would be more than
+    :data:`MAX_SKELETON_TARGETS`. Both ends of the operation and of long moves are included.
+    """
     scale = max(1.0, float(progress[-1]) / MAX_SKELETON_TARGETS)
     number = np.floor(progress / scale)
-    pick = np.zeros(targets.count, dtype=np.bool_)
-    pick[[0, -1]] = True
-    pick[1:] |= np.diff(number) > 0
-    pick[:-1] |= np.diff(progress) > 0.5 * scale
-    return np.flatnonzero(pick)
+    is_chosen = np.zeros(targets.count, dtype=np.bool_)
+    is_chosen[[0, -1]] = True
+    is_chosen[1:] |= np.diff(number) > 0
+    is_chosen[:-1] |= np.diff(progress) > 0.5 * scale
+    return np.flatnonzero(is_chosen)
 
 
-def _refine_rows(rows: IndexArray, is_fault: BoolArray) -> IndexArray:
-    """The skeleton with the first, the middle and the last fault between each pair of its targets added."""
-    fault_rows = np.flatnonzero(is_fault)
-    gap = np.searchsorted(rows, fault_rows)
+def _refine_rows(rows: IndexArray, is_faulty: BoolArray) -> IndexArray:
+    """Add faulty targets to a skeleton: the first, the middle and the last one of each of its gaps."""
+    fault_rows = np.flatnonzero(is_faulty)
+    gap = np.searchsorted(rows, fault_rows)  # the gap between targets of the skeleton in which a fault lies
     first = np.flatnonzero(np.diff(gap, prepend=-1))
     last = np.append(first[1:], len(fault_rows)) - 1
     middle = (first + last) // 2
@@ -328,12 +354,13 @@ targets.
 def find_path(
     scene: Scene, targets: Targets, fine: bool = True
 ) -> tuple[SampleGrid, PathResult | BlockedSearch]:
-    """Find the path of least cost.
+    """Find the path of least cost over branches, freedoms and turns that keeps margins and clearance.
 
-    With few freedoms, slides and tables are first sampled in their middle, and at more positions only if that
-    has no path with free moves. Finally, if ``fine``, spins and slides are sampled twice as densely. If not
-    ``fine``, a dead end that more positions do not pass either ends the search, with the reasons for slides
-    in their middle. Very many targets are planned on a skeleton first.
+    With at most one rotational freedom, slides and tables are first sampled in their middle, and at more
+    positions only if that has no path with free moves. Finally, if ``fine``, spins and slides are sampled
+    twice as densely. If not ``fine``, the search ends at a dead end that more positions do not pass either,
+    with the reasons for slides in their middle. With several rotational freedoms a roadmap is searched
+    (:func:`search_roadmap`). Very many targets are searched on a skeleton first.
 
     Args:
         scene: Cell with the stock in its pose.
@@ -350,7 +377,7 @@ def find_path(
     if count_rotational_freedoms(targets) > MAX_GRAPH_ROTATIONS:
         return search_roadmap(scene, targets)
     free_freedoms = [f for f in targets.freedoms if float((f.upper - f.lower).max()) > 0.0]
-    moves, kept = scene.model is not None, None
+    moves, colliding_result = scene.model is not None, None
     slide_counts = (1, SLIDE_SAMPLES) if any(is_sampled_as_slide(f) for f in free_freedoms) else (1,)
     for slides in slide_counts:
         grid = sample_freedoms(targets, SPIN_STEP_RAD, slides)
@@ -358,20 +385,21 @@ def find_path(
         if isinstance(result, PathResult):
             if not result.has_colliding_moves:
                 return grid, result
-            kept = kept or (grid, result)
+            colliding_result = colliding_result or (grid, result)
         elif slides < slide_counts[-1] and not fine and _is_dead_end(scene, targets, result):
             return grid, result
     if fine and free_freedoms:
         fine_result = _search_finely(scene, targets, result)
-        if fine_result is not None and not (kept and isinstance(fine_result[1], BlockedSearch)):
+        if fine_result is not None and not (colliding_result and isinstance(fine_result[1], BlockedSearch)):
             return fine_result
-    return kept or (grid, result)
+    return colliding_result or (grid, result)
 
 
 def _is_dead_end(scene: Scene, targets: Targets, blocked: BlockedSearch) -> bool:
-    """Whether targets around a dead end have no path among themselves with more slide samples either.
+    """Whether the targets around a dead end have no path with more slide samples either.
 
-    Then all targets have none.
+    The neighbouring targets are searched alone. If they have no path, all targets have none. False if the
+    search has no dead end, or if there are too few targets for this to save time.
     """
     if blocked.dead_end is None or targets.count <= 2 * DEAD_END_NEIGHBOURS:
         return False
@@ -386,16 +414,25 @@ def _is_dead_end(scene: Scene, targets: Targets, blocked: BlockedSearch) -> bool
 
 
 def count_rotational_freedoms(targets: Targets) -> int:
-    """Number of freedoms that rotate something."""
+    """Return the number of freedoms that rotate something and have a range."""
     return sum(not is_sampled_as_slide(f) for f in targets.freedoms if float((f.upper - f.lower).max()) > 0.0)
 
 
 def _search_finely(
     scene: Scene, targets: Targets, coarse_result: PathResult | BlockedSearch
 ) -> tuple[SampleGrid, PathResult | BlockedSearch] | None:
-    """Search with the finest samples; None if they do not help.
+    """Search with the finest samples.
 
-    They must pass the target where paths end before they are used for all targets.
+    If the coarse search failed, the finest samples are tried first at the target where its paths end, then up
+    to that target, and only then for all targets.
+
+    Args:
+        scene: Cell with the stock in its pose.
+        targets: Targets of the operation.
+        coarse_result: Result of the search with coarser samples.
+
+    Returns:
+        The samples, and the path or better reasons why there is none; None if the finest samples do not help.
     """
     moves = scene.model is not None
     if isinstance(coarse_result, BlockedSearch):
@@ -413,10 +450,11 @@ def _search_finely(
                 or first_result.dead_end.index < coarse_result.dead_end.index
             ):
                 return None
+            # Only the first targets were searched, so a later free target is known from the coarse search.
             later = coarse_result.dead_end.later if not first_result.dead_end.free.any() else None
             later = later if later is not None and later[1] > first_result.dead_end.index else None
-            dead = dataclasses.replace(first_result.dead_end, later=later)
-            return grid, dataclasses.replace(first_result, dead_end=dead, common=targets.count)
+            dead_end = dataclasses.replace(first_result.dead_end, later=later)
+            return grid, dataclasses.replace(first_result, dead_end=dead_end, common=targets.count)
     grid = sample_freedoms(targets, *FINE_SAMPLING)
     return grid, search_graph(scene, targets, grid, moves=moves)
 
@@ -425,16 +463,17 @@ def _is_blocked_finely(scene: Scene, targets: Targets, dead_end: DeadEnd) -> boo
     """Whether the target where paths end is not free with the finest samples either, on any branches."""
     single_target = select_targets(targets, np.array([dead_end.index]))
     grid = sample_freedoms(single_target, *FINE_SAMPLING)
-    table = compute_reach(scene, single_target, grid)
+    reach = compute_reach(scene, single_target, grid)
     for branches in dead_end.tried:
-        if all(b in r.branches for r, b in zip(table.values(), branches, strict=True)):
-            rungs = {arm: r.branches[b] for (arm, r), b in zip(table.items(), branches, strict=True)}
-            if CollisionChecker(scene, single_target, grid, rungs).free_samples(0).any():
+        if all(b in r.branches for r, b in zip(reach.values(), branches, strict=True)):
+            states = {arm: r.branches[b] for (arm, r), b in zip(reach.items(), branches, strict=True)}
+            if CollisionChecker(scene, single_target, grid, states).free_samples(0).any():
                 return False
     return True
 
 
 def _end_index(blocked: BlockedSearch) -> int:
+    """Return the target at which paths end: a dead end, or where the first arm without a branch fails."""
     if blocked.dead_end is not None:
         return blocked.dead_end.index
     ends = [int(np.argmin(r.exists, axis=1).max()) for r in blocked.reach.values() if not r.branches]
@@ -454,7 +493,10 @@ SPIN_COLUMNS: Final = (
 
 
 def with_aims(scene: Scene, targets: Targets) -> Targets:
-    """Add preferred values to every spin that has an aim to follow."""
+    """Return the targets with preferred values for every spin that should follow an aim.
+
+    Targets without such a spin are returned themselves.
+    """
     if not any(_aim_of(f) is not None for f in targets.freedoms):
         return targets
     freedoms = []
@@ -469,14 +511,22 @@ def with_aims(scene: Scene, targets: Targets) -> Targets:
 
 
 def aimed_values(scene: Scene, targets: Targets, freedom: ScrewFreedom, aim: Aim) -> FloatArray:
-    """Values (N,) [rad] of a spin at which its ray points to the aim as closely as a rotation allows."""
+    """Compute values (N,) [rad] of a spin at which a ray of the tool aims at a point as closely as possible.
+
+    Args:
+        scene: Cell with the stock in its pose.
+        targets: N targets.
+        freedom: The spin.
+        aim: The ray in the frame of the tool, and the point in the work frame; without a point it is the base
+            of the arm.
+    """
     pose = scene.world_poses(targets, {arm: targets.pose[arm] for arm in targets.arms})[aim.arm]
     if aim.point is None:
         aim_point = scene.chains[aim.arm].base[:3, 3]
     else:
         frames = scene.world_poses(targets, {arm: np.eye(4) for arm in targets.arms})[aim.arm]
         aim_point = frames[..., :3, :3] @ aim.point + frames[..., :3, 3]
-    direction = np.einsum("nji,nj->ni", pose[:, :3, :3], aim_point - pose[:, :3, 3])
+    direction = np.einsum("nji,nj->ni", pose[:, :3, :3], aim_point - pose[:, :3, 3])  # in the tool's frame
     axis = freedom.axis[aim.arm][:3] / np.linalg.norm(freedom.axis[aim.arm][:3])
     across = direction - (direction @ axis)[:, None] * axis
     angle = np.arctan2(np.cross(aim.ray, across) @ axis, across @ aim.ray)
@@ -484,20 +534,25 @@ def aimed_values(scene: Scene, targets: Targets, freedom: ScrewFreedom, aim: Aim
 
 
 def aim_exhibit(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> dict[str, Any]:
-    """Table for the report that compares the plan with a path that always aims and one that never does.
+    """Return a table for the report that shows what following the aims costs.
 
-    Empty if nothing aims.
+    It compares the plan with a path that always aims and one that never does. Empty if no spin has an aim.
+
+    Args:
+        scene: Cell with the stock in its pose.
+        targets: Targets of the operation.
+        q: {arm: (N, J)} [rad] planned joints.
     """
-    aims = [f for f in targets.freedoms if _aim_of(f) is not None]
-    if not aims:
+    aimed_freedoms = [f for f in targets.freedoms if _aim_of(f) is not None]
+    if not aimed_freedoms:
         return {}
     # the free path first: its samples are those of the plan, whose reach is cached
-    free = _path_figures(scene, targets, _without_aim(targets))
-    held = _path_figures(scene, targets, _fixed_at_aim(scene, targets))
+    free_cells = _path_cells(scene, targets, _without_aim(targets))
+    aimed_cells = _path_cells(scene, targets, _fixed_at_aim(scene, targets))
     rows = [
-        ("as planned", *_format_figures(scene, targets, q)),
-        ("always toward the base, not optimised", *held),
-        ("free, not optimised", *free),
+        ("as planned", *_format_cells(scene, targets, q)),
+        ("always toward the base, not optimised", *aimed_cells),
+        ("free, not optimised", *free_cells),
     ]
     columns = tuple(c for c in SPIN_COLUMNS if c != "[deg]")
     return {
@@ -510,16 +565,17 @@ def aim_exhibit(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> 
     }
 
 
-def _path_figures(scene: Scene, targets: Targets, freedoms: tuple[Any, ...]) -> tuple[str, ...]:
-    """Figures of the path of the targets with other freedoms."""
-    other = dataclasses.replace(targets, freedoms=freedoms, exhibits={}, claims=())
-    _, result = find_path(scene, other)
-    return (
-        _format_figures(scene, other, result.q) if isinstance(result, PathResult) else ("no path", *[""] * 4)
-    )
+def _path_cells(scene: Scene, targets: Targets, freedoms: tuple[Any, ...]) -> tuple[str, ...]:
+    """Search a path of the targets with other freedoms, and return its cells of the table of spins."""
+    changed_targets = dataclasses.replace(targets, freedoms=freedoms, exhibits={}, claims=())
+    _, result = find_path(scene, changed_targets)
+    if not isinstance(result, PathResult):
+        return ("no path", *[""] * 4)
+    return _format_cells(scene, changed_targets, result.q)
 
 
-def _format_figures(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> tuple[str, ...]:
+def _format_cells(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> tuple[str, ...]:
+    """Format motion, time and smallest margins of joint paths {arm: (N, J)} as table cells."""
     total_motion, largest, time, limit, singularity = 0.0, 0.0, 0.0, np.inf, np.inf
     for arm in targets.arms:
         chain = scene.chains[arm]
@@ -529,22 +585,24 @@ def _format_figures(scene: Scene, targets: Targets, q: Mapping[str, FloatArray])
         time = max(time, float((steps / speed_limits(scene, arm)).max(axis=1).sum()))
         limit = min(limit, float(chain.limit_margin(q[arm]).min()))
         singularity = min(singularity, float(chain.singularity_margin(q[arm]).min()))
-    shown = [total_motion / DEG, largest / DEG, time, limit / DEG, singularity / DEG]
-    return tuple(f"{value:.{digits}f}" for value, digits in zip(shown, (0, 0, 1, 1, 1), strict=True))
+    values = [total_motion / DEG, largest / DEG, time, limit / DEG, singularity / DEG]
+    return tuple(f"{value:.{digits}f}" for value, digits in zip(values, (0, 0, 1, 1, 1), strict=True))
 
 
 def _fixed_at_aim(scene: Scene, targets: Targets) -> tuple[Any, ...]:
+    """Return the freedoms of the targets, where spins with an aim are fixed at their aimed values."""
     out = []
     for freedom in targets.freedoms:
         aim = _aim_of(freedom)
         if isinstance(freedom, ScrewFreedom) and aim is not None:
-            held = aimed_values(scene, targets, freedom, aim)
-            freedom = dataclasses.replace(freedom, lower=held, upper=held, prefer=None, aim=None)
+            values = aimed_values(scene, targets, freedom, aim)
+            freedom = dataclasses.replace(freedom, lower=values, upper=values, prefer=None, aim=None)
         out.append(freedom)
     return tuple(out)
 
 
 def _without_aim(targets: Targets) -> tuple[Any, ...]:
+    """Return the freedoms of the targets, where spins with an aim have no aim and no preferred values."""
     return tuple(
         dataclasses.replace(f, prefer=None, aim=None)
         if isinstance(f, ScrewFreedom) and _aim_of(f) is not None
@@ -554,4 +612,5 @@ def _without_aim(targets: Targets) -> tuple[Any, ...]:
 
 
 def _aim_of(freedom: object) -> Aim | None:
+    """Return the aim of a spin; None if the freedom is not a spin or has no aim."""
     return freedom.aim if isinstance(freedom, ScrewFreedom) else None

@@ -32,14 +32,15 @@ MARGIN_PENALTY_S = 5.0
 
 @dataclasses.dataclass(frozen=True)
 class SampleGrid:
-    """S samples of the freedoms at each target.
+    """S samples of the freedoms at each target, and the steps from sample to sample between targets.
 
-    Samples of a full turn form a ring, others a line. One step changes each freedom by at most one sample.
+    Samples of a full turn form a ring, others a line. One step changes each freedom by at most one sample,
+    unless more are allowed.
 
     Attributes:
-        values: (N, S, F) values.
-        predecessors: (M, S) for each of M kinds of step the sample that a sample is reached from, -1 for
-            none.
+        values: (N, S, F) values of the freedoms.
+        predecessors: (M, S) for each of M kinds of step, such as "freedom 1 one sample up", the sample of the
+            previous target from which a sample is reached, -1 for none.
     """
 
     values: FloatArray
@@ -58,11 +59,11 @@ class BranchStates:
     Attributes:
         arm: Name of the arm.
         branch: Branch number.
-        q: (N, S, J) [rad] principal angles, NaN out of reach.
-        turns: (T, J) [rad] whole turns to add.
+        q: (N, S, J) [rad] angles as from :meth:`Chain.inverse`, NaN out of reach.
+        turns: (T, J) [rad] whole turns of the joints that can be added to ``q``.
         ok: (N, S, T) whether the state keeps the margins to limits and singularities.
-        penalty: (N, S, T) [s], inf if not.
-        has_turns: Whether turns are distinguished.
+        penalty: (N, S, T) [s] penalty for small margins, inf if the state does not keep them.
+        has_turns: Whether states that differ only by turns are distinguished.
     """
 
     arm: str
@@ -74,7 +75,7 @@ class BranchStates:
     has_turns: bool = True
 
     def without_turns(self) -> "BranchStates":
-        """Return the states without turns. The best turn determines the value of a state."""
+        """Return states in which turns are not distinguished, with the smallest penalty of any turn."""
         return dataclasses.replace(
             self,
             turns=np.zeros((1, self.q.shape[-1])),
@@ -102,16 +103,17 @@ class ArmReach:
 
 
 def is_full_turn(freedom: Freedom) -> bool:
-    """Whether a freedom may turn without end at every target."""
+    """Whether a freedom is a spin that may turn without end at every target."""
     if not isinstance(freedom, ScrewFreedom) or not freedom.periodic:
         return False
     return bool(np.all(freedom.upper - freedom.lower >= FULL_TURN_RAD - 1e-9))
 
 
 def is_sampled_as_slide(freedom: Freedom) -> bool:
-    """Whether a freedom is sampled at few positions.
+    """Whether a freedom is sampled at few positions instead of steps of an angle.
 
-    This holds for slides and tables, which rotate nothing, and for joint freedoms beside rotational ones.
+    This holds for slides and tables, which rotate nothing, and for a redundant joint if there are freedoms
+    that rotate.
     """
     if isinstance(freedom, JointFreedom):
         return not freedom.is_sole_rotation
@@ -129,25 +131,28 @@ def sample_freedoms(
         targets: Targets with their freedoms.
         spin_step: Step [rad] of rotational freedoms.
         slides: Number of samples of slides and tables.
-        max_step: Maximum number of samples per step, if only one freedom is sampled.
+        max_step: Maximum number of samples by which a freedom changes in one step, if only one freedom is
+            sampled. With more freedoms it is 1.
     """
     counts = [_sample_count(f, spin_step, slides) for f in targets.freedoms]
     while counts and int(np.prod(counts)) * targets.count > MAX_SAMPLES and max(counts) > 2:
         largest = int(np.argmax(counts))
         counts[largest] = max(2, counts[largest] // 2)
     are_rings = [is_full_turn(f) for f in targets.freedoms]
-    picks = np.array(list(itertools.product(*(range(c) for c in counts))), dtype=np.intp)
-    picks = picks.reshape(int(np.prod(counts)), len(counts))
+    # one row for each sample, with the number of the value that each freedom takes
+    numbers = np.array(list(itertools.product(*(range(c) for c in counts))), dtype=np.intp)
+    numbers = numbers.reshape(int(np.prod(counts)), len(counts))
     columns = [
-        _sample_values(f, picks[:, j], counts[j], ring)
-        for j, (f, ring) in enumerate(zip(targets.freedoms, are_rings, strict=True))
+        _sample_values(f, numbers[:, j], counts[j], is_ring)
+        for j, (f, is_ring) in enumerate(zip(targets.freedoms, are_rings, strict=True))
     ]
-    shape = (targets.count, len(picks))
+    shape = (targets.count, len(numbers))
     values = np.stack(columns, axis=-1) if columns else np.zeros((*shape, 0))
-    return SampleGrid(values, _predecessors(picks, counts, are_rings, max_step))
+    return SampleGrid(values, _predecessors(numbers, counts, are_rings, max_step))
 
 
 def _sample_count(freedom: Freedom, spin_step: float, slides: int) -> int:
+    """Return the number of values of one freedom, as in :func:`sample_freedoms`."""
     width = float(np.max(freedom.upper - freedom.lower))
     if width <= 0.0:
         return 1
@@ -158,18 +163,26 @@ def _sample_count(freedom: Freedom, spin_step: float, slides: int) -> int:
     return max(3, int(np.ceil(width / spin_step)) + 1)
 
 
-def _sample_values(freedom: Freedom, picks: IndexArray, count: int, ring: bool) -> FloatArray:
+def _sample_values(freedom: Freedom, numbers: IndexArray, count: int, is_ring: bool) -> FloatArray:
+    """Return values (N, S) of a freedom at N targets, given their numbers (S,) from 0 to ``count`` - 1."""
     rows = len(freedom.lower)
-    if ring:
-        return np.broadcast_to(-np.pi + FULL_TURN_RAD * picks / count, (rows, len(picks)))
-    fraction = picks / max(count - 1, 1) if count > 1 else np.full(len(picks), 0.5)
+    if is_ring:
+        return np.broadcast_to(-np.pi + FULL_TURN_RAD * numbers / count, (rows, len(numbers)))
+    fraction = numbers / max(count - 1, 1) if count > 1 else np.full(len(numbers), 0.5)
     return freedom.lower[:, None] + fraction * (freedom.upper - freedom.lower)[:, None]
 
 
-def _predecessors(picks: IndexArray, counts: list[int], are_rings: list[bool], max_step: int) -> IndexArray:
-    """Predecessors (M, S): no change, and each freedom one sample up or down.
+def _predecessors(numbers: IndexArray, counts: list[int], are_rings: list[bool], max_step: int) -> IndexArray:
+    """Compute the predecessors (M, S) of samples for all kinds of step.
 
-    For two freedoms they include diagonals.
+    The kinds are: no change, and one freedom up to ``max_step`` samples up or down. With two freedoms both
+    may change in one step.
+
+    Args:
+        numbers: (S, F) number of the value of each freedom in each sample.
+        counts: Number of values of each freedom.
+        are_rings: Whether the last value of each freedom is followed by the first.
+        max_step: As for :func:`sample_freedoms`.
     """
     max_step = max_step if sum(count > 1 for count in counts) == 1 else 1
     changes = (0, *itertools.chain.from_iterable((-k, k) for k in range(1, max_step + 1)))
@@ -178,22 +191,22 @@ def _predecessors(picks: IndexArray, counts: list[int], are_rings: list[bool], m
         offsets = [o for o in offsets if np.count_nonzero(o) <= 1]
     offsets = [o for o in offsets if all(c > 1 or s == 0 for c, s in zip(counts, o, strict=True))]
     offsets.sort(key=lambda o: sum(map(abs, o)))
-    out = np.empty((len(offsets), len(picks)), dtype=np.intp)
+    out = np.empty((len(offsets), len(numbers)), dtype=np.intp)
     for m, offset in enumerate(offsets):
-        predecessor = picks - np.array(offset, dtype=np.intp).reshape(-1)
-        inside = np.ones(len(picks), dtype=bool)
-        flat = np.zeros(len(picks), dtype=np.intp)
+        predecessor = numbers - np.array(offset, dtype=np.intp).reshape(-1)
+        exists = np.ones(len(numbers), dtype=bool)
+        sample = np.zeros(len(numbers), dtype=np.intp)
         for j, count in enumerate(counts):
             column = predecessor[:, j] % count if are_rings[j] else predecessor[:, j]
-            inside &= (column >= 0) & (column < count)
-            # number of a sample: mixed radix of its picks, the last freedom counts fastest
-            flat = flat * count + column
-        out[m] = np.where(inside, flat, -1)
+            exists &= (column >= 0) & (column < count)
+            # index of a sample: mixed radix of its numbers, the last freedom counts fastest
+            sample = sample * count + column
+        out[m] = np.where(exists, sample, -1)
     return out
 
 
 def compute_reach(scene: Scene, targets: Targets, grid: SampleGrid) -> dict[str, ArmReach]:
-    """Compute all states of all arms over the grid."""
+    """Compute the states of all arms on all branches, at all targets and samples of the grid."""
     poses, shape = _sample_poses(scene, targets, grid)
     return {
         arm: _cached_reach(scene, arm, poses[arm], _last_joint(targets, grid, arm), shape)
@@ -220,9 +233,9 @@ def independent_states(scene: Scene, targets: Targets, grid: SampleGrid) -> dict
 def states_on_branches(
     scene: Scene, targets: Targets, grid: SampleGrid, branch: Mapping[str, int]
 ) -> dict[str, BranchStates] | None:
-    """Compute the states over the grid on one branch of each arm, as :func:`compute_reach`.
+    """Compute the states {arm: states} over the grid on one branch of each arm.
 
-    None if at some target no sample has a state for all arms.
+    Returns None if there is a target of which no sample has an allowed state for all arms.
     """
     poses, shape = _sample_poses(scene, targets, grid)
     out, is_possible = {}, np.ones(shape, dtype=np.bool_)
@@ -241,24 +254,31 @@ def states_on_branches(
 def _sample_poses(
     scene: Scene, targets: Targets, grid: SampleGrid
 ) -> tuple[dict[str, FloatArray], tuple[int, int]]:
-    """TCP poses {arm: (N * S, 4, 4)} of all N targets at their S samples, and (N, S)."""
+    """Compute TCP poses {arm: (N * S, 4, 4)} in the world of N targets at their S samples, and (N, S)."""
     rows, samples = grid.values.shape[:2]
     index = np.repeat(np.arange(rows), samples)
     return scene.tcp_poses(targets, grid.values.reshape(rows * samples, -1), index), (rows, samples)
 
 
 def _last_joint(targets: Targets, grid: SampleGrid, arm: str) -> FloatArray | None:
-    """Last joint (N * S,) of an arm if it is a freedom."""
-    last = targets.last_joint_angle(arm, grid.values)
-    return None if last is None else last.reshape(-1)
+    """Return the last joint (N * S,) [rad] of an arm in all samples, or None if it is not a freedom."""
+    angle = targets.last_joint_angle(arm, grid.values)
+    return None if angle is None else angle.reshape(-1)
 
 
 def _cached_reach(
     scene: Scene, arm: str, pose: FloatArray, joint: FloatArray | None, shape: tuple[int, int]
 ) -> ArmReach:
-    """Reach of one arm, cached for the last poses.
+    """Compute the reach of one arm, or return that of the previous call with the same poses.
 
     Paths are searched repeatedly over the same samples.
+
+    Args:
+        scene: Cell with the stock in its pose, whose cache is used.
+        arm: Name of the arm.
+        pose: (N * S, 4, 4) TCP poses in the world.
+        joint: (N * S,) [rad] last joint; None if it is not a freedom.
+        shape: (N, S).
     """
     cached = scene.reach_cache.get(arm)
     if (
@@ -271,8 +291,8 @@ def _cached_reach(
         if isinstance(arm_reach, ArmReach):
             return arm_reach
     arm_reach = _compute_arm_reach(scene, scene.chains[arm], pose, joint, shape)
-    for rungs in arm_reach.branches.values():
-        for array in (rungs.q, rungs.ok, rungs.penalty):
+    for states in arm_reach.branches.values():  # cached arrays must not change
+        for array in (states.q, states.ok, states.penalty):
             array.flags.writeable = False
     scene.reach_cache[arm] = pose, joint, shape, arm_reach
     return arm_reach
@@ -285,6 +305,7 @@ def _is_same_array(first: FloatArray | None, second: FloatArray | None) -> bool:
 def _compute_arm_reach(
     scene: Scene, chain: Chain, pose: FloatArray, joint: FloatArray | None, shape: tuple[int, int]
 ) -> ArmReach:
+    """Compute the reach of one arm; the arguments are those of :func:`_cached_reach`."""
     count = chain.robot.form.branches
     angles = chain.match_branches(
         chain.inverse(pose, last_joint=joint).reshape(*shape, count, chain.robot.axes)
@@ -295,23 +316,26 @@ def _compute_arm_reach(
     for branch in range(count):
         q = angles[:, :, branch]
         solved[branch] = ~np.isnan(q[..., 0]).all(axis=1)
-        rungs = branch_states(scene, chain, branch, q)
-        exists.append(np.asarray(rungs.ok.any(axis=(1, 2))))
+        states = branch_states(scene, chain, branch, q)
+        exists.append(np.asarray(states.ok.any(axis=(1, 2))))
         if exists[branch].all():
-            allowed_branches[branch] = rungs
+            allowed_branches[branch] = states
     return ArmReach(chain.name, allowed_branches, np.stack(exists), solved)
 
 
 def branch_states(scene: Scene, chain: Chain, branch: int, q: FloatArray) -> BranchStates:
-    """Compute margins, turns and penalties of principal angles (N, S, J) of one branch."""
+    """Compute the states of one branch from its angles ``q`` (N, S, J) [rad], as from :meth:`Chain.inverse`.
+
+    Turns with which no state keeps its margins are left out, except no turn.
+    """
     joint_margin, singularity_margin = scene.settings.joint_margin, scene.settings.singularity_margin
     singularity = chain.singularity_margin(q)
     turns, is_regular = _useful_turns(chain.turns, q), singularity >= singularity_margin
     margins = chain.limit_margins(q, turns)
-    fits = [(margin >= joint_margin) & is_regular for margin in margins]
-    used = [k for k, fit in enumerate(fits) if k == 0 or bool(fit.any())]
+    allowed = [(margin >= joint_margin) & is_regular for margin in margins]
+    used = [k for k, is_allowed in enumerate(allowed) if k == 0 or bool(is_allowed.any())]
     limit = np.stack([margins[k] for k in used], axis=-1)
-    ok = np.stack([fits[k] for k in used], axis=-1)
+    ok = np.stack([allowed[k] for k in used], axis=-1)
     turns = turns[used]
     # penalty = MARGIN_PENALTY_S / N (h(limit margin) + h(singularity margin)), h of _squared_hinge
     cost = (
@@ -330,11 +354,11 @@ turns each.
 
 
 def _useful_turns(turns: FloatArray, q: FloatArray) -> FloatArray:
-    """The ``turns`` (T, J) worth searching; all of them if there are few.
+    """Select the turns (T, J) that are worth searching, at most :data:`MAX_TURN_COMBINATIONS` if not all are.
 
-    If there are many, those of joints that cross the seam of their principal angles q (N, S, J). Another
-    joint keeps its turn on any path, and no turn gives it a larger margin than none. At most
-    :data:`MAX_TURN_COMBINATIONS` turns, with the fewest turns first.
+    If there are many turns, only those of joints are kept whose angles ``q`` (N, S, J) may cross the seam of
+    their range from one target to the next. Other joints keep their turn on any path, and none gives them a
+    larger margin than no turn.
     """
     if len(turns) <= MAX_TURN_COMBINATIONS:
         return turns
@@ -346,7 +370,7 @@ def _useful_turns(turns: FloatArray, q: FloatArray) -> FloatArray:
 
 
 def _squared_hinge(margin: FloatArray, hard: float, soft: float) -> FloatArray:
-    """Squared hinge: 1 at the required margin, falling as a parabola to 0 at the soft one."""
+    """Return a squared hinge: 1 at the margin ``hard``, falling as a parabola to 0 at ``hard + soft``."""
     return np.square(np.clip((hard + soft - margin) / soft, 0.0, 1.0))
 
 
@@ -371,7 +395,7 @@ class OtherArms:
     """Arms that a search does not move.
 
     Attributes:
-        standing: {arm: (N, 6)} [rad] joints at every target.
+        standing: {arm: (N, 6)} [rad] joints at every target of arms that are avoided.
         absent: Arms that are ignored.
     """
 
@@ -379,7 +403,7 @@ class OtherArms:
     absent: frozenset[str]
 
     def ignored_pairs(self, scene: Scene) -> Pairs:
-        """Pairs of bodies that include an absent arm."""
+        """Return the pairs of bodies of which at least one belongs to an absent arm."""
         if scene.model is None:
             return frozenset()
         bodies = {solid.body for solid in scene.model.solids}
@@ -400,6 +424,7 @@ class SharedCollisions:
     """
 
     def __init__(self, scene: Scene, grid: SampleGrid, arms: Sequence[str]) -> None:
+        """Find the pairs that belong to each of the arms that take part."""
         bodies = [] if scene.model is None else sorted({solid.body for solid in scene.model.solids})
         owner = {
             body: arm
@@ -414,28 +439,34 @@ class SharedCollisions:
             for arm in arms
         }
         self.other_pairs: dict[str, Pairs] = {
-            arm: frozenset(all_pairs) - arms_of_pair for arm, arms_of_pair in self.pairs.items()
+            arm: frozenset(all_pairs) - arm_pairs for arm, arm_pairs in self.pairs.items()
         }
         self._shape = grid.values.shape[:2]
-        self._seen: dict[tuple[str, int], tuple[BoolArray, BoolArray]] = {}
+        self._results: dict[tuple[str, int], tuple[BoolArray, BoolArray]] = {}
 
     def known_collisions(self, arm: str, branch: int) -> tuple[BoolArray, BoolArray]:
-        """Whether (N, S) samples are known for an arm's own pairs on a branch, and whether they collide.
+        """Return the results for the pairs that belong to an arm on a branch.
 
-        Both arrays are writable.
+        Returns:
+            Whether (N, S) a sample has been checked, and whether (N, S) it collides. The caller adds new
+            results to these arrays.
         """
-        if (arm, branch) not in self._seen:
-            nothing = np.zeros(self._shape, dtype=np.bool_)
-            self._seen[arm, branch] = nothing, nothing.copy()
-        return self._seen[arm, branch]
+        if (arm, branch) not in self._results:
+            unknown = np.zeros(self._shape, dtype=np.bool_)
+            self._results[arm, branch] = unknown, unknown.copy()
+        return self._results[arm, branch]
 
 
 class CollisionChecker:
-    """Collision results of the samples of one branch combination.
+    """Checks samples of one branch combination for collisions, and keeps the results.
 
     Attributes:
         known: (N, S) whether a sample has been checked.
         collided: (N, S) whether it collides.
+        possible: (N, S) whether every arm can take a sample.
+        checks: Number of samples that were checked.
+        rounds: Number of rounds of a path search, which the search counts.
+        suspect_cost: (N, S) [s] cost of samples that probably collide; None until :meth:`check_coarsely`.
     """
 
     def __init__(
@@ -447,12 +478,22 @@ class CollisionChecker:
         others: OtherArms | None = None,
         shared: SharedCollisions | None = None,
     ) -> None:
+        """Prepare the checks.
+
+        Args:
+            scene: Cell with the stock in its pose.
+            targets: Targets of the operation.
+            grid: Samples of the freedoms.
+            states: {arm: states on its branch}.
+            others: Arms that the search does not move.
+            shared: Results that are shared with other branch combinations; not used with ``others``.
+        """
         self._shared = shared if others is None else None
         self._standing = others.standing if others else {}
         self._ignored: Pairs = others.ignored_pairs(scene) if others else frozenset()
-        self._scene, self._targets, self._rungs = scene, targets, states
+        self._scene, self._targets, self._states = scene, targets, states
         shape = grid.values.shape[:2]
-        self._rungs_shape = (int(shape[0]), int(shape[1]))
+        self._shape = (int(shape[0]), int(shape[1]))
         self.collided = np.zeros(shape, dtype=bool)
         self.known = np.zeros(shape, dtype=bool)
         self.checks = self.rounds = 0
@@ -467,8 +508,8 @@ class CollisionChecker:
 
     def check_targets(self, rows: IndexArray) -> None:
         """Check all samples of targets ``rows`` (K,) that every arm can take."""
-        where = np.argwhere(self.possible[rows] & ~self.known[rows])
-        self.check_states(rows[where[:, 0]], where[:, 1])
+        unknown = np.argwhere(self.possible[rows] & ~self.known[rows])
+        self.check_states(rows[unknown[:, 0]], unknown[:, 1])
 
     def free_samples(self, row: int) -> BoolArray:
         """Whether (S,) every arm can take a sample of one target and nothing collides."""
@@ -476,25 +517,24 @@ class CollisionChecker:
         return np.asarray(self.possible[row] & ~self.collided[row])
 
     def check_states(self, index: IndexArray, sample: IndexArray) -> None:
-        """Check states (B,), (B,) that are not known yet."""
-        new = ~self.known[index, sample]
-        index, sample = index[new], sample[new]
+        """Check samples (B,) of targets ``index`` (B,), except those that are known already."""
+        is_new = ~self.known[index, sample]
+        index, sample = index[is_new], sample[is_new]
         if len(index) == 0:
             return
-        q = {arm: r.q[index, sample] for arm, r in self._rungs.items()}
+        q = {arm: r.q[index, sample] for arm, r in self._states.items()}
         q |= {arm: angles[index] for arm, angles in self._standing.items()}
         ignored = self._ignored
-        if (
-            self._shared is not None and self._checks_shared_pairs
-        ):  # other branch combinations may reuse the results
-            for arm, branch_states in self._rungs.items():
+        if self._shared is not None and self._checks_shared_pairs:
+            # other branch combinations may reuse the results of the pairs that belong to one arm
+            for arm, branch_states in self._states.items():
                 self._check_arm_pairs(self._shared, arm, branch_states.branch, q, index, sample)
                 ignored |= self._shared.pairs[arm]
-        left = np.flatnonzero(~self.collided[index, sample])
+        undecided = np.flatnonzero(~self.collided[index, sample])
         free = self._scene.keeps_clearance(
-            self._targets, {a: v[left] for a, v in q.items()}, index[left], ignored=ignored
+            self._targets, {a: v[undecided] for a, v in q.items()}, index[undecided], ignored=ignored
         )
-        self.collided[index[left], sample[left]] = ~free
+        self.collided[index[undecided], sample[undecided]] = ~free
         self.known[index, sample] = True
         self.checks += len(index)
 
@@ -507,32 +547,45 @@ class CollisionChecker:
         index: IndexArray,
         sample: IndexArray,
     ) -> None:
-        """Check an arm's own pairs at states (B,), (B,) that are unknown and not yet known to collide."""
+        """Check the pairs that belong to one arm, where neither these pairs nor the sample are decided.
+
+        Args:
+            shared: Results, which are extended.
+            arm: Name of the arm.
+            branch: Branch of the arm.
+            q: {arm: (B, J)} [rad] joints of all arms.
+            index: (B,) targets.
+            sample: (B,) samples.
+        """
         known, collides = shared.known_collisions(arm, branch)
         unknown = np.flatnonzero(~known[index, sample] & ~self.collided[index, sample])
         if len(unknown):
-            at = index[unknown], sample[unknown]
+            checked = index[unknown], sample[unknown]
             joints = {a: v[unknown] for a, v in q.items()}
-            collides[at] = ~self._scene.keeps_clearance(
-                self._targets, joints, at[0], ignored=shared.other_pairs[arm], edge=False
+            collides[checked] = ~self._scene.keeps_clearance(
+                self._targets, joints, checked[0], ignored=shared.other_pairs[arm], edge=False
             )
-            known[at] = True
+            known[checked] = True
         self.collided[index, sample] |= collides[index, sample]
 
     def sample_cost(self) -> FloatArray | None:
-        """Cost (N, S) [s] of samples by known collisions; None until a path has collided.
+        """Return the cost (N, S) [s] of samples by known collisions; None until :meth:`check_coarsely`.
 
-        Colliding samples cost inf.
+        Samples that collide cost inf, and those that probably do cost :data:`SUSPECT_COST_S`.
         """
         return None if self.suspect_cost is None else np.where(self.collided, np.inf, self.suspect_cost)
 
     def check_coarsely(self) -> None:
-        """Check all samples of every 12th target. Samples between colliding ones get a cost."""
-        rows, samples = self._rungs_shape
+        """Check all samples of every :data:`COARSE_STRIDE`-th target.
+
+        A sample that collides at one of two consecutive checked targets becomes costly at all targets between
+        them.
+        """
+        rows, samples = self._shape
         self._checks_shared_pairs = True
-        at = np.unique(np.append(np.arange(0, rows, COARSE_STRIDE), rows - 1))
-        self.check_targets(at)
-        suspect = np.zeros((rows, samples))
-        for a, b in itertools.pairwise(at):
-            suspect[a : b + 1, self.collided[a] | self.collided[b]] = SUSPECT_COST_S
-        self.suspect_cost = suspect
+        checked = np.unique(np.append(np.arange(0, rows, COARSE_STRIDE), rows - 1))
+        self.check_targets(checked)
+        suspect_cost = np.zeros((rows, samples))
+        for a, b in itertools.pairwise(checked):
+            suspect_cost[a : b + 1, self.collided[a] | self.collided[b]] = SUSPECT_COST_S
+        self.suspect_cost = suspect_cost

@@ -2,10 +2,10 @@
 
 It is used where a layered graph over all samples would be too large.
 
-At some of the targets, the layers, all samples that every arm can reach are known. Dynamic programming finds
-the shortest path from layer to layer, with any sample after any other. Its postures are checked for
-collisions, then the targets and moves between its layers. What fails is removed, and the path is searched
-again.
+Some of the targets are layers. At each layer, all samples that every arm can reach are computed. Dynamic
+programming finds the shortest path from layer to layer, on which any sample may follow any other. The
+postures of the path are checked for collisions, then the targets and the moves between its layers. States and
+steps that fail are forbidden, and the path is searched again.
 """
 
 import dataclasses
@@ -55,13 +55,13 @@ MAX_DOUBTS: Final = 3
 """Number of collisions at a target between layers after which all of its samples are checked."""
 
 MAX_LAYER_STATES: Final = 400
-"""Maximum number of states of a layer, evenly spread."""
+"""Maximum number of states of a layer. If there are more, evenly spread ones are used."""
 MAX_KEPT_STEPS: Final = 10_000_000
-"""Maximum number of steps of the best branch combination up to which it is kept while others are examined:
-120 MB.
+"""Maximum number of steps of a graph (120 MB) that is kept in memory while other branch combinations are
+examined. Larger graphs are built again.
 """
 _MAX_CHANGE_WITHOUT_TURN_RAD: Final = 3.0
-"""Joint change [rad] up to which no whole turn is involved."""
+"""Joint change [rad] up to which a step involves no whole turn; slightly less than half a turn."""
 MAX_DIAGNOSED_STATES: Final = 120_000
 """Maximum number of states that are examined to explain why there is no path."""
 
@@ -80,19 +80,20 @@ def search_roadmap(scene: Scene, targets: Targets) -> tuple[SampleGrid, PathResu
     all_levels = sampling_levels(targets, coordinates)
     collision: tuple[int, dict[str, FloatArray]] | None = None
     checks = 0
-    in_reach = list(all_levels)
+    reachable_levels = list(all_levels)
     blocked_targets: list[int] = []
+    # The ends are checked first. Without a path, the smaller number of layers is searched without that check.
     for layer_count, check_ends in [*((count, True) for count in LAYER_COUNTS), (LAYER_COUNTS[0], False)]:
         layers = _RoadmapLayers(_layer_rows(targets, layer_count), check_ends)
-        for level in list(in_reach):
-            attempt = _RoadmapSearch(scene, targets, coordinates, level, layers, blocked_targets)
-            result = attempt.run()
-            checks += attempt.checks
+        for level in list(reachable_levels):
+            search = _RoadmapSearch(scene, targets, coordinates, level, layers, blocked_targets)
+            result = search.run()
+            checks += search.checks
             if result is not None:
                 return _path_grid(result), dataclasses.replace(result, checks=checks)
-            collision = attempt.collision or collision
-            if not attempt.in_reach:
-                in_reach.remove(level)
+            collision = search.collision or collision
+            if not search.in_reach:
+                reachable_levels.remove(level)
     return _diagnose(scene, targets, coordinates, all_levels, collision, blocked_targets)
 
 
@@ -113,18 +114,22 @@ def search_near_samples(
     coordinates = FreedomCoordinates(targets)
     level = SamplingLevel(tuple(f.name for f in targets.freedoms), samples)
     layers = _RoadmapLayers(_layer_rows(targets, LAYER_COUNTS[0]), check_ends=not targets.coupled)
-    attempt = _RoadmapSearch(scene, targets, coordinates, level, layers, [])
-    result = attempt.run_on_branch(branch)
+    search = _RoadmapSearch(scene, targets, coordinates, level, layers, blocked_targets=[])
+    result = search.run_on_branch(branch)
     return None if result is None else (_path_grid(result), result)
 
 
 def _path_grid(result: PathResult) -> SampleGrid:
-    """The one sample of each target that a path uses."""
+    """Return a grid with one sample of each target: the one that a path uses."""
     return SampleGrid(result.values[:, None], np.zeros((0, 1), dtype=np.intp))
 
 
 def _layer_rows(targets: Targets, count: int) -> IndexArray:
-    """Targets that become layers: evenly spread ones, the ends, stops and segment changes."""
+    """Choose the targets (L,) that become layers: evenly spread ones, the ends, stops and segment changes.
+
+    ``count`` is the number of evenly spread ones. If there are more than :data:`MAX_LAYERS`, only some are
+    used.
+    """
     rows = set(np.linspace(0, targets.count - 1, min(count, targets.count)).round().astype(int).tolist())
     rows |= set(np.flatnonzero(targets.stop).tolist())
     rows |= {i for i in range(1, targets.count) if targets.segment[i] != targets.segment[i - 1]}
@@ -140,7 +145,8 @@ class _RoadmapLayers:
 
     Attributes:
         rows: (L,) targets that become layers, in order.
-        check_ends: Whether the arms must be able to reach the first and the last layer one after the other.
+        check_ends: Whether postures of the first and the last layer must be free with other arms at home, so
+            that the arms can reach them one after the other (:func:`are_ends_free`).
     """
 
     rows: IndexArray
@@ -148,7 +154,13 @@ class _RoadmapLayers:
 
 
 class _RoadmapSearch:
-    """Search on one sampling level over one set of layers."""
+    """Search on one sampling level over one set of layers.
+
+    Attributes:
+        collision: A collision that blocked paths: index of the target, and joints {arm: (6,)}; None if none.
+        checks: Number of postures that were checked for collisions.
+        in_reach: Whether a branch combination has a sample at every layer that all arms can take.
+    """
 
     def __init__(
         self,
@@ -179,17 +191,20 @@ class _RoadmapSearch:
         self._blocked_targets = blocked_targets
 
     def is_blocked(self, branch: Mapping[str, int], target: int) -> bool:
-        """Whether no sample of the level is free at a target. Later searches then check that target first."""
+        """Whether no sample of the level is free at a target, on given branches.
+
+        If so, the target becomes the last of the blocked targets, so that later searches check it first.
+        """
         index = np.full(len(self.samples), target)
         values = self.coordinates.values(self.samples, index)
         poses = self.scene.tcp_poses(self.targets, values, index)
-        ok, q = np.ones(len(index), dtype=bool), {}
+        is_allowed, q = np.ones(len(index), dtype=bool), {}
         for arm, pose in poses.items():
             chain = self.scene.chains[arm]
             q[arm] = chain.inverse(pose, [branch[arm]], self.targets.last_joint_angle(arm, values))[:, 0]
-            ok &= chain.best_limit_margin(q[arm]) >= self.scene.settings.joint_margin
-            ok &= chain.singularity_margin(q[arm]) >= self.scene.settings.singularity_margin
-        allowed = np.flatnonzero(ok)
+            is_allowed &= chain.best_limit_margin(q[arm]) >= self.scene.settings.joint_margin
+            is_allowed &= chain.singularity_margin(q[arm]) >= self.scene.settings.singularity_margin
+        allowed = np.flatnonzero(is_allowed)
         self.checks += len(allowed)
         joints = {arm: v[allowed] for arm, v in q.items()}
         if len(allowed) and self.scene.keeps_clearance(self.targets, joints, index[allowed]).any():
@@ -200,48 +215,51 @@ class _RoadmapSearch:
         return True
 
     def run(self) -> PathResult | None:
-        """Find a path, or None. ``collision`` then holds a collision that blocked paths, if there was one."""
+        """Find a path, or None. :attr:`collision` then holds a collision that blocked paths, if any did."""
+        # Rank the branch combinations by their penalties, then the best of them by the cost of their paths.
         layer_targets, grid = self._layer_grid()
-        table = compute_reach(self.scene, layer_targets, grid)
-        offers: list[tuple[float, int, dict[str, BranchStates]]] = []
-        for branches in itertools.product(*(r.branches for r in table.values())):
-            rungs = {arm: r.branches[b] for (arm, r), b in zip(table.items(), branches, strict=True)}
-            cost = sum(r.penalty.min(axis=-1) for r in rungs.values())
+        reach = compute_reach(self.scene, layer_targets, grid)
+        choices: list[tuple[float, int, dict[str, BranchStates]]] = []
+        for branches in itertools.product(*(r.branches for r in reach.values())):
+            states = {arm: r.branches[b] for (arm, r), b in zip(reach.items(), branches, strict=True)}
+            cost = sum(r.penalty.min(axis=-1) for r in states.values())
             if np.isfinite(cost).any(axis=1).all():
-                offers.append((float(np.min(cost, axis=1).sum()), len(offers), rungs))
-        self.in_reach = bool(offers)
-        offers.sort(key=lambda offer: offer[:2])
-        graph_costs: list[tuple[float, int, dict[str, BranchStates]]] = []
-        best: dict[int, _RoadmapGraph] = {}
-        for _, _, rungs in offers[:MAX_BRANCH_CHOICES]:
-            graph = _RoadmapGraph(self, rungs)
+                choices.append((float(np.min(cost, axis=1).sum()), len(choices), states))
+        self.in_reach = bool(choices)
+        choices.sort(key=lambda choice: choice[:2])
+        choices_with_path: list[tuple[float, int, dict[str, BranchStates]]] = []
+        best_graph: dict[int, _RoadmapGraph] = {}
+        for _, _, states in choices[:MAX_BRANCH_CHOICES]:
+            graph = _RoadmapGraph(self, states)
             result = graph.shortest_path()
             if result is not None:
-                if all(result[1] < cost for cost, _, _ in graph_costs):
-                    best = {len(graph_costs): graph} if graph.step_count <= MAX_KEPT_STEPS else {}
-                graph_costs.append((result[1], len(graph_costs), rungs))
+                number = len(choices_with_path)
+                if all(result[1] < cost for cost, _, _ in choices_with_path):
+                    best_graph = {number: graph} if graph.step_count <= MAX_KEPT_STEPS else {}
+                choices_with_path.append((result[1], number, states))
             del graph
-        for _, number, rungs in sorted(graph_costs, key=lambda offer: offer[:2]):
-            branch = {arm: r.branch for arm, r in rungs.items()}
+        # Search free paths, cheapest first.
+        for _, number, states in sorted(choices_with_path, key=lambda choice: choice[:2]):
+            branch = {arm: r.branch for arm, r in states.items()}
             if any(self.is_blocked(branch, i) for i in self._blocked_targets[::-1]):
                 continue
             # all graphs at once would fill the memory, so those except the best are built again
-            path = (best.pop(number, None) or _RoadmapGraph(self, rungs)).find_free_path(MAX_ROUNDS)
+            path = (best_graph.pop(number, None) or _RoadmapGraph(self, states)).find_free_path(MAX_ROUNDS)
             if path is not None:
-                return dataclasses.replace(path, choices=len(offers))
+                return dataclasses.replace(path, choices=len(choices))
         return None
 
     def run_on_branch(self, branch: Mapping[str, int]) -> PathResult | None:
         """Find a path on one branch of each arm, or None, with fewer rounds."""
-        rungs = states_on_branches(self.scene, *self._layer_grid(), branch)
-        return None if rungs is None else _RoadmapGraph(self, rungs).find_free_path(MAX_NEAR_ROUNDS)
+        states = states_on_branches(self.scene, *self._layer_grid(), branch)
+        return None if states is None else _RoadmapGraph(self, states).find_free_path(MAX_NEAR_ROUNDS)
 
     def _layer_grid(self) -> tuple[Targets, SampleGrid]:
-        """The targets that are layers, with all samples of the level."""
+        """Return the targets that are layers, and a grid of all samples of the level without steps."""
         count = len(self.samples)
-        every = np.repeat(self.rows[:, None], count, axis=1)
+        rows = np.repeat(self.rows[:, None], count, axis=1)
         values = self.coordinates.values(
-            np.broadcast_to(self.samples, (len(self.rows), *self.samples.shape)), every
+            np.broadcast_to(self.samples, (len(self.rows), *self.samples.shape)), rows
         )
         return select_targets(self.targets, self.rows), SampleGrid(
             values, np.zeros((0, count), dtype=np.intp)
@@ -249,12 +267,13 @@ class _RoadmapSearch:
 
 
 class _BestPaths:
-    """Best paths to all states of the first layers.
+    """Best paths from the first layer to all states of the layers up to some layer.
 
     Attributes:
-        rows: For each layer the cost (S,) [s] and the turns {arm: (S,)} of each state.
-        predecessors: For each later layer the state (S,) of the previous layer that each state comes from.
-        is_dead_end: Whether no state of the layer after the last row can be reached.
+        rows: For each of these layers the cost (S,) [s] and the codes of turns {arm: (S,)} of each state.
+        predecessors: For each of these layers except the first, the state (S,) of the previous layer that
+            each state comes from.
+        is_dead_end: Whether no state of the next layer can be reached.
     """
 
     def __init__(self) -> None:
@@ -263,7 +282,7 @@ class _BestPaths:
         self.is_dead_end = False
 
     def extend(self, predecessor: IndexArray, cost: FloatArray, turn: dict[str, IndexArray]) -> None:
-        """Add paths to the next layer."""
+        """Add the best paths to the next layer: predecessor (S,), cost (S,) [s] and codes of turns (S,)."""
         self.is_dead_end = not np.isfinite(cost).any()
         if not self.is_dead_end:
             self.rows.append((cost, turn))
@@ -277,15 +296,33 @@ class _BestPaths:
 
 
 class _RoadmapGraph:
-    """States of one branch combination at every layer, and the cost of steps between adjacent layers."""
+    """States of one branch combination at every layer, and the cost of steps between adjacent layers.
 
-    def __init__(self, attempt: _RoadmapSearch, layer_states: Mapping[str, BranchStates]) -> None:
-        self.attempt, self.layer_states = attempt, layer_states
-        self.scene, self.targets, self.rows = attempt.scene, attempt.targets, attempt.rows
+    A state of a layer is one of its samples that every arm can take. Lists have an entry for each layer, or
+    for each step from a layer to the next.
+
+    Attributes:
+        states: Index (S,) of the sample of each state.
+        q: {arm: joints (S, J) [rad] of each state}.
+        blocked: Whether (S,) a state is forbidden.
+        known: Whether (S,) a state has been checked.
+        tables: {arm: penalties of the states by their whole turns}.
+        time: Duration (A, B) [s] of the step from every state of a layer to every state of the next.
+        code: {arm: code (A, B) of the whole turns by which the joints change on these steps, or None if none
+            changes by a turn}.
+        doubts: Number of collisions at each target between layers.
+        fine: {(layer, state, state of the next layer): joints {arm: (K, J)} at the targets between them}, for
+            steps that are free.
+    """
+
+    def __init__(self, search: _RoadmapSearch, layer_states: Mapping[str, BranchStates]) -> None:
+        """Build the graph; ``layer_states`` are {arm: states on its branch at all layers and samples}."""
+        self.search, self.layer_states = search, layer_states
+        self.scene, self.targets, self.rows = search.scene, search.targets, search.rows
         self.branch = {arm: r.branch for arm, r in layer_states.items()}
         cost = sum(r.penalty.min(axis=-1) for r in layer_states.values())
-        good = np.isfinite(cost)
-        self.states = [_subsample(np.flatnonzero(g)) for g in good]
+        is_allowed = np.isfinite(cost)
+        self.states = [_subsample(np.flatnonzero(allowed)) for allowed in is_allowed]
         self.q = {arm: [r.q[k, s] for k, s in enumerate(self.states)] for arm, r in layer_states.items()}
         self.blocked = [np.zeros(len(s), dtype=bool) for s in self.states]
         self.known = [np.zeros(len(s), dtype=bool) for s in self.states]
@@ -299,9 +336,9 @@ class _RoadmapGraph:
             self._add_step_times(k)
 
     def _add_step_times(self, k: int) -> None:
-        """Add the duration (A, B) from every state of layer k to every one of the next.
+        """Add durations and changes of turns from every state of layer k to every state of the next.
 
-        It is inf where a joint moves too far.
+        The duration is inf where a joint moves too far.
         """
         slowest = np.zeros((len(self.states[k]), len(self.states[k + 1])), dtype=np.float32)
         total, change = np.zeros_like(slowest), np.empty_like(slowest)
@@ -325,9 +362,9 @@ class _RoadmapGraph:
                     next_joints[None, :, j], previous_joints[:, None, j], out=change, casting="same_kind"
                 )
                 if has_many_turns[j] and largest_change[j] > _MAX_CHANGE_WITHOUT_TURN_RAD:
-                    whole = np.round(change / FULL_TURN_RAD)
-                    change -= FULL_TURN_RAD * whole
-                    code += (TURN_CODE_BASE**j * whole).astype(np.int32)
+                    whole_turns = np.round(change / FULL_TURN_RAD)
+                    change -= FULL_TURN_RAD * whole_turns
+                    code += (TURN_CODE_BASE**j * whole_turns).astype(np.int32)
                 np.abs(change, out=change)
                 if largest_change[j] > max_change:
                     is_forbidden |= change > max_change
@@ -346,10 +383,10 @@ class _RoadmapGraph:
         return sum(time.size for time in self.time)
 
     def shortest_path(self) -> tuple[IndexArray, float] | None:
-        """States (K,) of the path of least cost, and that cost; or None.
+        """Find the path of least cost: its state (L,) at each layer, and its cost [s]; or None.
 
-        Every state keeps the turns of the path that reaches it best. Other turns at the start are tried if
-        there is no path.
+        Every state keeps only the turns of the path that reaches it best, so a path may be missed. If there
+        is no path, other turns at the first layer are tried.
         """
         starts = [t.start_codes() for t in self.tables.values()]
         for number, codes in enumerate(itertools.islice(itertools.product(*starts), 12)):
@@ -359,12 +396,19 @@ class _RoadmapGraph:
         return None
 
     def _forward(self, number: int, start: Mapping[str, IndexArray]) -> tuple[IndexArray, float] | None:
-        """Find the path from the turns ``start``, continuing what is already known of it."""
+        """Find the path of least cost that starts with given turns, as :meth:`shortest_path`.
+
+        Best paths of an earlier call with the same ``number`` are continued, as far as they are still valid.
+
+        Args:
+            number: Number of the start.
+            start: {arm: codes (S,) of the turns of the first layer's states}.
+        """
         best_paths = self._best_paths.setdefault(number, _BestPaths())
         if not best_paths.rows:
             cost = np.where(self.blocked[0], np.inf, 0.0)
-            for arm, t in self.tables.items():
-                cost = cost + t.penalty(0, start[arm])
+            for arm, table in self.tables.items():
+                cost = cost + table.penalty(0, start[arm])
             best_paths.rows.append((cost, dict(start)))
         while not best_paths.is_dead_end and len(best_paths.rows) <= len(self.time):
             best_paths.extend(*self._relax(len(best_paths.rows) - 1, *best_paths.rows[-1]))
@@ -381,33 +425,47 @@ class _RoadmapGraph:
     def _relax(
         self, k: int, cost: FloatArray, turn: Mapping[str, IndexArray]
     ) -> tuple[IndexArray, FloatArray, dict[str, IndexArray]]:
-        """Best predecessor in layer k of each state of the next layer, with its cost and turns."""
-        offers = cost[:, None] + self.time[k]
-        new = {}
-        for arm, t in self.tables.items():
+        """Extend best paths from layer k to the next layer.
+
+        Args:
+            k: Index of the layer.
+            cost: (A,) [s] cost of the best paths to the states of layer k.
+            turn: {arm: codes (A,) of the turns of these states}.
+
+        Returns:
+            For each of B states of the next layer the best predecessor (B,), the cost (B,) [s] and the codes
+            of the turns {arm: (B,)}.
+        """
+        total_cost = cost[:, None] + self.time[k]
+        next_codes = {}
+        for arm, table in self.tables.items():
             step = self.code[arm][k]
             if step is None:  # no joint changes its turn: few turns, each for all states of the next layer
-                codes, which = np.unique(turn[arm], return_inverse=True)
-                every = np.broadcast_to(codes[:, None], (len(codes), offers.shape[1]))
-                offers += t.penalty(k + 1, every)[which]
+                codes, code_index = np.unique(turn[arm], return_inverse=True)
+                codes_of_states = np.broadcast_to(codes[:, None], (len(codes), total_cost.shape[1]))
+                total_cost += table.penalty(k + 1, codes_of_states)[code_index]
             else:
-                new[arm] = turn[arm][:, None] - step
-                offers += t.penalty(k + 1, new[arm])
-        offers[:, self.blocked[k + 1]] = np.inf
-        predecessor = np.argmin(offers, axis=0)
-        columns = np.arange(offers.shape[1])
-        turns_after = {
-            arm: new[arm][predecessor, columns] if arm in new else c[predecessor] for arm, c in turn.items()
+                next_codes[arm] = turn[arm][:, None] - step
+                total_cost += table.penalty(k + 1, next_codes[arm])
+        total_cost[:, self.blocked[k + 1]] = np.inf
+        predecessor = np.argmin(total_cost, axis=0)
+        columns = np.arange(total_cost.shape[1])
+        next_turn = {
+            arm: next_codes[arm][predecessor, columns] if arm in next_codes else c[predecessor]
+            for arm, c in turn.items()
         }
-        return predecessor, offers[predecessor, columns], turns_after
+        return predecessor, total_cost[predecessor, columns], next_turn
 
     def _discard_from(self, k: int) -> None:
         """Discard known paths to layer k and beyond."""
-        for known in self._best_paths.values():
-            known.discard_from(k)
+        for best_paths in self._best_paths.values():
+            best_paths.discard_from(k)
 
     def find_free_path(self, rounds: int) -> PathResult | None:
-        """Find the shortest path that keeps margins and clearance everywhere, or None."""
+        """Find the path of least cost that keeps margins and clearance everywhere, or None.
+
+        At most ``rounds`` paths are checked. States and steps that fail are forbidden.
+        """
         for count in range(rounds):
             result = self.shortest_path()
             if result is None or self._is_blocked():
@@ -422,95 +480,106 @@ class _RoadmapGraph:
         return None
 
     def _is_blocked(self) -> bool:
-        """Whether a target that collided often collides with all samples."""
-        often = [i for i, count in self.doubts.items() if count >= MAX_DOUBTS]
-        for i in often:
+        """Whether one of the targets that have collided several times collides with all samples."""
+        doubtful_targets = [i for i, count in self.doubts.items() if count >= MAX_DOUBTS]
+        for i in doubtful_targets:
             self.doubts[i] = -MAX_ROUNDS  # check it only once
-        return any(self.attempt.is_blocked(self.branch, i) for i in often)
+        return any(self.search.is_blocked(self.branch, i) for i in doubtful_targets)
 
     def _block_states(self, states: IndexArray) -> bool:
-        """Check the states of the path; where some collide, check all states of their layers together."""
-        hits = self._check_states(np.arange(len(states)), states)
-        if hits:
-            unknown_states = [np.flatnonzero(~self.known[k]) for k in hits]
-            self._check_states(
-                np.repeat(hits, [len(unknown) for unknown in unknown_states]), np.concatenate(unknown_states)
-            )
-        for k in hits:
-            if self.blocked[k].all():
-                self.attempt.is_blocked(self.branch, int(self.rows[k]))
-        return len(hits) > 0
+        """Check the states (L,) of a path for collisions, and forbid those that collide.
 
-    def _check_states(self, rung: IndexArray, state: IndexArray) -> list[int]:
-        new = np.array([not self.known[k][s] for k, s in zip(rung, state, strict=True)], dtype=bool)
-        rung, state = rung[new], state[new]
-        if len(rung) == 0:
+        If some do, all states of their layers are checked together. Returns whether any state collides.
+        """
+        blocked_layers = self._check_states(np.arange(len(states)), states)
+        if blocked_layers:
+            unknown_states = [np.flatnonzero(~self.known[k]) for k in blocked_layers]
+            self._check_states(
+                np.repeat(blocked_layers, [len(unknown) for unknown in unknown_states]),
+                np.concatenate(unknown_states),
+            )
+        for k in blocked_layers:
+            if self.blocked[k].all():
+                self.search.is_blocked(self.branch, int(self.rows[k]))
+        return len(blocked_layers) > 0
+
+    def _check_states(self, layer: IndexArray, state: IndexArray) -> list[int]:
+        """Check states (B,) of layers (B,) that are unknown. Returns the layers of those that collide."""
+        is_new = np.array([not self.known[k][s] for k, s in zip(layer, state, strict=True)], dtype=bool)
+        layer, state = layer[is_new], state[is_new]
+        if len(layer) == 0:
             return []
-        q = {arm: np.array([a[k][s] for k, s in zip(rung, state, strict=True)]) for arm, a in self.q.items()}
-        free = self.scene.keeps_clearance(self.targets, q, self.rows[rung])
-        self.attempt.checks += len(rung)
-        hits = np.flatnonzero(~free)
-        if self.attempt.check_ends:
-            last = np.flatnonzero(free & ((rung == 0) | (rung == len(self.rows) - 1)))
-            if len(last):
-                free[last] = are_ends_free(self.scene, {arm: v[last] for arm, v in q.items()})
-        for k, s, ok in zip(rung, state, free, strict=True):
+        q = {
+            arm: np.array([joints[k][s] for k, s in zip(layer, state, strict=True)])
+            for arm, joints in self.q.items()
+        }
+        free = self.scene.keeps_clearance(self.targets, q, self.rows[layer])
+        self.search.checks += len(layer)
+        colliding = np.flatnonzero(~free)
+        if self.search.check_ends:
+            ends = np.flatnonzero(free & ((layer == 0) | (layer == len(self.rows) - 1)))
+            if len(ends):
+                free[ends] = are_ends_free(self.scene, {arm: v[ends] for arm, v in q.items()})
+        for k, s, ok in zip(layer, state, free, strict=True):
             self.known[k][s], self.blocked[k][s] = True, not ok
-        for k in np.unique(rung[~free]).tolist():
+        for k in np.unique(layer[~free]).tolist():
             self._discard_from(k)
-        if len(hits):
-            first = int(hits[0])
-            self.attempt.collision = int(self.rows[rung[first]]), {arm: v[first] for arm, v in q.items()}
-        return [int(k) for k in rung[~free]]
+        if len(colliding):
+            first = int(colliding[0])
+            self.search.collision = int(self.rows[layer[first]]), {arm: v[first] for arm, v in q.items()}
+        return [int(k) for k in layer[~free]]
 
     def _edge_coordinates(self, k: int, states: IndexArray) -> tuple[FloatArray, FloatArray]:
-        """Coordinates at layer k and, by the shortest change, at the next layer."""
-        samples, c = self.attempt.samples, self.attempt.coordinates
+        """Return the path's coordinates (F,) at layer k and at the next layer, by the shortest change."""
+        samples, coordinates = self.search.samples, self.search.coordinates
         start = samples[self.states[k][states[k]]]
-        return start, start + c.shortest_change(start, samples[self.states[k + 1][states[k + 1]]])
+        end = samples[self.states[k + 1][states[k + 1]]]
+        return start, start + coordinates.shortest_change(start, end)
 
     def _block_edges(self, states: IndexArray) -> bool:
-        """Check the targets between the path's layers, and forbid the steps that fail."""
+        """Check the targets between the layers of a path, and forbid the steps of the path that fail.
+
+        The coordinates change linearly between the layers. Returns whether any step fails.
+        """
         steps = [k for k in range(len(states) - 1) if (k, states[k], states[k + 1]) not in self.fine]
-        rows, owner, coordinates = [], [], []
+        row_parts, layer_parts, coordinate_parts = [], [], []
         for k in steps:
             inner = np.arange(self.rows[k] + 1, self.rows[k + 1])
             start, end = self._edge_coordinates(k, states)
             fraction = (inner - self.rows[k]) / (self.rows[k + 1] - self.rows[k])
-            rows.append(inner)
-            owner.append(np.full(len(inner), k))
-            coordinates.append(start + fraction[:, None] * (end - start))
+            row_parts.append(inner)
+            layer_parts.append(np.full(len(inner), k))
+            coordinate_parts.append(start + fraction[:, None] * (end - start))
         if not steps:
             return False
-        all_rows, all_owners = np.concatenate(rows), np.concatenate(owner)
-        values = self.attempt.coordinates.values(np.concatenate(coordinates), all_rows)
-        poses = self.scene.tcp_poses(self.targets, values, all_rows)
-        ok, q = np.ones(len(all_rows), dtype=bool), {}
+        rows, layer = np.concatenate(row_parts), np.concatenate(layer_parts)
+        values = self.search.coordinates.values(np.concatenate(coordinate_parts), rows)
+        poses = self.scene.tcp_poses(self.targets, values, rows)
+        is_allowed, q = np.ones(len(rows), dtype=bool), {}
         for arm, pose in poses.items():
             chain = self.scene.chains[arm]
             q[arm] = chain.inverse(pose, [self.branch[arm]], self.targets.last_joint_angle(arm, values))[:, 0]
-            best = chain.best_limit_margin(q[arm])
-            ok &= best >= self.scene.settings.joint_margin
-            ok &= chain.singularity_margin(q[arm]) >= self.scene.settings.singularity_margin
-        good = np.flatnonzero(ok)
-        if len(good):
+            is_allowed &= chain.best_limit_margin(q[arm]) >= self.scene.settings.joint_margin
+            is_allowed &= chain.singularity_margin(q[arm]) >= self.scene.settings.singularity_margin
+        in_limits = np.flatnonzero(is_allowed)
+        if len(in_limits):
             free = self.scene.keeps_clearance(
-                self.targets, {arm: v[good] for arm, v in q.items()}, all_rows[good]
+                self.targets, {arm: v[in_limits] for arm, v in q.items()}, rows[in_limits]
             )
-            self.attempt.checks += len(good)
+            self.search.checks += len(in_limits)
             if not free.all():
-                first = good[int(np.argmin(free))]
-                self.attempt.collision = int(all_rows[first]), {arm: v[first] for arm, v in q.items()}
-                self.doubts.update(all_rows[good[~free]].tolist())
-            ok[good] = free
-        lost_layers = set(all_owners[~ok].tolist())
+                first = in_limits[int(np.argmin(free))]
+                self.search.collision = int(rows[first]), {arm: v[first] for arm, v in q.items()}
+                self.doubts.update(rows[in_limits[~free]].tolist())
+            is_allowed[in_limits] = free
+        failed_layers = set(layer[~is_allowed].tolist())
         for k in steps:
             key = (k, int(states[k]), int(states[k + 1]))
-            if k in lost_layers:
+            if k in failed_layers:
                 self._forbid_step(*key)
             else:
-                self.fine[key] = {arm: v[all_owners == k] for arm, v in q.items()}
-        return bool(lost_layers)
+                self.fine[key] = {arm: v[layer == k] for arm, v in q.items()}
+        return bool(failed_layers)
 
     def _forbid_step(self, k: int, state: int, next_state: int) -> None:
         """Forbid the step from this state of layer k to that state of the next layer."""
@@ -518,13 +587,13 @@ class _RoadmapGraph:
         self._discard_from(k + 1)
 
     def _assemble_path(self, states: IndexArray, cost: float, rounds: int) -> PathResult:
-        """The path at all targets, including turns."""
-        coordinates = np.empty((self.targets.count, self.attempt.samples.shape[1]))
+        """Assemble the path at all targets, including turns, from its states (L,) at the layers."""
+        coordinates = np.empty((self.targets.count, self.search.samples.shape[1]))
         q = {
             arm: np.empty((self.targets.count, layer_joints[0].shape[1]))
             for arm, layer_joints in self.q.items()
         }
-        current = self.attempt.samples[self.states[0][states[0]]]
+        current = self.search.samples[self.states[0][states[0]]]
         for k in range(len(self.rows)):
             coordinates[self.rows[k]] = current
             for arm in self.layer_states:
@@ -538,22 +607,27 @@ class _RoadmapGraph:
                 fine = self.fine[k, int(states[k]), int(states[k + 1])]
                 for arm in self.layer_states:
                     q[arm][inner] = fine[arm]
+        # The turns at the last target are known. Those before follow from continuity, summed from the end.
         for arm, angles in q.items():
-            chain, last = self.scene.chains[arm], self.tables[arm].turn_of(self._last_turns[arm])
+            chain, last_turns = self.scene.chains[arm], self.tables[arm].turn_of(self._last_turns[arm])
             change = np.diff(angles, axis=0)
             change -= np.where(chain.has_many_turns, FULL_TURN_RAD * np.round(change / FULL_TURN_RAD), 0.0)
-            back = np.cumsum(change[::-1], axis=0)[::-1]
-            q[arm] = np.concatenate([angles[-1] + last - back, (angles[-1] + last)[None]])
-        values = self.attempt.coordinates.values(coordinates, np.arange(self.targets.count))
+            change_to_end = np.cumsum(change[::-1], axis=0)[::-1]
+            last_angles = angles[-1] + last_turns
+            q[arm] = np.concatenate([last_angles - change_to_end, last_angles[None]])
+        values = self.search.coordinates.values(coordinates, np.arange(self.targets.count))
         path = GraphPath(self.branch, np.zeros(self.targets.count, dtype=np.intp), {}, cost)
-        return PathResult(path, values, q, 1, self.attempt.checks, rounds)
+        return PathResult(path, values, q, choices=1, checks=self.search.checks, rounds=rounds)
 
     def _block_moves(self, states: IndexArray, path: PathResult) -> bool:
-        """Check the whole path, including turns and linear moves between targets."""
-        out = np.zeros(self.targets.count, dtype=bool)
+        """Check a whole path, including turns and linear moves, and forbid the steps that fail.
+
+        ``states`` (L,) are those of the path at the layers. Returns whether any step fails.
+        """
+        has_failed = np.zeros(self.targets.count, dtype=bool)
         for arm, angles in path.q.items():
-            out |= self.scene.chains[arm].limit_margin(angles) < self.scene.settings.joint_margin
-            out[1:] |= (np.abs(np.diff(angles, axis=0)) > MAX_JOINT_STEP_RAD).any(axis=1)
+            has_failed |= self.scene.chains[arm].limit_margin(angles) < self.scene.settings.joint_margin
+            has_failed[1:] |= (np.abs(np.diff(angles, axis=0)) > MAX_JOINT_STEP_RAD).any(axis=1)
         samples = sample_moves(self.scene, self.targets, self.branch, path.q)
         lost = np.isnan(np.concatenate(list(samples.q.values()), axis=1)).any(axis=1)
         rows = np.flatnonzero(~lost & (samples.fraction < 1.0))
@@ -562,17 +636,17 @@ class _RoadmapGraph:
             joints = {arm: v[rows] for arm, v in samples.q.items()}
             positions = MovePositions(samples.move[rows], samples.fraction[rows])
             free = self.scene.keeps_clearance(self.targets, joints, np.maximum(nearest, 0), positions)
-            self.attempt.checks += len(rows)
+            self.search.checks += len(rows)
             if not free.all():
                 first = int(np.argmin(free))
-                self.attempt.collision = (
+                self.search.collision = (
                     int(samples.move[rows[first]]),
                     {arm: v[first] for arm, v in joints.items()},
                 )
             lost[rows] |= ~free
-        out[samples.move[lost]] = True
+        has_failed[samples.move[lost]] = True
         failed_layers = np.unique(
-            np.clip(np.searchsorted(self.rows, np.flatnonzero(out)) - 1, 0, len(self.time) - 1)
+            np.clip(np.searchsorted(self.rows, np.flatnonzero(has_failed)) - 1, 0, len(self.time) - 1)
         )
         for k in failed_layers.tolist():
             self._forbid_step(k, int(states[k]), int(states[k + 1]))
@@ -580,6 +654,7 @@ class _RoadmapGraph:
 
 
 def _subsample(states: IndexArray) -> IndexArray:
+    """Return the states of a layer, or :data:`MAX_LAYER_STATES` evenly spread ones if there are more."""
     if len(states) <= MAX_LAYER_STATES:
         return states
     return states[np.linspace(0, len(states) - 1, MAX_LAYER_STATES).round().astype(np.intp)]
@@ -593,46 +668,60 @@ def _diagnose(
     collision: tuple[int, dict[str, FloatArray]] | None,
     blocked_targets: list[int],
 ) -> tuple[SampleGrid, BlockedSearch]:
-    """Diagnose a job without a path, over samples of all levels at all targets."""
+    """Find out why an operation has no path, over samples of all levels at all targets.
+
+    Args:
+        scene: Cell with the stock in its pose.
+        targets: Targets of the operation.
+        coordinates: Converts samples to values of the freedoms.
+        all_levels: Levels that were searched.
+        collision: A collision that blocked paths: index of the target, and joints {arm: (6,)}.
+        blocked_targets: Targets at which searches ended, latest last.
+    """
     samples = np.concatenate([level.samples for level in all_levels])
     count = max(1, min(len(samples), MAX_DIAGNOSED_STATES // targets.count))
     samples = samples[np.linspace(0, len(samples) - 1, count).round().astype(np.intp)]
     rows = np.repeat(np.arange(targets.count)[:, None], count, axis=1)
     values = coordinates.values(np.broadcast_to(samples, (targets.count, *samples.shape)), rows)
     grid = SampleGrid(values, np.zeros((0, count), dtype=np.intp))
-    table: dict[str, ArmReach] = compute_reach(scene, targets, grid)
+    reach: dict[str, ArmReach] = compute_reach(scene, targets, grid)
     common = 0
-    for branches in itertools.product(*(r.branches for r in table.values())):
-        rungs = [r.branches[b] for r, b in zip(table.values(), branches, strict=True)]
-        both = np.logical_and.reduce([r.ok.any(axis=-1) for r in rungs]).any(axis=1)
-        common = max(common, targets.count if both.all() else int(np.argmin(both)))
+    for branches in itertools.product(*(r.branches for r in reach.values())):
+        states = [r.branches[b] for r, b in zip(reach.values(), branches, strict=True)]
+        is_possible = np.logical_and.reduce([r.ok.any(axis=-1) for r in states]).any(axis=1)
+        common = max(common, targets.count if is_possible.all() else int(np.argmin(is_possible)))
     if common == targets.count:
         for index in blocked_targets[::-1]:
-            dead = _find_dead_end(scene, targets, grid, table, index)
-            if dead is not None:
-                return grid, BlockedSearch(table, common, dead, collision)
+            dead_end = _find_dead_end(scene, targets, grid, reach, index)
+            if dead_end is not None:
+                return grid, BlockedSearch(reach, common, dead_end, collision)
     if common == targets.count and collision is None:
         common = targets.count - 1
-    return grid, BlockedSearch(table, common, collision=collision)
+    return grid, BlockedSearch(reach, common, collision=collision)
 
 
 def _find_dead_end(
-    scene: Scene, targets: Targets, grid: SampleGrid, table: Mapping[str, ArmReach], index: int
+    scene: Scene, targets: Targets, grid: SampleGrid, reach: Mapping[str, ArmReach], index: int
 ) -> DeadEnd | None:
-    """A target that is not free with any sample and branches; None if it is."""
+    """Describe target ``index`` as a dead end if none of its samples is free on any branches, else None.
+
+    The states are those of the branch combination with the most samples that all arms can take.
+    """
     best_combination, tried = None, []
-    for branches in itertools.product(*(r.branches for r in table.values())):
-        rungs = {arm: r.branches[b] for (arm, r), b in zip(table.items(), branches, strict=True)}
-        is_possible = np.logical_and.reduce([r.ok[index].any(axis=-1) for r in rungs.values()])
+    for branches in itertools.product(*(r.branches for r in reach.values())):
+        states = {arm: r.branches[b] for (arm, r), b in zip(reach.items(), branches, strict=True)}
+        is_possible = np.logical_and.reduce([r.ok[index].any(axis=-1) for r in states.values()])
         samples = np.flatnonzero(is_possible)
-        q = {arm: r.q[index, samples] for arm, r in rungs.items()}
+        q = {arm: r.q[index, samples] for arm, r in states.items()}
         if scene.keeps_clearance(targets, q, np.full(len(samples), index)).any():
             return None
         tried.append(branches)
         if best_combination is None or is_possible.sum() > best_combination[1].sum():
-            best_combination = rungs, is_possible
+            best_combination = states, is_possible
     if best_combination is None or not best_combination[1].any():
         return None
     no_samples = np.zeros(grid.samples, dtype=bool)
-    rungs, is_possible = best_combination
-    return DeadEnd(index, rungs, grid, is_possible, no_samples, None, frozenset(tried), 0)
+    states, is_possible = best_combination
+    return DeadEnd(
+        index, states, grid, is_possible, no_samples, later=None, tried=frozenset(tried), shorter_count=0
+    )

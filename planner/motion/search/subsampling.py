@@ -1,7 +1,7 @@
 """Subsets of targets and coarse samples of freedoms, for searches too large to run in full.
 
-Provides targets with rows selected, repeated or replaced; a few targets with a few samples, on which stock
-poses are scored; samples of many freedoms at once, and interpolation between samples of different targets.
+The module selects targets, samples a few of them coarsely to score stock poses, samples many freedoms at
+once, and interpolates between samples of different targets.
 
 A sample of many freedoms has one coordinate per freedom, shared by all targets: the fraction of the range, or
 the angle of a full turn. Angles are measured from a zero that does not jump where the nominal poses of the
@@ -23,7 +23,10 @@ from planner.targets import FlexibleTool, Freedom, JointFreedom, ScrewFreedom, T
 
 
 def select_targets(targets: Targets, rows: IndexArray) -> Targets:
-    """Select targets ``rows`` (K,), in that order, without actions, claims and exhibits."""
+    """Return the targets at indices ``rows`` (K,), in that order; indices may repeat.
+
+    Actions, claims, exhibits and issues of the operation are left out.
+    """
     edge = (
         None
         if targets.flexible_tool is None
@@ -48,7 +51,7 @@ def select_targets(targets: Targets, rows: IndexArray) -> Targets:
 
 
 def select_freedom_rows(freedom: Freedom, rows: IndexArray) -> Freedom:
-    """Select rows of a freedom.
+    """Return a freedom for the targets at indices ``rows`` (K,).
 
     Raises:
         TypeError: The freedom has an unknown type.
@@ -104,21 +107,28 @@ class SampledTargets:
 
     @functools.cached_property
     def distinct_poses(self) -> dict[str, tuple[IndexArray, IndexArray]]:
-        """Distinct poses of arms whose frames and bases are fixed: {arm: (their rows, pose of each row)}.
+        """Distinct poses of each arm whose work frame and base do not move.
 
-        A holder has few distinct poses.
+        States that differ only in freedoms of other arms share a pose, so an arm has few distinct ones.
+
+        Returns:
+            {arm: (indices (D,) of states with distinct poses, number (M,) of the distinct pose of each
+            state)}.
         """
         out = {}
         for arm, holder in frame_holders(self.targets):
             if holder is None and arm not in self.targets.track_positions:
                 flat = self.poses[arm].reshape(len(self.index), 16).round(9)
-                _, first, back = np.unique(flat, axis=0, return_index=True, return_inverse=True)
-                out[arm] = first, back.reshape(-1)
+                _, first_index, pose_index = np.unique(flat, axis=0, return_index=True, return_inverse=True)
+                out[arm] = first_index, pose_index.reshape(-1)
         return out
 
 
 def sample_coarsely(cell: Cell, targets: Targets, count: int, with_slides: bool) -> SampledTargets:
-    """Sample about ``count`` targets of a job coarsely, including long slides if ``with_slides``."""
+    """Sample about ``count`` evenly spread targets of a job coarsely.
+
+    Long slides are sampled in their middle only, unless ``with_slides``.
+    """
     selected = select_targets(targets, spread_rows(targets.count, count))
     values = coarse_samples(selected)
     if with_slides:
@@ -127,7 +137,7 @@ def sample_coarsely(cell: Cell, targets: Targets, count: int, with_slides: bool)
 
 
 def sample_finely(cell: Cell, targets: Targets, count: int) -> SampledTargets:
-    """Sample about ``count`` targets of a job finely, to be checked on every branch."""
+    """Sample about ``count`` evenly spread targets of a job finely, to be checked on every branch."""
     selected = select_targets(targets, spread_rows(targets.count, count))
     values = sample_freedoms(selected, FINE_SPIN_STEP_RAD, FINE_SLIDE_SAMPLES).values
     values = values if values.shape[1] <= MAX_FINE_SAMPLES else coarse_samples(selected)
@@ -135,12 +145,13 @@ def sample_finely(cell: Cell, targets: Targets, count: int) -> SampledTargets:
 
 
 def _make_sampled(cell: Cell, targets: Targets, values: FloatArray) -> SampledTargets:
+    """Create the sampled states of N targets from values (N, S, F) of their freedoms."""
     index = np.repeat(np.arange(targets.count), values.shape[1])
     return SampledTargets(cell, targets, index, targets.poses(values.reshape(len(index), -1), index))
 
 
 def coarse_samples(targets: Targets) -> FloatArray:
-    """Coarse samples (N, S, F) of all freedoms.
+    """Return coarse samples (N, S, F) of all freedoms.
 
     Rotations are sampled every 30 degrees, slides in their middle. With several full turns, these are sampled
     every 60 degrees and all other freedoms are neutral.
@@ -167,14 +178,17 @@ def are_long_slides(targets: Targets) -> BoolArray:
 
 
 def _with_slide_samples(targets: Targets, values: FloatArray) -> FloatArray:
-    """Samples (N, S, F), repeated with each long slide at SLIDE_SAMPLE_FRACTION toward either end."""
+    """Append to samples (N, S, F) copies in which one long slide is moved toward either of its ends.
+
+    It is moved from the middle by :data:`SLIDE_SAMPLE_FRACTION` of half its range.
+    """
     out = [values]
     for j in np.flatnonzero(are_long_slides(targets)):
         freedom = targets.freedoms[j]
-        middle, half = 0.5 * (freedom.upper + freedom.lower), 0.5 * (freedom.upper - freedom.lower)
-        for sign in (-SLIDE_SAMPLE_FRACTION, SLIDE_SAMPLE_FRACTION):
+        middle, half_range = 0.5 * (freedom.upper + freedom.lower), 0.5 * (freedom.upper - freedom.lower)
+        for fraction in (-SLIDE_SAMPLE_FRACTION, SLIDE_SAMPLE_FRACTION):
             moved = values.copy()
-            moved[..., j] = (middle + sign * half)[:, None]
+            moved[..., j] = (middle + fraction * half_range)[:, None]
             out.append(moved)
     return np.concatenate(out, axis=1)
 
@@ -191,16 +205,30 @@ MIDDLE_FRACTION = 0.25
 
 @dataclasses.dataclass(frozen=True)
 class SamplingLevel:
-    """Sampled freedoms: their ``names``, and the coordinates ``samples`` (S, F)."""
+    """Samples over a part of the freedoms.
+
+    Attributes:
+        names: Names of the sampled freedoms. The others stay in their middle.
+        samples: (S, F) coordinates of all freedoms, as in :class:`FreedomCoordinates`.
+    """
 
     names: tuple[str, ...]
     samples: FloatArray
 
 
 class FreedomCoordinates:
-    """Converts between coordinates of samples and values of the freedoms, and interpolates."""
+    """Converts between values of the freedoms and coordinates that all targets share.
+
+    The coordinate of a full turn is its angle [rad], measured from a zero that does not jump from target to
+    target. The coordinate of another freedom is the fraction of its range.
+
+    Attributes:
+        is_full_turn: (F,) whether each freedom is a full turn.
+        middle: (F,) coordinates of the neutral values.
+    """
 
     def __init__(self, targets: Targets) -> None:
+        """Prepare the conversion for N targets with at least one freedom."""
         freedoms = targets.freedoms
         self.is_full_turn = np.array([is_full_turn(f) for f in freedoms], dtype=bool)
         self._lower = np.stack([f.lower for f in freedoms], axis=1)
@@ -213,23 +241,26 @@ class FreedomCoordinates:
         self.middle = np.where(self.is_full_turn, neutral[0] + self._zero[0], np.median(fraction, axis=0))
 
     def values(self, coordinates: FloatArray, rows: IndexArray) -> FloatArray:
-        """Values (..., F) of coordinates (..., F) at targets ``rows`` (...,)."""
+        """Return the values (..., F) of coordinates (..., F) at targets ``rows`` (...,)."""
         from_fraction = self._lower[rows] + coordinates * self._width[rows]
         return np.where(self.is_full_turn, coordinates - self._zero[rows], from_fraction)
 
     def from_values(self, values: FloatArray) -> FloatArray:
-        """Coordinates (N, F) of values (N, F) at all targets."""
+        """Return the coordinates (N, F) of values (N, F) at all targets."""
         fraction = (values - self._lower) / np.where(self._width > 0.0, self._width, 1.0)
         return np.where(self.is_full_turn, values + self._zero, fraction)
 
     def shortest_change(self, start: FloatArray, end: FloatArray) -> FloatArray:
-        """Shortest change (..., F) between coordinates."""
+        """Return the change (..., F) from ``start`` to ``end``; full turns change by half a turn at most."""
         change = end - start
         return np.where(self.is_full_turn, change - FULL_TURN_RAD * np.round(change / FULL_TURN_RAD), change)
 
 
 def nominal_rotation(targets: Targets, j: int) -> FloatArray:
-    """Rotation (N,) [rad] of the nominal poses about the axis of freedom j since the first target."""
+    """Return the rotation (N,) [rad] of the nominal poses about the axis of freedom j since the first target.
+
+    It is summed from target to target, and 0 if the freedom is not a screw.
+    """
     freedom = targets.freedoms[j]
     if not isinstance(freedom, ScrewFreedom):
         return np.zeros(targets.count)
@@ -239,7 +270,10 @@ def nominal_rotation(targets: Targets, j: int) -> FloatArray:
 
 
 def _rotation_about(twist: FloatArray, change: FloatArray) -> FloatArray:
-    """Rotation (...,) [rad], up to half a turn, of pose changes (..., 4, 4) about a twist's axis."""
+    """Return the rotation of pose changes (..., 4, 4) about the axis of a twist (6,), at most half a turn.
+
+    The result (...,) is in units of the freedom that the twist belongs to, which are rad for a unit twist.
+    """
     quaternion = to_quaternion(change[..., :3, :3])
     length = float(np.linalg.norm(twist[:3]))
     angle = 2.0 * np.arctan2(quaternion[..., 1:] @ twist[:3] / length, quaternion[..., 0])
@@ -259,11 +293,15 @@ def carry_over(reference_targets: Targets, values: FloatArray, targets: Targets)
 
     Args:
         reference_targets: Targets of the reference plan.
-        values: (N, F) values of their freedoms.
+        values: (N, F) values of the freedoms of the reference targets.
         targets: New targets.
+
+    Returns:
+        One or two arrays (N, F) of coordinates.
     """
     coordinates = FreedomCoordinates(reference_targets).from_values(values)
-    turned_coordinates, has_held_frame = coordinates.copy(), False
+    turned_coordinates = coordinates.copy()
+    has_held_frame = False
     held_frames = [(arm, holder) for arm, holder in frame_holders(targets) if holder is not None]
     for j, freedom in enumerate(targets.freedoms):
         if not isinstance(freedom, ScrewFreedom) or not is_full_turn(freedom):
@@ -273,10 +311,10 @@ def carry_over(reference_targets: Targets, values: FloatArray, targets: Targets)
         coordinates[:, j] -= _rotation_about(twist, inverse(reference_pose) @ new_pose)
         if arm not in dict(held_frames):
             turned_coordinates[:, j] = coordinates[:, j]
-        for other in (held_arm for held_arm, holder in held_frames if holder == arm):
+        for working_arm in (name for name, holder in held_frames if holder == arm):
             has_held_frame = True
             turned_coordinates[:, j] += _rotation_about(
-                twist, reference_targets.pose[other][0] @ inverse(targets.pose[other][0])
+                twist, reference_targets.pose[working_arm][0] @ inverse(targets.pose[working_arm][0])
             )
     return (
         [coordinates, turned_coordinates]
@@ -286,16 +324,16 @@ def carry_over(reference_targets: Targets, values: FloatArray, targets: Targets)
 
 
 def sampling_levels(targets: Targets, coordinates: FreedomCoordinates) -> list[SamplingLevel]:
-    """Sampling levels from few to all freedoms.
+    """Return samples over more and more freedoms, because a search over few of them is faster.
 
-    These are full turns only, then with bounded turns, then with long slides instead, then all freedoms. Few
-    freedoms are searched faster and more easily.
+    The levels are: full turns only, full and bounded turns, full turns and long slides, all freedoms. A level
+    that adds no freedom to the previous one is left out.
     """
     freedoms = targets.freedoms
     has_range = np.array([float(np.max(f.upper - f.lower)) > 0.0 for f in freedoms], dtype=bool)
     rotational = has_range & ~np.array([is_sampled_as_slide(f) for f in freedoms], dtype=bool)
     out: list[SamplingLevel] = []
-    active = coordinates.is_full_turn
+    active = coordinates.is_full_turn  # freedoms of the previous level
     if active.any():
         count = (
             FULL_TURN_SAMPLES
@@ -307,10 +345,10 @@ def sampling_levels(targets: Targets, coordinates: FreedomCoordinates) -> list[S
         samples = np.repeat(coordinates.middle[None], len(grid), axis=0)
         samples[:, active] = grid
         out.append(SamplingLevel(_freedom_names(targets, active), samples))
-    shifted = (coordinates.is_full_turn & has_range) | are_long_slides(targets)
+    with_slides = (coordinates.is_full_turn & has_range) | are_long_slides(targets)
     for level_freedoms, count in (
         (rotational, LEVEL_SAMPLE_COUNTS[0]),
-        (shifted, LEVEL_SAMPLE_COUNTS[1]),
+        (with_slides, LEVEL_SAMPLE_COUNTS[1]),
         (has_range, LEVEL_SAMPLE_COUNTS[2]),
     ):
         if (level_freedoms & ~active).any():
@@ -319,8 +357,8 @@ def sampling_levels(targets: Targets, coordinates: FreedomCoordinates) -> list[S
             samples[:, level_freedoms] = np.where(
                 coordinates.is_full_turn[level_freedoms], -np.pi + FULL_TURN_RAD * spread, spread
             )
-            kept = slice(0, int(MIDDLE_FRACTION * count))
-            samples[kept, level_freedoms & ~active] = coordinates.middle[level_freedoms & ~active]
+            in_middle = slice(0, int(MIDDLE_FRACTION * count))
+            samples[in_middle, level_freedoms & ~active] = coordinates.middle[level_freedoms & ~active]
             out.append(SamplingLevel(_freedom_names(targets, level_freedoms), samples))
             active = level_freedoms
     return out
@@ -331,11 +369,12 @@ def _freedom_names(targets: Targets, active: BoolArray) -> tuple[str, ...]:
 
 
 def _spread_points(count: int, width: int) -> FloatArray:
-    """Points (count, width) that fill the unit cube evenly.
+    """Return points (count, width) that fill the unit cube evenly (the sequence R_d).
 
-    They are multiples of powers of the root of x^(width + 1) = x + 1.
+    Coordinate k of point n is 1/2 + n / phi^(k + 1) modulo 1, where phi is the root of phi^(d + 1) = phi + 1
+    with d = width.
 
-    Source: Roberts 2018.
+    Source: Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018.
     """
     root = 2.0
     for _ in range(60):

@@ -9,26 +9,34 @@ from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 
 @dataclasses.dataclass(frozen=True)
 class DifferenceBand:
-    """Divided differences of a path.
+    """M divided differences of a path, each over K consecutive targets.
 
-    Row m is the sum of ``weight`` (M, K) times targets ``first`` (M,) to first + K - 1.
+    Attributes:
+        first: (M,) index of the first target of each difference.
+        weight: (M, K) weights of the targets from the first one on. A difference is the weighted sum of their
+            joints.
     """
 
     first: IndexArray
     weight: FloatArray
 
     def differences(self, joints: FloatArray) -> FloatArray:
-        """Differences (M, J) of joints (N, J)."""
-        at = self.first[:, None] + np.arange(self.weight.shape[1])
-        return np.asarray(np.einsum("mk,mkj->mj", self.weight, joints[at]))
+        """Return the differences (M, J) of joints (N, J)."""
+        targets = self.first[:, None] + np.arange(self.weight.shape[1])
+        return np.asarray(np.einsum("mk,mkj->mj", self.weight, joints[targets]))
 
 
 def difference_bands(duration: FloatArray, stop: BoolArray) -> tuple[DifferenceBand, DifferenceBand]:
-    """Bands of joint accelerations and jerks where no stop is in between.
+    """Return the differences that are joint accelerations and joint jerks of a path on its clock.
+
+    Differences with a stop at an inner target are left out.
 
     Args:
         duration: (N - 1,) [s] durations of the moves.
         stop: (N,) whether the arms stop at a target.
+
+    Returns:
+        Accelerations, over three targets, and jerks, over four.
     """
     step = np.maximum(duration, 1e-3 * float(np.median(duration)) + 1e-9)
     # acceleration at target i: ((q_(i+1) - q_i) / t_i - (q_i - q_(i-1)) / t_(i-1)) / ((t_(i-1) + t_i) / 2)
@@ -41,12 +49,12 @@ def difference_bands(duration: FloatArray, stop: BoolArray) -> tuple[DifferenceB
     if len(jerk):
         jerk[:, :3] -= weight[:-1] / step[1:-1, None]
         jerk[:, 1:] += weight[1:] / step[1:-1, None]
-    both = np.flatnonzero(~stop[1:-2] & ~stop[2:-1])
-    return DifferenceBand(first, weight[first]), DifferenceBand(both, jerk[both])
+    jerk_first = np.flatnonzero(~stop[1:-2] & ~stop[2:-1])
+    return DifferenceBand(first, weight[first]), DifferenceBand(jerk_first, jerk[jerk_first])
 
 
 def peak_differences(duration: FloatArray, stop: BoolArray, joints: FloatArray) -> tuple[float, ...]:
-    """Largest acceleration [rad/s2] and jerk [rad/s3] of any joint, by divided differences.
+    """Return the largest acceleration [rad/s2] and jerk [rad/s3] of any joint, by divided differences.
 
     Differences across a stop do not count.
 

@@ -42,7 +42,7 @@ no joint moves.
 MAX_TRACK_SAMPLES: Final = 400
 """Maximum number of samples of one move of a coordinated track."""
 MIN_ADVANCE_FRACTION: Final = 0.3
-"""Minimum advance of the path parameter in cuts, as a fraction of the distance in joints and space. It
+"""Minimum advance of the path parameter in cuts, as a fraction of the length in joint space and space. It
 matters for tools that slide along a wire that hardly moves sideways.
 """
 
@@ -64,9 +64,13 @@ class MoveSamples:
 
 @dataclasses.dataclass(frozen=True)
 class PathPiece:
-    """Path between the stops at targets ``first`` and ``last``.
+    """Joint path between two stops.
 
-    ``knots`` are the path positions of its targets.
+    Attributes:
+        first: Index of the target of the first stop.
+        last: Index of the target of the last stop.
+        spline: Joints of all arms over the path parameter.
+        knots: Path parameter of each target from ``first`` to ``last``.
     """
 
     first: int
@@ -98,7 +102,7 @@ def sample_moves(
     stride: float = JOINT_STEP_RAD,
     min_samples: int = 1,
 ) -> MoveSamples:
-    """Sample all linear moves.
+    """Sample all linear moves, at their ends and at inner points of moves that change a joint much.
 
     Joints are NaN where a linear move leaves the branch or reach between its targets. TCPs in frames that
     another arm holds move linearly in these frames.
@@ -112,27 +116,27 @@ def sample_moves(
         min_samples: Minimum number of samples per move.
     """
     joint_change = np.max([np.abs(np.diff(angles, axis=0)).max(axis=1) for angles in q.values()], axis=0)
-    parts = np.clip(np.ceil(joint_change / stride).astype(np.intp), min_samples, MAX_MOVE_SAMPLES)
+    counts = np.clip(np.ceil(joint_change / stride).astype(np.intp), min_samples, MAX_MOVE_SAMPLES)
     for values in targets.track_positions.values():
-        track_parts = np.ceil(np.abs(np.diff(values)) / TRACK_STEP_M - 1e-9).astype(np.intp)
-        parts = np.maximum(parts, np.minimum(track_parts, MAX_TRACK_SAMPLES))
-    move = np.concatenate([[0], np.repeat(np.arange(1, targets.count), parts)])
-    starts = np.concatenate([[0], np.cumsum(parts)])
+        track_counts = np.ceil(np.abs(np.diff(values)) / TRACK_STEP_M - 1e-9).astype(np.intp)
+        counts = np.maximum(counts, np.minimum(track_counts, MAX_TRACK_SAMPLES))
+    move = np.concatenate([[0], np.repeat(np.arange(1, targets.count), counts)])
+    starts = np.concatenate([[0], np.cumsum(counts)])
     fraction = np.ones(len(move))
-    fraction[1:] = (np.arange(len(move) - 1) - np.repeat(starts[:-1], parts) + 1) / np.repeat(parts, parts)
+    fraction[1:] = (np.arange(len(move) - 1) - np.repeat(starts[:-1], counts) + 1) / np.repeat(counts, counts)
     inner = np.flatnonzero(fraction < 1.0)
     out = {arm: angles[move] for arm, angles in q.items()}
     if len(inner):
         ends = {arm: scene.chains[arm].pose(angles) for arm, angles in q.items()}
         start = {arm: pose[move[inner] - 1] for arm, pose in ends.items()}
         end = {arm: pose[move[inner]] for arm, pose in ends.items()}
-        between = scene.interpolate_poses(targets, start, end, fraction[inner])
+        inner_poses = scene.interpolate_poses(targets, start, end, fraction[inner])
         for arm, angles in q.items():
             chain = scene.chains[arm]
             seed = angles[move[inner] - 1] + fraction[inner, None] * (
                 angles[move[inner]] - angles[move[inner] - 1]
             )
-            out[arm][inner] = chain.on_branch(between[arm], branch[arm], seed)
+            out[arm][inner] = chain.on_branch(inner_poses[arm], branch[arm], seed)
     return MoveSamples(move, fraction, out)
 
 
@@ -147,7 +151,7 @@ def is_clear(scene: Scene, targets: Targets, samples: MoveSamples) -> BoolArray:
 
 
 def fit_joint_path(scene: Scene, targets: Targets, samples: MoveSamples, speed: FloatArray) -> JointPath:
-    """Fit splines through the samples.
+    """Fit a cubic spline through the samples between every two stops.
 
     The path parameter is the length in joint space (each joint divided by its speed limit) plus the length in
     space. In cuts it is the path length of the guarded point, so that a constant speed of that point is a
@@ -189,14 +193,14 @@ def fit_joint_path(scene: Scene, targets: Targets, samples: MoveSamples, speed: 
 
 
 def stops_with_ends(stop: BoolArray) -> BoolArray:
-    """Stops (N,) including the first and the last target."""
+    """Return the stops (N,) with the first and the last target added."""
     out = stop.copy()
     out[[0, -1]] = True
     return out
 
 
 def track_positions(targets: Targets, samples: MoveSamples) -> FloatArray:
-    """Positions (K, R) [m] of the R coordinated tracks at samples of the moves."""
+    """Return the positions (K, R) [m] of the R coordinated tracks at samples of the moves."""
     previous = np.maximum(samples.move - 1, 0)
     values = [
         v[previous] + samples.fraction * (v[samples.move] - v[previous])
@@ -206,7 +210,10 @@ def track_positions(targets: Targets, samples: MoveSamples) -> FloatArray:
 
 
 def guarded_lengths(targets: Targets, samples: MoveSamples) -> FloatArray:
-    """Path length (K - 1,) [m] of the guarded point to each sample but the first, in cuts; 0 elsewhere."""
+    """Return the path length (K - 1,) [m] of the guarded point from each sample to the next.
+
+    It is 0 outside of cuts. The guarded point is the one to which feeds apply.
+    """
     previous_fraction = np.where(samples.move[1:] == samples.move[:-1], samples.fraction[:-1], 0.0)
     is_cut = np.array([segment.kind == "cut" for segment in targets.segment])
     return np.asarray(
@@ -217,9 +224,16 @@ def guarded_lengths(targets: Targets, samples: MoveSamples) -> FloatArray:
 def _deviation(
     scene: Scene, targets: Targets, spline: CubicSpline, parameter: FloatArray, positions: list[FloatArray]
 ) -> float:
-    """Largest distance [m] of TCPs on a spline from the chords between samples.
+    """Return the largest distance [m] of the TCPs on a spline from the straight lines between samples.
 
-    It is taken half way between the samples. Both are in the frame in which a TCP moves linearly.
+    It is evaluated half way between the samples, in the frame in which a TCP moves linearly.
+
+    Args:
+        scene: Cell with the stock in its pose.
+        targets: Targets of the path.
+        spline: Joint path.
+        parameter: (K,) path parameter of the samples.
+        positions: For each arm the positions (K, 3) [m] of the TCP at the samples, in that frame.
     """
     middle = spline(0.5 * (parameter[1:] + parameter[:-1]))
     columns = scene.columns(targets.arms)
@@ -227,40 +241,41 @@ def _deviation(
     for k, arm in enumerate(targets.track_positions, start=columns[targets.arms[-1]].stop):
         track, station = scene.tracks[arm]
         poses[arm][:, :3, 3] += (middle[:, k, None] - station) * track.axis
-    worst = 0.0
+    max_deviation = 0.0
     for pose, position in zip(poses_in_work_frames(targets, poses).values(), positions, strict=True):
         offset = pose[:, :3, 3] - position[:-1]
         chord = np.diff(position, axis=0)
-        along = dots(offset, chord) / np.maximum(dots(chord, chord), 1e-18)
-        deviation = offset - np.clip(along, 0.0, 1.0)[:, None] * chord
-        worst = max(worst, float(np.linalg.norm(deviation, axis=1).max()))
-    return worst
+        fraction = dots(offset, chord) / np.maximum(dots(chord, chord), 1e-18)
+        deviation = offset - np.clip(fraction, 0.0, 1.0)[:, None] * chord
+        max_deviation = max(max_deviation, float(np.linalg.norm(deviation, axis=1).max()))
+    return max_deviation
 
 
 def poses_in_work_frames(targets: Targets, poses: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Transform TCP poses {arm: (K, 4, 4)} from the world to held work frames.
+    """Transform TCP poses {arm: (K, 4, 4)} from the world to the frames in which the TCPs move linearly.
 
-    Poses in other frames stay in the world.
+    These are the work frames that another arm holds. Poses in other frames stay in the world.
     """
-    held = dict(frame_holders(targets))
+    holder_by_arm = dict(frame_holders(targets))
     out = {}
     for arm in targets.arms:
-        holder = held[arm]
+        holder = holder_by_arm[arm]
         out[arm] = poses[arm] if holder is None else inverse(poses[holder]) @ poses[arm]
     return out
 
 
 def tcp_lengths(scene: Scene, targets: Targets, samples: MoveSamples) -> dict[str, FloatArray]:
-    """Path length {arm: (N,)} [m] of each TCP on each move if it kept its largest speed on that move.
+    """Return path lengths {arm: (N,)} [m] of the TCPs on the move to each target, for limits of their speed.
 
-    Between targets the speed of a TCP in a held frame varies.
+    The speed of a TCP in a held frame varies during a move. The length is therefore that at the largest
+    speed: the longest distance between two samples times the number of samples.
     """
-    parts = np.bincount(samples.move, minlength=targets.count)[samples.move]
+    sample_count = np.bincount(samples.move, minlength=targets.count)[samples.move]
     out = {}
     poses = scene.chain_poses(targets, samples.q, samples.move, samples.fraction)
     for arm in targets.arms:
         position = poses[arm][:, :3, 3]
-        step = np.append(0.0, np.linalg.norm(np.diff(position, axis=0), axis=1)) * parts
+        step = np.append(0.0, np.linalg.norm(np.diff(position, axis=0), axis=1)) * sample_count
         out[arm] = np.maximum.reduceat(step, np.flatnonzero(np.diff(samples.move, prepend=-1)))
     return out
 
@@ -272,13 +287,15 @@ MIN_CORNER_FRACTION: Final = 1e-4
 MAX_RAMP_RATIO: Final = 2.0
 """Maximum ratio of the end speed of a move from or to a stop to its mean speed."""
 RAMP_LEVER_M: Final = 0.3
-"""Length [m/rad] that weighs rotation when the speed of such a move is matched to its neighbour's."""
+"""Length [m/rad] that weighs rotation when the speed of a move from or to a stop is matched to that of its
+neighbour.
+"""
 RAMP_SAMPLES: Final = 65
 """Number of instants at which a move from or to a stop is evaluated."""
 
 
 def _target_poses(scene: Scene, targets: Targets, samples: MoveSamples) -> dict[str, FloatArray]:
-    """TCP poses (N, 4, 4) at the targets."""
+    """Compute the TCP poses {arm: (N, 4, 4)} in the world at the targets."""
     rows = np.flatnonzero(samples.fraction == 1.0)
     joints = {arm: samples.q[arm][rows] for arm in targets.arms}
     return scene.chain_poses(targets, joints, samples.move[rows])
@@ -292,7 +309,9 @@ def corner_fractions(
     duration: FloatArray,
     stop: BoolArray,
 ) -> FloatArray:
-    """Fraction (N,) of the shorter adjacent move over which the corner at each target is rounded at least.
+    """Compute the minimum fraction (N,) of the shorter adjacent move over which each corner is rounded.
+
+    The arms round their corners together, so the arm with the smallest fraction counts.
 
     Args:
         scene: Cell with the stock in its pose.
@@ -305,7 +324,8 @@ def corner_fractions(
     poses = _target_poses(scene, targets, samples)
     timing = corner_rounding.MoveTiming(duration[1:], *end_speed_ratios(length[1:], duration[1:], stop))
     deviation = 1e3 * targets.rounding.deviations(targets.segment[1:])
-    zone, turning_zone = np.full((2, targets.count), MAX_CORNER_FRACTION)
+    # fractions for the positions and for the rotations of the tools
+    position_fraction, rotation_fraction = np.full((2, targets.count), MAX_CORNER_FRACTION)
     for arm, pose in poses_in_work_frames(targets, poses).items():
         levers: FloatArray = np.full(3, corner_rounding.ROTATION_LEVER_MM)
         if scene.model is not None:
@@ -315,17 +335,20 @@ def corner_fractions(
         fractions = corner_rounding.corner_fractions(
             pose[:, :3, 3] / MM, quaternion, timing, levers, deviation, track_values
         )
-        zone[1:-1] = np.minimum(zone[1:-1], fractions[0])
-        turning_zone[1:-1] = np.minimum(turning_zone[1:-1], fractions[1])
+        position_fraction[1:-1] = np.minimum(position_fraction[1:-1], fractions[0])
+        rotation_fraction[1:-1] = np.minimum(rotation_fraction[1:-1], fractions[1])
     if scene.model is not None and scene.model.cell.controller.path == "spline":
-        zone[1:-1] = 0.0  # spline blocks have no zone: the proof rounds their corners as without one
-    return np.asarray(np.maximum(np.maximum(zone, turning_zone), MIN_CORNER_FRACTION))
+        position_fraction[1:-1] = 0.0  # spline blocks have no zone: the proof rounds corners as without one
+    return np.asarray(np.maximum(np.maximum(position_fraction, rotation_fraction), MIN_CORNER_FRACTION))
 
 
 def end_speed_ratios(
     length: FloatArray, duration: FloatArray, stop: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Ratios of the start and end speeds of M moves to their mean speeds; 0 at stops.
+    """Return the ratios of the start and end speeds of M moves to their mean speeds; 0 at stops.
+
+    A move from or to a stop has at its other end the mean speed of the neighbouring move, but at least its
+    own mean speed and at most :data:`MAX_RAMP_RATIO` times that. Other moves keep their mean speed.
 
     Args:
         length: (M,) lengths of the moves.
@@ -334,17 +357,18 @@ def end_speed_ratios(
     """
     speed = length / np.maximum(duration, 1e-12)
     start, end = np.ones((2, len(speed)))
-    first, last = stop[:-1], stop[1:]
+    starts_at_rest, ends_at_rest = stop[:-1], stop[1:]
     start[1:] = np.clip(speed[:-1] / np.maximum(speed[1:], 1e-12), 1.0, MAX_RAMP_RATIO)
     end[:-1] = np.clip(speed[1:] / np.maximum(speed[:-1], 1e-12), 1.0, MAX_RAMP_RATIO)
-    start = np.where(first, 0.0, np.where(last, start, 1.0))
-    return start, np.where(last, 0.0, np.where(first, end, 1.0))
+    start = np.where(starts_at_rest, 0.0, np.where(ends_at_rest, start, 1.0))
+    return start, np.where(ends_at_rest, 0.0, np.where(starts_at_rest, end, 1.0))
 
 
 def ramp_lengths(scene: Scene, targets: Targets, samples: MoveSamples) -> FloatArray:
-    """Lengths (N,) [m] of the moves by which moves from and to stops match the speed of their neighbours.
+    """Compute the lengths (N,) [m] of the moves that define the speeds in :func:`end_speed_ratios`.
 
-    They are path lengths of the TCPs including rotation, as in the proof.
+    They are path lengths of the TCPs including rotation, combined over the arms by the root of the sum of
+    squares, as in the proof.
     """
     out = np.zeros(targets.count)
     for pose in poses_in_work_frames(targets, _target_poses(scene, targets, samples)).values():
@@ -355,7 +379,7 @@ def ramp_lengths(scene: Scene, targets: Targets, samples: MoveSamples) -> FloatA
 
 
 def min_stop_to_stop_time(spline: CubicSpline, acceleration: FloatArray) -> float:
-    """Minimum duration [s] of a path of a single move within the joint accelerations (J,).
+    """Return the minimum duration [s] of a path of a single move within the joint accelerations (J,).
 
     Controllers execute such a move by a cubic, whose ends need more acceleration than a clock that brakes as
     late as possible.
@@ -367,43 +391,52 @@ def min_stop_to_stop_time(spline: CubicSpline, acceleration: FloatArray) -> floa
 def ramp_acceleration_fractions(
     spline: CubicSpline, knots: FloatArray, length: FloatArray, duration: FloatArray, acceleration: FloatArray
 ) -> tuple[float, float]:
-    """Fractions of the joint accelerations that the first and the last move between stops require.
+    """Return the fractions of the joint acceleration limits that the first and the last move require.
 
-    Each is a cubic that ends at the speed of its neighbour.
+    Controllers execute these moves between rest and the speed of the neighbouring move as cubics.
 
     Args:
-        spline: Joint path.
+        spline: Joint path between two stops.
         knots: (n + 1,) path positions of the targets.
-        length: (n,) lengths of the moves.
+        length: (n,) lengths of the moves, as by :func:`ramp_lengths`.
         duration: (n,) [s] durations of the moves.
         acceleration: (J,) joint acceleration limits.
     """
-    at = np.searchsorted(spline.x, knots)
+    target_index = np.searchsorted(spline.x, knots)
     values = spline(spline.x)
-    first, last = values[: at[1] + 1], values[at[-2] :][::-1]
-    starts, ends = ramp_end_ratios(length, duration)
-    begins = _cubic_acceleration_fraction(first, starts, acceleration) / duration[0] ** 2
-    return begins, _cubic_acceleration_fraction(last, ends, acceleration) / duration[-1] ** 2
+    first_move, last_move = values[: target_index[1] + 1], values[target_index[-2] :][::-1]
+    first_ratio, last_ratio = ramp_end_ratios(length, duration)
+    first_fraction = _cubic_acceleration_fraction(first_move, first_ratio, acceleration) / duration[0] ** 2
+    return (
+        first_fraction,
+        _cubic_acceleration_fraction(last_move, last_ratio, acceleration) / duration[-1] ** 2,
+    )
 
 
 def ramp_peak_ratios(length: FloatArray, duration: FloatArray) -> tuple[float, float]:
-    """Ratios of peak to mean speed of the first move from a stop and the last move to a stop.
+    """Return the ratios of peak to mean speed of the first and the last of n moves between two stops.
 
     They are those of the cubics of :func:`ramp_acceleration_fractions`. The only move of a path has the ratio
     1.5.
+
+    Args:
+        length: (n,) lengths of the moves.
+        duration: (n,) [s] durations of the moves.
     """
     ends = (0.0, 0.0) if len(duration) == 1 else ramp_end_ratios(length, duration)
     peaks = []
     for end in ends:
         # s'(x) = 2 c2 x + 3 c3 x^2 is largest at x = -c2 / (3 c3), where it is c2 x
         c2, c3 = 3.0 - end, end - 2.0
-        top = -c2 / (3.0 * c3) if c3 < 0.0 else 1.0  # position of the peak speed of the cubic
-        peaks.append(c2 * top if top < 1.0 else end)
+        peak_position = -c2 / (3.0 * c3) if c3 < 0.0 else 1.0
+        peaks.append(c2 * peak_position if peak_position < 1.0 else end)
     return peaks[0], peaks[1]
 
 
 def ramp_end_ratios(length: FloatArray, duration: FloatArray) -> tuple[float, float]:
-    """Ratios of end to mean speed of the first and the last of n moves where they meet others.
+    """Return the ratios of end to mean speed of the first and the last of n moves, at their moving ends.
+
+    The moves lie between two stops. The moving end is the one where the move meets another.
 
     Args:
         length: (n,) lengths of the moves.
@@ -413,21 +446,29 @@ def ramp_end_ratios(length: FloatArray, duration: FloatArray) -> tuple[float, fl
     return float(end[0]), float(start[-1])
 
 
-def _ramp_state(half: float, duration: float, step: float, rate: float) -> tuple[float, float]:
-    """Path speed at ``half`` [s] from the moving end of a ramp, and the distance from there to that end.
+def _ramp_state(time_to_end: float, duration: float, step: float, ratio: float) -> tuple[float, float]:
+    """Return the path speed on a ramp at some time before its moving end, and the distance to that end.
 
-    The move covers ``step`` in ``duration`` [s]. ``rate`` is the ratio of its end speed to its mean speed.
+    A ramp is a move from a stop (or, reversed in time, to a stop).
+
+    Args:
+        time_to_end: Time [s] before the moving end.
+        duration: Duration [s] of the move.
+        step: Length of the move in the path parameter.
+        ratio: Ratio of its end speed to its mean speed.
     """
-    # s(x) = x^2 (c2 + c3 x) with s(1) = 1, s'(1) = rate; the result is s' step / T and (1 - s) step
-    x, c2, c3 = 1.0 - half / duration, 3.0 - rate, rate - 2.0
+    # s(x) = x^2 (c2 + c3 x) with s(1) = 1, s'(1) = ratio; the result is s' step / T and (1 - s) step
+    x, c2, c3 = 1.0 - time_to_end / duration, 3.0 - ratio, ratio - 2.0
     return x * (2.0 * c2 + 3.0 * c3 * x) * step / duration, (1.0 - x * x * (c2 + c3 * x)) * step
 
 
 def _cubic_acceleration_fraction(values: FloatArray, end: float, acceleration: FloatArray) -> float:
-    """Largest fraction of the accelerations (J,) that a move of duration 1 s requires.
+    """Return the largest fraction of the joint acceleration limits that a move of duration 1 s requires.
 
-    The move is from rest to ``end`` times its mean speed. The joints ``values`` (K, J) divide it evenly in
-    space.
+    Args:
+        values: (K, J) joints along the move, evenly spaced in space.
+        end: Ratio of its end speed to its mean speed. It starts at rest.
+        acceleration: (J,) joint acceleration limits.
     """
     # s(x) = x^2 (c2 + c3 x) on [0, 1] with s(1) = 1, s'(0) = 0, s'(1) = end; q'' = q_s s'' + q_ss s'^2
     spline = CubicSpline(np.linspace(0.0, 1.0, len(values)), values)
@@ -446,10 +487,10 @@ class PathCorners:
     """Corners at the inner targets (n,) of a piece.
 
     Attributes:
-        slope_before: (n, J) slopes of the joints over the path just before each corner, at constant speed in
-            space.
-        slope_after: (n, J) slopes just after it.
-        step: (n + 1,) lengths of the moves.
+        slope_before: (n, J) derivatives of the joints by the path parameter just before each corner, at
+            constant speed in space.
+        slope_after: (n, J) derivatives just after each corner.
+        step: (n + 1,) lengths of the moves in the path parameter.
         fraction: (n,) fraction of the shorter adjacent move over which a corner is rounded on each side.
     """
 
@@ -460,20 +501,26 @@ class PathCorners:
 
     @staticmethod
     def from_spline(spline: CubicSpline, knots: FloatArray, fraction: FloatArray) -> "PathCorners":
-        """Create the corners of a path with targets at the positions ``knots`` (n + 2,).
+        """Create the corners of a path.
 
-        The breaks of the spline divide each move evenly in space. There it moves at constant speed, whatever
-        the joints do.
+        The breaks of the spline divide each move evenly in space. The slope next to a corner is that between
+        it and the next break, with each break interval taken as an equal part of the move.
+
+        Args:
+            spline: Joint path between two stops.
+            knots: (n + 2,) path parameters of the targets.
+            fraction: (n,) fraction over which each corner is rounded.
         """
-        at = np.searchsorted(spline.x, knots)
-        parts, step = np.diff(at), np.diff(knots)
-        slope = np.diff(spline(spline.x), axis=0) * np.repeat(parts / step, parts)[:, None]
-        return PathCorners(slope[at[1:-1] - 1], slope[at[1:-1]], step, fraction)
+        target_index = np.searchsorted(spline.x, knots)
+        intervals, step = np.diff(target_index), np.diff(knots)
+        slope = np.diff(spline(spline.x), axis=0) * np.repeat(intervals / step, intervals)[:, None]
+        corner_index = target_index[1:-1]
+        return PathCorners(slope[corner_index - 1], slope[corner_index], step, fraction)
 
     def acceleration_fractions(
         self, length: FloatArray, duration: FloatArray, acceleration: FloatArray
     ) -> FloatArray:
-        """Fractions (n,) of the acceleration limits that the corners require.
+        """Return the fractions (n,) of the joint acceleration limits that the corners require.
 
         Each corner is rounded by the cubic that continues the adjacent moves. Moves from and to stops are
         ramps.
@@ -483,29 +530,34 @@ class PathCorners:
             duration: (n + 1,) [s] durations of the moves.
             acceleration: (J,) joint acceleration limits.
         """
-        mean = self.step / duration
-        half = self.fraction * np.minimum(duration[:-1], duration[1:])
-        speed_in, speed_out = mean[:-1].copy(), mean[1:].copy()
-        distance_before, distance_after = speed_in * half, speed_out * half
-        if len(half):
-            starts, stops = ramp_end_ratios(length, duration)
-            speed_in[0], distance_before[0] = _ramp_state(half[0], duration[0], self.step[0], starts)
-            speed_out[-1], distance_after[-1] = _ramp_state(half[-1], duration[-1], self.step[-1], stops)
-        # Hermite cubic over the time T = 2 half with displacement D and end velocities v0, v1. Its largest
-        # accelerations are those at its ends: 6 D / T^2 - (4 v0 + 2 v1) / T, (2 v0 + 4 v1) / T - 6 D / T^2.
+        mean_speed = self.step / duration
+        half_time = self.fraction * np.minimum(duration[:-1], duration[1:])
+        speed_in, speed_out = mean_speed[:-1].copy(), mean_speed[1:].copy()
+        distance_before, distance_after = speed_in * half_time, speed_out * half_time
+        if len(half_time):
+            first_ratio, last_ratio = ramp_end_ratios(length, duration)
+            speed_in[0], distance_before[0] = _ramp_state(
+                half_time[0], duration[0], self.step[0], first_ratio
+            )
+            speed_out[-1], distance_after[-1] = _ramp_state(
+                half_time[-1], duration[-1], self.step[-1], last_ratio
+            )
+        # Hermite cubic over the time T = 2 half_time with displacement D and end velocities v0, v1. Its
+        # largest accelerations are those at its ends: 6 D / T^2 - (4 v0 + 2 v1) / T and
+        # (2 v0 + 4 v1) / T - 6 D / T^2.
         displacement = (
             self.slope_before * distance_before[:, None] + self.slope_after * distance_after[:, None]
         )
-        first, last = self.slope_before * speed_in[:, None], self.slope_after * speed_out[:, None]
-        span = 2.0 * half[:, None]
-        begins = 6.0 * displacement / span**2 - (4.0 * first + 2.0 * last) / span
-        ends = (2.0 * first + 4.0 * last) / span - 6.0 * displacement / span**2
-        return np.asarray((np.maximum(np.abs(begins), np.abs(ends)) / acceleration).max(axis=1))
+        v0, v1 = self.slope_before * speed_in[:, None], self.slope_after * speed_out[:, None]
+        span = 2.0 * half_time[:, None]
+        at_start = 6.0 * displacement / span**2 - (4.0 * v0 + 2.0 * v1) / span
+        at_end = (2.0 * v0 + 4.0 * v1) / span - 6.0 * displacement / span**2
+        return np.asarray((np.maximum(np.abs(at_start), np.abs(at_end)) / acceleration).max(axis=1))
 
     def acceleration_coefficients(self) -> tuple[FloatArray, FloatArray]:
-        """``slope`` and ``bend`` (n, J) of the joint accelerations slope u + bend x that a corner requires.
+        """Return slope and bend, (n, J) each, of the joint accelerations that the corners require.
 
-        u is the path acceleration and x the squared path speed.
+        The accelerations are slope u + bend x, where u is the path acceleration and x the squared path speed.
         """
         # At path speed s the corner takes the time window / s. Meanwhile the joint velocity changes by
         # (after - before) s, and by the mean slope times the speed gained between the middles of both moves,
@@ -520,9 +572,14 @@ class PathCorners:
 
 @dataclasses.dataclass(frozen=True)
 class CornerLimits:
-    """Limits ``acceleration`` (J,) of ``slope`` u + ``bend`` x, (G, J) each, at the grid points.
+    """Limits of the joint accelerations slope u + bend x that corners require at G grid points.
 
-    u is the path acceleration and x the squared path speed. Rows of zeros are not limited.
+    u is the path acceleration and x the squared path speed.
+
+    Attributes:
+        slope: (G, J) coefficients of u; zeros where there is no limit.
+        bend: (G, J) coefficients of x; zeros where there is no limit.
+        acceleration: (J,) limits of the joint accelerations.
     """
 
     slope: FloatArray
@@ -533,7 +590,7 @@ class CornerLimits:
 def corner_limits_on_grid(
     corners: PathCorners, knots: FloatArray, grid: FloatArray, weaker: FloatArray, acceleration: FloatArray
 ) -> CornerLimits:
-    """Limits of the corners at grid points.
+    """Compute the limits at grid points that keep the corners within their acceleration limits.
 
     Each half of a move is limited by the corner next to it. Moves from and to stops are not limited, because
     they are ramps.
@@ -542,7 +599,7 @@ def corner_limits_on_grid(
         corners: n corners.
         knots: (n + 2,) path positions of the targets.
         grid: (G,) grid points.
-        weaker: (n,) factor that divides the limits of the corners.
+        weaker: (n,) factor by which the limit of each corner is divided, 1 or more.
         acceleration: (J,) joint acceleration limits.
     """
     slope, bend = corners.acceleration_coefficients()

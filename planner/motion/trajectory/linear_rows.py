@@ -12,20 +12,26 @@ from planner.motion.trajectory.hinge_costs import HingeResiduals
 from planner.motion.trajectory.trajopt import Blocks
 
 ACTIVE_FRACTION: Final = 0.5
-"""Fraction of the limit above which differences become constraints."""
+"""Fraction of the limit above which differences become constraints. Smaller ones are not constrained."""
 MAX_BOUND_RATIO: Final = 1e3
-"""Distance of a bound, in multiples of the largest possible change, above which it is left out."""
+"""Distance of a bound from the current value, in multiples of the largest possible change, above which the
+bound is left out.
+"""
 DAMPING: Final = 1e-7
 """Weight of the step itself, for freedoms that change nothing."""
 
 
 class LinearConstraints:
-    """Linear constraints on steps of freedoms (N, F) and on ``levels``.
+    """Linear constraints on steps of freedoms (N, F) and on further unknowns, the levels of peaks.
 
-    They are collected by row for one sparse matrix.
+    They are collected row by row for one sparse matrix.
+
+    Attributes:
+        count: Number of rows so far.
     """
 
     def __init__(self, shape: tuple[int, ...], levels: int = 0) -> None:
+        """Start without rows; ``shape`` is (N, F) and ``levels`` the number of levels."""
         self.targets, self.freedoms = shape
         self.levels = levels
         self.count = 0
@@ -33,7 +39,14 @@ class LinearConstraints:
         self._bounds: list[tuple[FloatArray, FloatArray]] = []
 
     def _add_rows(self, at: IndexArray, weight: FloatArray, lower: FloatArray, upper: FloatArray) -> None:
-        """Add rows of ``weight`` (R, K, F) at targets ``at`` (R, K)."""
+        """Add R rows lower <= sum of weight * step <= upper.
+
+        Args:
+            at: (R, K) targets of each row.
+            weight: (R, K, F) weights of the steps of these targets.
+            lower: (R,) lower bounds.
+            upper: (R,) upper bounds.
+        """
         row = np.broadcast_to(self.count + np.arange(len(at))[:, None, None], weight.shape)
         column = at[:, :, None] * self.freedoms + np.arange(self.freedoms)
         column = np.broadcast_to(column, weight.shape)
@@ -42,16 +55,25 @@ class LinearConstraints:
         self.count += len(at)
 
     def add_lower_bounds(self, rows: HingeResiduals, rates: FloatArray, lower: FloatArray) -> None:
-        """Require that values with derivatives by the joints change by at least ``lower`` (R,)."""
+        """Require that values with derivatives by the joints change by at least ``lower`` (R,).
+
+        ``rates`` (N, J, F) are the derivatives of the joints by the freedoms.
+        """
         weight = np.einsum("rj,rjf->rf", rows.slope, rates[rows.index])
         self._add_rows(rows.index[:, None], weight[:, None], lower, np.full(len(lower), np.inf))
 
     def add_band(
         self, band: DifferenceBand, joints: FloatArray, rates: FloatArray, bound: FloatArray
     ) -> None:
-        """Require that differences of joints stay within ``bound`` (J,).
+        """Require that accelerations or jerks of the joints stay within a bound.
 
-        Where their current values are larger, these are the bound.
+        Where a current value exceeds the bound, it must not grow.
+
+        Args:
+            band: Accelerations or jerks of the path.
+            joints: (N, J) [rad] current joints.
+            rates: (N, J, F) derivatives of the joints by the freedoms.
+            bound: (J,) bound of each joint.
         """
         current = band.differences(joints)
         row, joint = np.nonzero(np.abs(current) > ACTIVE_FRACTION * bound)
@@ -68,45 +90,52 @@ class LinearConstraints:
         bound: tuple[float, float],
         level: int,
     ) -> None:
-        """Require that differences of the joint with the largest ones stay within ``bound``.
+        """Require that accelerations or jerks of all joints stay within a bound that is an unknown itself.
 
-        The bound is its first value at level 0 and its second one at level 1.
+        The bound is goal + level * (top - goal). The program lowers the level.
+
+        Args:
+            band: Accelerations or jerks of the path.
+            joints: (N, J) [rad] current joints.
+            rates: (N, J, F) derivatives of the joints by the freedoms.
+            bound: Goal and top, which are the bound at level 0 and at level 1.
+            level: Index of the level.
         """
         current, (goal, top) = band.differences(joints), bound
         row, joint = np.nonzero(np.abs(current) > ACTIVE_FRACTION * goal)
         at = band.first[row, None] + np.arange(band.weight.shape[1])
         weight = band.weight[row, :, None] * rates[at, joint[:, None]]
-        is_movable = (
-            np.abs(weight).max(axis=(1, 2), initial=0.0) > 0.0
-        )  # rows in which a freedom moves the joint
+        # only rows in which a freedom moves the joint
+        is_movable = np.abs(weight).max(axis=(1, 2), initial=0.0) > 0.0
         at, weight, value = at[is_movable], weight[is_movable], current[row, joint][is_movable]
         infinity = np.full(len(value), np.inf)
         # |value + weight.step| <= goal + level (top - goal), as two rows
         for sign, low, high in ((-1.0, -infinity, goal - value), (1.0, -goal - value, infinity)):
-            first = self.count
+            first_row = self.count
             self._add_rows(at, weight, low, high)
             column = np.full(len(value), self.targets * self.freedoms + level)
             self._entries.append(
-                (first + np.arange(len(value)), column, np.full(len(value), sign * (top - goal)))
+                (first_row + np.arange(len(value)), column, np.full(len(value), sign * (top - goal)))
             )
 
     def add_pairs(self, slopes: FloatArray, lower: FloatArray, upper: FloatArray) -> None:
-        """Require that a change stays within ``lower`` and ``upper`` (N - 1, C).
+        """Require that C values of each move change by an amount between ``lower`` and ``upper`` (N - 1, C).
 
-        ``slopes`` (2, N - 1, C, F) are its derivatives by the freedoms of the targets at both ends of each
-        move.
+        ``slopes`` (2, N - 1, C, F) are the derivatives of the values by the freedoms of the target at the
+        start and at the end of each move.
         """
-        move, part = (index.ravel() for index in np.indices(lower.shape))
-        weight = np.moveaxis(slopes[:, move, part], 0, 1)
+        move, component = (index.ravel() for index in np.indices(lower.shape))
+        weight = np.moveaxis(slopes[:, move, component], 0, 1)
         at = move[:, None] + np.arange(2)
         self._add_rows(at, weight, np.minimum(lower, 0.0).ravel(), np.maximum(upper, 0.0).ravel())
 
     def assemble(self, unit: FloatArray) -> tuple[csc_matrix, FloatArray, FloatArray]:
-        """Return the matrix and both bounds, each row divided by its largest entry, without rows of zeros.
+        """Return the matrix and the lower and upper bounds of all rows.
 
-        Freedoms are in units of ``unit`` (F,); the levels follow them. Unknowns are within 1 of zero. A bound
-        that is :data:`MAX_BOUND_RATIO` times as far away as these reach is dropped, because an interior-point
-        solver would start as far away and would not get close enough.
+        Each row is divided by its largest entry, and rows of zeros are left out. The unknowns are the steps
+        of the freedoms in units of ``unit`` (F,), followed by the levels. All of them are between -1 and 1. A
+        bound that is :data:`MAX_BOUND_RATIO` times as far away as a row can reach is dropped, because an
+        interior-point solver would start as far away and would not get close enough.
         """
         row, column, weight = (np.concatenate(part) for part in zip(*self._entries, strict=True))
         free = self.targets * self.freedoms
@@ -114,10 +143,11 @@ class LinearConstraints:
         lower, upper = (np.concatenate(part) for part in zip(*self._bounds, strict=True))
         size = np.zeros(self.count)
         np.maximum.at(size, row, np.abs(weight))
-        reach = MAX_BOUND_RATIO * np.bincount(row, np.abs(weight), self.count)
-        lower, upper = np.where(lower < -reach, -np.inf, lower), np.where(upper > reach, np.inf, upper)
-        bound = np.isfinite(lower) | np.isfinite(upper)
-        kept = np.flatnonzero((size > 1e-9 * float(size.max(initial=0.0))) & bound)
+        max_bound = MAX_BOUND_RATIO * np.bincount(row, np.abs(weight), self.count)
+        lower = np.where(lower < -max_bound, -np.inf, lower)
+        upper = np.where(upper > max_bound, np.inf, upper)
+        is_bounded = np.isfinite(lower) | np.isfinite(upper)
+        kept = np.flatnonzero((size > 1e-9 * float(size.max(initial=0.0))) & is_bounded)
         size = np.where(size > 0.0, size, 1.0)
         shape = (self.count, free + self.levels)
         matrix = csc_matrix((weight / size[row], (row, column)), shape=shape)
@@ -125,9 +155,16 @@ class LinearConstraints:
 
 
 def add_cost(program: MathematicalProgram, unknowns: Any, blocks: Blocks, slope: FloatArray) -> None:
-    """Add the cost in terms of three neighbouring targets each.
+    """Add the quadratic cost x' H x + 2 g' x to a program, as one term for each target and its successors.
 
-    Drake sums the terms before a solver sees them. The sum is convex even if a single term is not.
+    A term covers up to three consecutive targets. Drake sums the terms before a solver sees them, so they can
+    be declared convex: the sum is, even if a single term is not.
+
+    Args:
+        program: Program to add to.
+        unknowns: (N, F) variables x.
+        blocks: Block-banded matrix H.
+        slope: (N, F) vector g.
     """
     count, free = slope.shape
     for i in range(count):
@@ -137,9 +174,9 @@ def add_cost(program: MathematicalProgram, unknowns: Any, blocks: Blocks, slope:
         block[:free, :free] = 2.0 * blocks[0][i] + 2.0 * DAMPING * np.eye(free)
         for d in (1, 2):
             if i + d < count:
-                other = slice(d * free, d * free + free)
-                block[:free, other] = 2.0 * blocks[d][i]
-                block[other, :free] = 2.0 * blocks[d][i].T
+                neighbour = slice(d * free, d * free + free)
+                block[:free, neighbour] = 2.0 * blocks[d][i]
+                block[neighbour, :free] = 2.0 * blocks[d][i].T
         linear = np.zeros(len(neighbours))
         linear[:free] = 2.0 * slope[i]
         program.AddQuadraticCost(block, linear, neighbours, is_convex=True)

@@ -1,12 +1,14 @@
 """Lower limits of moves: minimum feed of the process, minimum duration of the controllers.
 
-**Minimum feed.** Between stops a tool is as fast as the minimum feed, in the mean over each move. At corners
-it is at every instant at least ``MIN_CORNER_SPEED_FRACTION`` of it. The tool accelerates from a stop, and
-brakes before the next one, at least as fast as a point that accelerates evenly over the run-up. The same
-holds where the minimum feed starts and ends, and between two feeds that no speed satisfies.
+**Minimum feed.** Between stops a tool is at least as fast as the minimum feed, on average over each move. At
+corners it has at every instant at least :data:`MIN_CORNER_SPEED_FRACTION` of the minimum feed. The tool
+accelerates from a stop, and brakes before the next one, at least as fast as a point that accelerates evenly
+over the run-up. The same holds where the minimum feed starts and ends, and between two moves of which one has
+a minimum feed above the feed of the other.
 
-A move has one speed. If a zone leaves hardly any time to change it, both moves at the corner would be slow
-over their whole length, which takes longer than a stop. There the tool stops.
+**Stops at sharp corners.** A controller executes each move at one speed. If a zone leaves hardly any time to
+change it, both moves at the corner would be slow over their whole length, which takes longer than a stop.
+There the tool stops.
 
 **Minimum duration.** Moves that are shorter than controllers handle well are joined with neighbours on one
 line. Controllers plan a move for about 20 to 50 ms at least. A run of shorter ones ends in unintended stops
@@ -60,7 +62,9 @@ USED_TIME_FRACTION: Final = 0.999
 KRL_MAX_ANGULAR_SPEED_RAD_S: Final = float(np.deg2rad(200.0))
 """Maximum angular speed [rad/s] of tools in KRL programs whose moves are led by their path length."""
 SLOWING_CORNER_RATIO: Final = 0.99
-"""Speed ratio below which a corner itself slows the tool, relative to its speeds before and after."""
+"""Ratio of the slowest speed at a corner to the lower of the speeds before and after it. Below this ratio the
+corner itself slows the tool.
+"""
 CORNER_SAMPLES: Final = 33
 """Number of instants at which a corner is evaluated."""
 
@@ -91,17 +95,18 @@ def require_min_feeds(scene: Scene, targets: Targets, samples: MoveSamples, time
         *_slow_corner_issues(targets, durations, is_slow),
         *_krl_rotation_issues(scene, targets, samples, durations),
     ]
-    causes = dict.fromkeys(issue.hint for issue in issues)  # one issue per hint: the worst
-    if causes:
+    hints = dict.fromkeys(issue.hint for issue in issues)
+    if hints:  # issues with the same hint have the same cause and are reported as one
         raise TandemError(
-            [worst for cause in causes for worst in aggregate(i for i in issues if i.hint == cause)]
+            [issue for hint in hints for issue in aggregate(i for i in issues if i.hint == hint)]
         )
 
 
 def min_feed_runs(targets: Targets) -> list[tuple[int, int]]:
-    """Runs of moves (first, last) to targets with a minimum feed.
+    """Return the runs of moves that keep a minimum feed, as indices of the first and the last target.
 
-    Each run lies between stops, or between the start and the end of the minimum feed.
+    A run ends at a stop, at the end of the minimum feed, and between two moves of which one has a minimum
+    feed above the feed of the other.
     """
     min_feed, feed, stop = targets.feed_min, targets.feed, targets.stop
     out: list[tuple[int, int]] = []
@@ -117,7 +122,11 @@ def min_feed_runs(targets: Targets) -> list[tuple[int, int]]:
 
 
 def max_move_times(targets: Targets) -> FloatArray:
-    """Longest duration (N,) [s] of the move to each target; infinite without a minimum feed."""
+    """Return the longest allowed duration (N,) [s] of the move to each target; inf without a minimum feed.
+
+    At the start and the end of each run, a move may take as long as a point that accelerates or brakes evenly
+    over the run-up.
+    """
     run_up = targets.run_up or 0.0
     out = np.full(targets.count, np.inf)
     for first, last in min_feed_runs(targets):
@@ -130,28 +139,41 @@ def max_move_times(targets: Targets) -> FloatArray:
 
 
 def _run_up_time(distance: FloatArray, run_up: float) -> FloatArray:
-    """Time of a point that accelerates evenly to speed 1 over ``run_up`` [m] and continues at that speed."""
+    """Return the time at which a point has covered a distance, in the time for 1 m at its final speed.
+
+    The point accelerates evenly to that speed over ``run_up`` [m] and continues at it.
+    """
     return np.where(distance < run_up, 2.0 * np.sqrt(distance * run_up), distance + run_up)
 
 
 def _slow_move_issue(
     scene: Scene, targets: Targets, samples: MoveSamples, i: int, duration: float, max_time: float
 ) -> Issue:
-    """Issue of a move that takes too long, with what would prevent the minimum feed."""
+    """Return the issue of a move that takes too long, with what prevents the minimum feed.
+
+    Args:
+        scene: Cell with the arms.
+        targets: Targets of the path.
+        samples: Samples of the moves.
+        i: Target to which the move leads.
+        duration: Duration [s] of the move.
+        max_time: Longest allowed duration [s].
+    """
     hint = "lower feed_min_mm_s there, or state 0 or a stop in the table"
     settings = scene.settings
     min_feed = float(targets.feed_min[i]) / MM
     rows = np.flatnonzero(samples.move == i)
     rows = np.concatenate([[rows[0] - 1], rows])
-    need = {}
+    # The fastest joint of each arm in the allowed time: fraction of its speed limit, and speed [deg/s].
+    joint_speeds = {}
     for arm in targets.arms:
         rate = np.abs(np.diff(samples.q[arm][rows], axis=0)).max(axis=0) * (len(rows) - 1) / max_time
         fraction = rate / (SPEED_FRACTION * speed_limits(scene, arm))
-        need[arm, int(np.argmax(fraction))] = (
+        joint_speeds[arm, int(np.argmax(fraction))] = (
             float(fraction.max()),
             float(np.rad2deg(rate[int(np.argmax(fraction))])),
         )
-    (arm, joint), (fraction, rate) = max(need.items(), key=lambda item: item[1][0])
+    (arm, joint), (fraction, rate) = max(joint_speeds.items(), key=lambda item: item[1][0])
     travel = float(targets.travel[i])
     if USED_TIME_FRACTION * max_time < MIN_SEGMENT_TIME_S / SPEED_FRACTION:
         cause = (
@@ -197,10 +219,15 @@ def _is_at_run_end(targets: Targets, i: int) -> bool:
 
 
 def _slow_corner_issues(targets: Targets, durations: FloatArray, is_slow: BoolArray) -> list[Issue]:
-    """Issues of corners that tools round below their fraction of the minimum feed.
+    """Return issues of corners that tools round below :data:`MIN_CORNER_SPEED_FRACTION` of the minimum feed.
 
-    At a corner the velocity changes linearly from that of one move to that of the next. Corners beside a
-    ``is_slow`` (N,) move are skipped if that move is the cause.
+    At a corner the velocity changes linearly from that of one move to that of the next. Corners next to a
+    slow move are skipped if that move is the cause.
+
+    Args:
+        targets: N targets.
+        durations: (N,) [s] durations of the moves.
+        is_slow: (N,) whether a move takes too long, which is an issue of its own.
     """
     out: list[Issue] = []
     for first, last in min_feed_runs(targets):
@@ -214,16 +241,16 @@ def _slow_corner_issues(targets: Targets, durations: FloatArray, is_slow: BoolAr
         scale = np.ones(len(moves))  # moves from and to stops are faster at their moving end than on average
         scale[[0, -1]] = ramp_end_ratios(targets.travel[moves], durations[moves])
         fastest = np.zeros((CORNER_SAMPLES, len(moves) - 1))
-        is_beside_slow = is_slow[moves[:-1]] | is_slow[moves[1:]]
+        is_next_to_slow = is_slow[moves[:-1]] | is_slow[moves[1:]]
         progress = (np.arange(CORNER_SAMPLES) / (CORNER_SAMPLES - 1))[:, None, None]
         for pose in targets.pose.values():
             step = pose[moves, :3, 3] - pose[moves - 1, :3, 3]
             rate = step * (scale / durations[moves])[:, None]
-            between = (1.0 - progress) * rate[:-1] + progress * rate[1:]
-            fastest = np.maximum(fastest, np.linalg.norm(between, axis=2))
+            velocity = (1.0 - progress) * rate[:-1] + progress * rate[1:]
+            fastest = np.maximum(fastest, np.linalg.norm(velocity, axis=2))
         slowest = fastest.min(axis=0)
         slows_itself = slowest < SLOWING_CORNER_RATIO * np.minimum(fastest[0], fastest[-1])
-        slow_corners = np.flatnonzero((slowest < limit) & (slows_itself | ~is_beside_slow)).tolist()
+        slow_corners = np.flatnonzero((slowest < limit) & (slows_itself | ~is_next_to_slow)).tolist()
         out += [
             _make_corner_issue(targets, first + k, float(slowest[k]), float(limit[k])) for k in slow_corners
         ]
@@ -233,9 +260,10 @@ def _slow_corner_issues(targets: Targets, durations: FloatArray, is_slow: BoolAr
 def _krl_rotation_issues(
     scene: Scene, targets: Targets, samples: MoveSamples, durations: FloatArray
 ) -> list[Issue]:
-    """Issues of moves in which the tool of a KUKA arm rotates faster than KRL programs allow.
+    """Return issues of moves on which the tool of a KUKA arm rotates faster than KRL programs allow.
 
-    Such a move would be slowed.
+    The controller would slow such a move below the minimum feed. ``durations`` (N,) [s] are those of the
+    moves.
     """
     out = []
     rows = np.flatnonzero(samples.fraction == 1.0)
@@ -263,6 +291,7 @@ def _krl_rotation_issues(
 
 
 def _make_corner_issue(targets: Targets, i: int, got: float, limit: float) -> Issue:
+    """Return the issue of the corner at target ``i``, which is rounded at ``got`` [m/s] below ``limit``."""
     name = targets.name(i)
     return Issue(
         "motion.feed_min",
@@ -278,7 +307,7 @@ def _make_corner_issue(targets: Targets, i: int, got: float, limit: float) -> Is
 SHARP_CORNER_FRACTION: Final = 0.1
 """Fraction of a move below which a corner that is rounded over it is sharp."""
 MIN_CRAWL_RATIO: Final = 3.0
-"""Ratio of the duration of a move to that of its feed above which it crawls."""
+"""Ratio of the duration of two moves to the minimum duration by their feeds above which the moves crawl."""
 MAX_STOPPING_TIME_RATIO: Final = 0.8
 """Ratio of the durations with and without stops below which the stops are made."""
 MAX_STOP_ROUNDS: Final = 3
@@ -293,15 +322,18 @@ def clock_with_stops(
     corner_fractions: CornerFractions,
     clock_pieces: dict[bytes, TimedPiece] | None = None,
 ) -> tuple[Targets, JointPath, Clock]:
-    """Compute the path and its clock, and add stops that save time.
+    """Compute the joint path and its clock, and add stops at sharp corners that save time.
 
     Args:
         scene: Cell with the arms.
         targets: N targets.
         samples: Samples of the moves.
         limits: Limits of the clock.
-        corner_fractions: Corner fractions by durations and stops.
+        corner_fractions: Returns the corner fractions for durations and stops.
         clock_pieces: Timed pieces, as for :func:`planner.motion.trajectory.timing.compute_clock`.
+
+    Returns:
+        The targets with added stops, their joint path and their clock.
 
     Raises:
         TimingError: No clock exists.
@@ -309,22 +341,22 @@ def clock_with_stops(
     path = fit_joint_path(scene, targets, samples, limits.speed)
     clock = settle_clock(path, limits, corner_fractions, clock_pieces)
     for _ in range(MAX_STOP_ROUNDS):
-        sharp = _sharp_corners(targets, clock, limits)
-        if not sharp.any():
+        is_sharp = _sharp_corners(targets, clock, limits)
+        if not is_sharp.any():
             break
-        other = dataclasses.replace(targets, stop=targets.stop | sharp)
-        path_with_stops = fit_joint_path(scene, other, samples, limits.speed)
-        clock_with_stops_added = settle_clock(path_with_stops, limits, corner_fractions, clock_pieces)
-        if clock_with_stops_added.time[-1] > MAX_STOPPING_TIME_RATIO * clock.time[-1]:
+        stopping_targets = dataclasses.replace(targets, stop=targets.stop | is_sharp)
+        stopping_path = fit_joint_path(scene, stopping_targets, samples, limits.speed)
+        stopping_clock = settle_clock(stopping_path, limits, corner_fractions, clock_pieces)
+        if stopping_clock.time[-1] > MAX_STOPPING_TIME_RATIO * clock.time[-1]:
             break
-        targets, path, clock = other, path_with_stops, clock_with_stops_added
+        targets, path, clock = stopping_targets, stopping_path, stopping_clock
     return targets, path, clock
 
 
 def _sharp_corners(targets: Targets, clock: Clock, limits: ClockLimits) -> BoolArray:
-    """Sharp corners (N,) between crawling moves, if a single arm works and may stop.
+    """Whether (N,) a target is a sharp corner between crawling moves at which the tool may stop.
 
-    Corners with a minimum feed are excluded.
+    It may if a single arm works, and if neither of the moves has a minimum feed.
     """
     out = np.zeros(targets.count, dtype=bool)
     if not targets.may_stop or targets.coupled or len(targets.arms) > 1:
@@ -337,7 +369,7 @@ def _sharp_corners(targets: Targets, clock: Clock, limits: ClockLimits) -> BoolA
 
 
 def stop_notes(targets_before: Targets, targets_after: Targets) -> list[Issue]:
-    """Notes on stops that ``targets_after`` has in addition to ``targets_before``."""
+    """Return a note on the stops that were added to the targets; no note if none were."""
     new_stops = np.flatnonzero(targets_after.stop & ~targets_before.stop)
     if not len(new_stops):
         return []
@@ -363,7 +395,9 @@ MAX_SLOWING_FACTOR: Final = 2.5
 
 
 def are_short(targets: Targets, values: FloatArray, time: FloatArray) -> BoolArray:
-    """Whether (N,) the move to each target is shorter than controllers handle well. The first leads nowhere.
+    """Whether (N,) the move to each target is shorter than controllers handle well, in time or in length.
+
+    The first target has no move, so its value is False.
 
     Args:
         targets: N targets.
@@ -380,16 +414,19 @@ def are_short(targets: Targets, values: FloatArray, time: FloatArray) -> BoolArr
 def join_short_moves(targets: Targets, values: FloatArray, time: FloatArray, kept: IndexArray) -> IndexArray:
     """Select the targets that remain if short moves are joined into longer ones.
 
-    No target deviates from the joined moves by more than a corner may, along the path too. Two TCPs keep
-    their relative position within ``targets.max_tcp_distance_error``, and within ``targets.max_lead_lag`` if
-    one is a move ahead. Targets that may not be joined remain, and so do stops, actions and the ends of
-    segments.
+    No target deviates from the joined moves by more than a corner may, neither across nor along the path. Two
+    TCPs keep their relative position within ``targets.max_tcp_distance_error``, and within
+    ``targets.max_lead_lag`` if one is a move ahead. Stops, targets with actions and the ends of segments
+    remain.
 
     Args:
         targets: All targets.
         values: (N, F) values of the freedoms.
         time: (K,) [s] clock of the kept targets.
-        kept: (K,) targets that are still kept.
+        kept: (K,) targets that remained so far.
+
+    Returns:
+        Indices of the targets that remain; ``kept`` if these targets may not be joined.
     """
     if not targets.may_join or (len(targets.arms) > 1 and targets.max_tcp_distance_error <= 0.0):
         return kept
@@ -401,20 +438,26 @@ def join_short_moves(targets: Targets, values: FloatArray, time: FloatArray, kep
     kept_rows = [0]
     for row in range(1, len(kept)):
         first = kept_rows[-1]
-        enough = (
+        is_long_enough = (
             time[row] - time[first] >= JOINED_TIME_FACTOR * MIN_MOVE_TIME_S
             and line.distance(kept[first], kept[row]) >= MIN_MOVE_LENGTH_MM
         )
-        follows = row + 1 < len(kept) and not fixed[row] and not enough
-        if follows and (is_short[row] or is_short[row + 1]) and line.are_straight(kept[first], kept[row + 1]):
+        # Leave a target out if the move that ends there is short and can be joined with the next one.
+        may_join = row + 1 < len(kept) and not fixed[row] and not is_long_enough
+        if (
+            may_join
+            and (is_short[row] or is_short[row + 1])
+            and line.are_straight(kept[first], kept[row + 1])
+        ):
             continue
         kept_rows.append(row)
-        short_end = (
+        # If the move is still short, try to join it with the previous one instead.
+        is_still_short = (
             time[row] - time[first] < MIN_MOVE_TIME_S
             or line.distance(kept[first], kept[row]) < MIN_MOVE_LENGTH_MM
         )
         if (
-            short_end
+            is_still_short
             and len(kept_rows) > 2
             and not fixed[first]
             and line.are_straight(kept[kept_rows[-3]], kept[row])
@@ -424,14 +467,18 @@ def join_short_moves(targets: Targets, values: FloatArray, time: FloatArray, kep
 
 
 def select_joined(targets: Targets, kept: IndexArray) -> Targets:
-    """Select the rows ``kept`` (K,) of the targets.
+    """Return the targets that remain after short moves were joined.
 
-    Path lengths of joined moves are the sums of their parts. Joined moves are no faster than any part may be.
+    The path length of a joined move is the sum of its parts. A joined move is no faster than any part may be.
+
+    Args:
+        targets: All targets.
+        kept: (K,) indices of the targets that remain.
     """
     new_index = np.zeros(targets.count, dtype=np.intp)
     new_index[kept] = np.arange(len(kept))
     starts = np.append(0, kept[:-1] + 1)
-    travel, fastest, slowest = (
+    travel, min_time, max_time = (
         np.add.reduceat(parts, starts)
         for parts in (
             targets.travel,
@@ -440,22 +487,24 @@ def select_joined(targets: Targets, kept: IndexArray) -> Targets:
         )
     )
     is_single = np.diff(kept, prepend=-1) == 1
-    ends = targets.stop[kept]
-    begins = np.append(True, ends[:-1])
-    free = (
-        _move_times(targets.travel, targets.feed) <= 1.01 * MIN_SEGMENT_TIME_S
-    )  # their feeds only state the minimum time
+    ends_at_stop = targets.stop[kept]
+    starts_at_stop = np.append(True, ends_at_stop[:-1])
+    # the feed of a free move only states the minimum duration of a move
+    free = _move_times(targets.travel, targets.feed) <= 1.01 * MIN_SEGMENT_TIME_S
     slowest_feed = np.minimum.reduceat(np.where(free, np.inf, targets.feed), starts)
     with np.errstate(divide="ignore", invalid="ignore"):
-        feed = np.where(is_single | (fastest <= 0.0), targets.feed[kept], travel / fastest)
+        feed = np.where(is_single | (min_time <= 0.0), targets.feed[kept], travel / min_time)
     # Moves from and to rest are faster in between. The feed of their part at the stop allows for that, unless
     # that part is free, possibly with almost no length at almost no feed.
-    has_free_end = (begins & free[starts]) | (ends & free[kept])
-    slow_feed = np.where(has_free_end, slowest_feed / MAX_RAMP_RATIO, slowest_feed)
-    slow_feed = np.where(np.isfinite(slow_feed), slow_feed, feed)
-    feed = np.where(is_single, feed, np.where(begins | ends, slow_feed, np.minimum(feed, slowest_feed)))
+    has_free_end = (starts_at_stop & free[starts]) | (ends_at_stop & free[kept])
+    ramp_feed = np.where(has_free_end, slowest_feed / MAX_RAMP_RATIO, slowest_feed)
+    ramp_feed = np.where(np.isfinite(ramp_feed), ramp_feed, feed)
+    is_ramp = starts_at_stop | ends_at_stop
+    feed = np.where(is_single, feed, np.where(is_ramp, ramp_feed, np.minimum(feed, slowest_feed)))
     with np.errstate(divide="ignore", invalid="ignore"):
-        min_feed = np.where(is_single, targets.feed_min[kept], np.where(slowest > 0.0, travel / slowest, 0.0))
+        min_feed = np.where(
+            is_single, targets.feed_min[kept], np.where(max_time > 0.0, travel / max_time, 0.0)
+        )
     return dataclasses.replace(
         select_targets(targets, kept),
         feed=feed,
@@ -469,9 +518,9 @@ def select_joined(targets: Targets, kept: IndexArray) -> Targets:
 
 
 def with_lengthened_short_moves(targets: Targets, min_times: FloatArray) -> FloatArray:
-    """Minimum durations (N,) [s] with short moves lengthened.
+    """Return minimum durations (N,) [s] of the moves, in which those of short moves are lengthened.
 
-    They are lengthened where no minimum feed is required and moves may be joined.
+    They are lengthened if no minimum feed is required and if the targets may be joined.
 
     Args:
         targets: N targets.
@@ -517,45 +566,54 @@ def short_move_warnings(targets: Targets, values: FloatArray, time: FloatArray) 
 
 
 class _StraightMoves:
-    """Poses of all arms at all targets; tests whether targets lie on the linear move between two others."""
+    """Tests whether targets lie on the linear move between two other targets.
+
+    Attributes:
+        positions: For each arm the positions (N, 3) [m] of its TCP.
+        quaternions: For each arm the rotations (N, 4) of its TCP.
+        path_length: (N,) [mm] path length to each target, including rotation.
+        allowed: (N,) [m] deviation that each target may have.
+    """
 
     def __init__(self, targets: Targets, values: FloatArray) -> None:
+        """Prepare the tests; ``values`` (N, F) are those of the freedoms."""
         poses = targets.poses(values).values()
         self.positions = [pose[:, :3, 3].copy() for pose in poses]
-        self.turns = [to_quaternion(pose[:, :3, :3]) for pose in poses]
-        self.along = np.cumsum(_move_lengths(targets, values))
+        self.quaternions = [to_quaternion(pose[:, :3, :3]) for pose in poses]
+        self.path_length = np.cumsum(_move_lengths(targets, values))
         deviations = targets.rounding.deviations(targets.segment)
         self.allowed = np.minimum(deviations, corner_rounding.CORNER_DEVIATION_MM * MM)
         self.max_distance_error, self.max_lead_lag = targets.max_tcp_distance_error, targets.max_lead_lag
         self.track_values = list(targets.track_positions.values())
 
     def distance(self, first: int, last: int) -> float:
-        """Path length including rotation [mm] between two targets."""
-        return float(self.along[last] - self.along[first])
+        """Return the path length [mm] between two targets, including rotation."""
+        return float(self.path_length[last] - self.path_length[first])
 
     def are_straight(self, first: int, last: int) -> bool:
-        """Whether all targets between two are passed within the allowed deviation [m].
+        """Whether a linear move from one target to another passes all targets between them closely enough.
 
-        They are passed at their fraction of the path length.
+        Each target is compared with the point at its fraction of the path length. The distance, including
+        rotation, must not exceed the allowed deviation, and two TCPs must keep their relative position.
         """
-        whole = self.distance(first, last)
-        if whole <= 0.0:
+        whole_length = self.distance(first, last)
+        if whole_length <= 0.0:
             return True
-        fraction = (self.along[first + 1 : last] - self.along[first]) / whole
+        fraction = (self.path_length[first + 1 : last] - self.path_length[first]) / whole_length
         allowed = float(self.allowed[first + 1 : last + 1].min())
         for track in self.track_values:
             interpolated = track[first] + fraction * (track[last] - track[first])
             if (np.abs(interpolated - track[first + 1 : last]) > allowed).any():
                 return False
         offsets = []
-        for position, turns in zip(self.positions, self.turns, strict=True):
+        for position, quaternion in zip(self.positions, self.quaternions, strict=True):
             start, end = position[first], position[last]
             offsets.append(start + fraction[:, None] * (end - start) - position[first + 1 : last])
-            away = lengths(offsets[-1])
-            if (away > allowed).any():
+            distance = lengths(offsets[-1])
+            if (distance > allowed).any():
                 return False
-            rotation_error = _rotation_errors(turns[first : last + 1], fraction)
-            if (away + MM * corner_rounding.ROTATION_LEVER_MM * rotation_error > allowed).any():
+            rotation_error = _rotation_errors(quaternion[first : last + 1], fraction)
+            if (distance + MM * corner_rounding.ROTATION_LEVER_MM * rotation_error > allowed).any():
                 return False
         if len(offsets) < 2:
             return True
@@ -564,7 +622,10 @@ class _StraightMoves:
         )
 
     def _keep_distance(self, first: int, last: int) -> bool:
-        """Whether the distance of two TCPs stays within ``max_lead_lag`` with either of them a move ahead."""
+        """Whether the distance of two TCPs changes by at most ``max_lead_lag`` if one is a move ahead.
+
+        The move from ``first`` to ``last`` may be finished by one arm and not started by the other.
+        """
         if np.isinf(self.max_lead_lag):
             return True
         first_ends, second_ends = (position[[first, last]] for position in self.positions)
@@ -574,43 +635,50 @@ class _StraightMoves:
         )
 
 
-def _rotation_errors(turns: FloatArray, fraction: FloatArray) -> FloatArray:
-    """Angles (K,) [rad] between rotations and an even rotation from end to end.
+def _rotation_errors(quaternions: FloatArray, fraction: FloatArray) -> FloatArray:
+    """Return the angles (K,) [rad] between inner rotations and an even rotation from the first to the last.
 
-    ``turns`` (K + 2, 4) are quaternions w, x, y, z with both ends, ``fraction`` (K,) the position along the
-    rotation. Quaternions are used because this is called thousands of times with a few rotations each.
+    Quaternions are used because this is called thousands of times with a few rotations each.
+
+    Args:
+        quaternions: (K + 2, 4) rotations w, x, y, z: the first, K inner ones and the last.
+        fraction: (K,) fraction of the even rotation at which each inner rotation is compared.
     """
-    w, v = turns[0, 0], turns[0, 1:]
-    back = np.empty((4, 4))  # matrix of the left product with the inverse of the first quaternion
-    back[0, 0], back[0, 1:], back[1:, 0] = w, v, -v
-    back[1:, 1:] = w * np.eye(3) - skew(v)
-    since = turns[1:] @ back.T
-    whole, since = since[-1] if since[-1, 0] >= 0.0 else -since[-1], since[:-1]
+    w, v = quaternions[0, 0], quaternions[0, 1:]
+    inverse_product = np.empty((4, 4))  # matrix of the left product with the inverse of the first quaternion
+    inverse_product[0, 0], inverse_product[0, 1:], inverse_product[1:, 0] = w, v, -v
+    inverse_product[1:, 1:] = w * np.eye(3) - skew(v)
+    relative = quaternions[1:] @ inverse_product.T
+    whole, relative = relative[-1] if relative[-1, 0] >= 0.0 else -relative[-1], relative[:-1]
     sine = float(np.sqrt(whole[1:] @ whole[1:]))
     axis = whole[1:] / (sine or 1.0)
-    half = float(np.arctan2(sine, whole[0])) * fraction
-    c, s = np.cos(half), np.sin(half)
-    along = since[:, 1:] @ axis
-    left = (
-        c[:, None] * since[:, 1:]
-        - (s * since[:, 0])[:, None] * axis
-        - s[:, None] * (since[:, 1:] @ skew(axis).T)
+    half_angle = float(np.arctan2(sine, whole[0])) * fraction
+    # error quaternion: the inverse of the even rotation (c, s axis) times the relative rotation
+    c, s = np.cos(half_angle), np.sin(half_angle)
+    along_axis = relative[:, 1:] @ axis
+    error = (
+        c[:, None] * relative[:, 1:]
+        - (s * relative[:, 0])[:, None] * axis
+        - s[:, None] * (relative[:, 1:] @ skew(axis).T)
     )
-    return np.asarray(2.0 * np.arctan2(lengths(left), np.abs(c * since[:, 0] + s * along)))
+    return np.asarray(2.0 * np.arctan2(lengths(error), np.abs(c * relative[:, 0] + s * along_axis)))
 
 
 def _move_lengths(targets: Targets, values: FloatArray) -> FloatArray:
-    """Path lengths (N,) [mm] to the targets, including rotation, of the arm that moves farthest."""
+    """Return the length (N,) [mm] of the move to each target, including rotation.
+
+    It is that of the arm that moves farthest.
+    """
     out = np.zeros(targets.count)
     for pose in targets.poses(values).values():
-        moved = lengths(np.diff(pose[:, :3, 3], axis=0)) / MM
-        turn = log_rotation(np.swapaxes(pose[:-1, :3, :3], -1, -2) @ pose[1:, :3, :3])
-        out[1:] = np.maximum(out[1:], moved + corner_rounding.ROTATION_LEVER_MM * lengths(turn))
+        distance = lengths(np.diff(pose[:, :3, 3], axis=0)) / MM
+        rotation = log_rotation(np.swapaxes(pose[:-1, :3, :3], -1, -2) @ pose[1:, :3, :3])
+        out[1:] = np.maximum(out[1:], distance + corner_rounding.ROTATION_LEVER_MM * lengths(rotation))
     return out
 
 
 def _are_fixed(targets: Targets) -> BoolArray:
-    """Targets (N,) that remain: ends, stops, those with actions, and the last ones of segments."""
+    """Whether (N,) a target must remain: ends, stops, those with actions, and the last ones of segments."""
     out = targets.stop.copy()
     out[[0, -1]] = True
     out[[action.target for action in targets.actions]] = True
@@ -619,6 +687,6 @@ def _are_fixed(targets: Targets) -> BoolArray:
 
 
 def _move_times(travel: FloatArray, speed: FloatArray) -> FloatArray:
-    """Durations (N,) [s] of path lengths at speeds; 0 without length."""
+    """Return the durations (N,) [s] of path lengths [m] at speeds [m/s]; 0 without length."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(travel > 0.0, travel / speed, 0.0)

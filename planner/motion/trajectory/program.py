@@ -1,16 +1,16 @@
 """Trajectory optimisation by sequential quadratic programming (SQP) with Drake's ``MathematicalProgram``.
 
-It starts from the result of the banded optimisation.
+It starts from the result of :mod:`planner.motion.trajectory.trajopt` (the banded optimisation).
 
 Each round is a convex quadratic program over the freedoms of all targets, solved by Clarabel or OSQP. Its
 cost is that of :mod:`planner.motion.trajectory.trajopt` without obstacles, in Gauss-Newton form, with the
-Jacobians of Drake's plant. What the banded form has to price is a constraint here: every clearance, the
-margins to joint limits and singularities, the peaks of joint acceleration and jerk, and for coupled tools (a
-wire) the deviation of their relative pose between targets. At targets the relative pose is exact, because
-only the freedoms can change. Joints follow by closed-form inverse kinematics in every trial step.
+Jacobians of Drake's plant. Constraints replace the penalties of the banded form: every clearance, the margins
+to joint limits and singularities, the peaks of joint acceleration and jerk, and for coupled tools (a wire)
+the deviation of their relative pose between targets. At targets the relative pose is exact, because only the
+freedoms can change. Joints follow by closed-form inverse kinematics in every trial step.
 
-A path that is found keeps all that the seed keeps, at a lower cost. Otherwise there is none, with the reason.
-The work is bounded by rounds and by distance queries.
+The result is a path of lower cost that keeps all limits that the seed keeps, or the reason why there is none.
+The work is bounded by the number of rounds and of distance queries.
 """
 
 import dataclasses
@@ -32,7 +32,9 @@ from planner.motion.trajectory.windows import Windows
 from planner.targets import TableFreedom, Targets
 
 MAX_TARGETS: Final = 1000
-"""Number of targets above which the program gets :mod:`planner.motion.trajectory.windows`."""
+"""Number of targets above which the program changes only some windows of the path
+(:mod:`planner.motion.trajectory.windows`).
+"""
 MIN_TARGETS: Final = 3
 """Minimum number of targets. With fewer there is no acceleration."""
 MAX_ROUNDS: Final = 6
@@ -53,7 +55,9 @@ targets are curved.
 MAX_PEAK_RATIO: Final = 1.02
 """Maximum ratio of the peaks of acceleration and jerk to those of the seed, each path on its own clock."""
 MAX_TRIAL_PEAK_RATIO: Final = 1.01
-"""Maximum ratio of these peaks in trial steps, on the seed's clock. Programs are linear about a path only."""
+"""Maximum ratio of the peaks of a trial step to those of the seed, on the seed's clock. It exceeds 1 because
+the programs constrain linearised peaks.
+"""
 MIN_COUPLING_DEVIATION: Final = 1e-6
 """Deviation [m, rad] of the relative pose of coupled tools between targets that is always allowed."""
 POSITION_TOLERANCE_M: Final = 1e-12
@@ -63,8 +67,8 @@ DIFFERENCE_FRACTION: Final = 0.01
 MAX_COST_ENTRY: Final = 2e3
 """Largest entry of the scaled cost matrix. Clarabel ended early with entries a hundred times as large."""
 PRICE_FACTOR: Final = 0.1
-"""Factor of the price of peaks in windows after each program whose path would cost more than the seed. The
-first price is the cost of the joints that freedoms move there.
+"""Factor by which the price of peaks in windows is multiplied after each program whose step is rejected. The
+first price is the cost of the joints that freedoms move in the windows.
 """
 MIN_PRICE_FRACTION: Final = 1e-4
 """Minimum price, as a fraction of the first one."""
@@ -79,9 +83,9 @@ class ProgramResult:
     """Result of the program.
 
     Attributes:
-        path: The path, or None.
-        reason: Why there is none.
-        solver: Solver of the last round.
+        path: The improved path, or None.
+        reason: Why there is no improved path; empty if there is one.
+        solver: Name of the solver of the last round.
         rounds: Number of rounds.
         query_count: Number of targets whose distances were queried.
     """
@@ -94,12 +98,12 @@ class ProgramResult:
 
 
 def available_solvers() -> list[SolverInterface]:
-    """Available solvers of this build of Drake, in the order of preference."""
+    """Return the solvers of :data:`SOLVER_TYPES` that this build of Drake has, in the order of preference."""
     return [solver for solver in (kind() for kind in SOLVER_TYPES) if solver.available() and solver.enabled()]
 
 
 def solver_name(kind: type) -> str:
-    """Name of a solver."""
+    """Return the name of a solver for users, such as "Clarabel"."""
     return kind.__name__.removesuffix("Solver")
 
 
@@ -109,7 +113,7 @@ class ProgramSeed:
 
     Attributes:
         branch: {arm: branch}.
-        path: The path.
+        path: The path, over N targets.
         duration: (N - 1,) [s] durations of the moves.
         stop: (N,) whether the arms stop at a target.
     """
@@ -132,25 +136,25 @@ def optimise_program(
 
     The first and the last target stay as they are, because approach and retreat end there. The caller has to
     check moves between targets. With ``windows`` of a longer path, ``targets``, ``seed.path`` and the result
-    are those of the windows only. The windows know the clock that applies to them, so that of the seed is not
-    used.
+    cover the targets of the windows only. The windows contain the accelerations and jerks on the clock of the
+    whole path, so the clock of the seed is not used.
 
     Args:
         scene: Cell with a collision model.
         targets: N targets.
         seed: Path to start from.
-        penalty: Measures distances.
+        penalty: Measures distances between bodies.
         budget: Maximum number of targets whose distances are queried before the last round.
-        windows: Windows of a longer path.
+        windows: Windows of a longer path; None to change all targets.
     """
     if scene.model is None or not targets.freedoms or targets.count < MIN_TARGETS:
-        return ProgramResult(None, "no target has a freedom, or there are too few targets")
+        return ProgramResult(path=None, reason="no target has a freedom, or there are too few targets")
     available = available_solvers()
     if not available:
-        return ProgramResult(None, "this build of Drake has no solver for it")
+        return ProgramResult(path=None, reason="this build of Drake has no solver for it")
     bands = difference_bands(seed.duration, seed.stop) if windows is None else windows.bands
     weights = None if windows is None else windows.weights
-    problem = PathProblem(scene, targets, seed.branch, None, weights)
+    problem = PathProblem(scene, targets, seed.branch, obstacles=None, weights=weights)
     search = _ProgramSearch(problem, scene.model, seed.path, bands, penalty, windows)
     return search.run(available, budget)
 
@@ -160,11 +164,12 @@ class _PathEvaluation:
     """Evaluation of a path.
 
     Attributes:
-        cost: Its cost.
-        near_distances: Narrow distances with derivatives.
-        distances: (N,) [m] smallest distances.
-        peaks: Peaks of acceleration and jerk, each by joint (J,).
-        coupling_deviation: (N - 1, 6) deviation of the relative pose of coupled tools between targets.
+        cost: Cost of the path.
+        near_distances: Small distances between bodies [m], with derivatives by the joints.
+        distances: (N,) [m] smallest distance at each target, inf if bodies are far apart.
+        peaks: Peaks (J,) of the accelerations and of the jerks of each joint.
+        coupling_deviation: (N - 1, 6) [rad, m] deviation of the relative pose of coupled tools half way
+            between targets.
     """
 
     cost: float
@@ -175,6 +180,8 @@ class _PathEvaluation:
 
 
 class _ProgramSearch:
+    """Improves a path by a sequence of quadratic programs."""
+
     def __init__(
         self,
         problem: PathProblem,
@@ -229,7 +236,10 @@ class _ProgramSearch:
         self.trust = np.array(spans)
 
     def run(self, ready: Sequence[SolverInterface], budget: int) -> ProgramResult:
-        """Solve programs until little is gained, by the first solver of ``ready`` that solves."""
+        """Solve programs until the gain of a round is small or the budget of distance queries is used up.
+
+        ``ready`` are the solvers in the order of preference.
+        """
         rounds, solver, reason = 0, "", "the banded result cannot be improved"
         while rounds < MAX_ROUNDS and self._query_count() < budget:
             rounds += 1
@@ -238,29 +248,30 @@ class _ProgramSearch:
                 reason = f"{solver} did not solve the program"
                 break
             value = self._path_value(self.evaluation.cost, self.joints)
-            scale = self._advance(step)
+            step_fraction = self._advance(step)
             gain = value - self._path_value(self.evaluation.cost, self.joints)
-            if scale > 0.0 and (gain < MIN_GAIN_FRACTION * value or self._has_no_peaks()):
+            if step_fraction > 0.0 and (gain < MIN_GAIN_FRACTION * value or self._has_no_peaks()):
                 break
-            if scale == 0.0 and self.price > self.min_price:
+            if step_fraction == 0.0 and self.price > self.min_price:
                 self.price *= PRICE_FACTOR
                 continue
-            self.trust = self.trust * (1.0 if scale == 1.0 else max(scale, MIN_STEP_FRACTION))
+            self.trust = self.trust * (1.0 if step_fraction == 1.0 else max(step_fraction, MIN_STEP_FRACTION))
         query_count = self._query_count()
         if not self.evaluation.cost < self.seed_cost:
             return ProgramResult(None, reason, solver, rounds, query_count)
         q = self.problem.split(self.joints)
         if not self._reaches_poses(q):
-            return ProgramResult(
-                None, f"poses deviate by more than {POSITION_TOLERANCE_M} m", solver, rounds, query_count
-            )
+            reason = f"poses deviate by more than {POSITION_TOLERANCE_M} m"
+            return ProgramResult(None, reason, solver, rounds, query_count)
         path = OptimisedPath(self.values, q, self.evaluation.cost, self.seed_cost, rounds)
         return ProgramResult(path, "", solver, rounds, query_count)
 
     def _query_count(self) -> int:
+        """Return the number of targets whose distances this search has queried so far."""
         return self.penalty.query_count - self.initial_queries
 
     def _evaluate(self, values: FloatArray, joints: FloatArray) -> _PathEvaluation:
+        """Evaluate a path, given by values (N, F) of its freedoms and its joints (N, J)."""
         near_distances = self.penalty.near_distances(joints)
         smallest = np.full(len(joints), np.inf)
         np.minimum.at(smallest, near_distances.index, near_distances.value)
@@ -274,41 +285,48 @@ class _ProgramSearch:
         )
 
     def _advance(self, step: FloatArray) -> float:
-        """Take the largest fraction of a step that keeps everything and gains.
+        """Take the largest fraction of a step (N, F) that keeps all limits and improves the path.
 
-        Returns that fraction, 0 for none. Steps of windows are taken completely while there is a lower price
-        of peaks.
+        The step is halved until it does. In windows only the whole step is tried while the price of peaks can
+        be lowered. Returns the fraction, 0 if no step was taken.
         """
-        scale, min_scale = 1.0, 0.5 if self.price > self.min_price else MIN_STEP_FRACTION
-        while scale > min_scale:
-            values = self.problem.clip(self.values + scale * step)
+        fraction, min_fraction = 1.0, 0.5 if self.price > self.min_price else MIN_STEP_FRACTION
+        while fraction > min_fraction:
+            values = self.problem.clip(self.values + fraction * step)
             joints = self.problem.joints(values, self.joints)
             if joints is not None and self._is_improvement(values, joints):
                 evaluation = self._evaluate(values, joints)
                 if self._keeps_limits(evaluation):
                     self.values, self.joints, self.evaluation = values, joints, evaluation
-                    return scale
-            scale *= 0.5
+                    return fraction
+            fraction *= 0.5
         return 0.0
 
     def _path_value(self, cost: float, joints: FloatArray) -> float:
-        """Value of a path: its cost; for windows the cost that can change plus the price of their peaks."""
+        """Return the value that the search lowers, given the cost of a path and its joints (N, J).
+
+        It is the cost. In windows it is the part of the cost that can change plus the price of the peaks.
+        """
         if self.windows is None:
             return cost
         return cost - self.fixed_cost + self.price * sum(self.windows.peak_levels(joints))
 
     def _is_improvement(self, values: FloatArray, joints: FloatArray) -> bool:
-        """Whether a path has a lower value than the current one and costs no more than the seed."""
+        """Whether a path has a lower value than the current one and a lower cost than the seed."""
         cost = self.problem.cost(values, joints)
         return cost < self.seed_cost and self._path_value(cost, joints) < self._path_value(
             self.evaluation.cost, self.joints
         )
 
     def _has_no_peaks(self) -> bool:
-        """Whether windows have no peak left that could be lowered. Further programs hardly change them."""
+        """Whether the windows have no peak left that could be lowered, so programs hardly change them."""
         return self.windows is not None and not any(self.windows.peak_levels(self.joints))
 
     def _keeps_limits(self, evaluation: _PathEvaluation) -> bool:
+        """Whether a path keeps clearance, the peaks of the seed, and the coupling of tools, with tolerances.
+
+        Half of the extra clearance may be used up, because the programs constrain linearised distances.
+        """
         required = np.minimum(self.required, self.scene.settings.clearance + 0.5 * EXTRA_CLEARANCE_M)
         peaks = zip(evaluation.peaks, self.allowed, strict=True)
         return bool(
@@ -328,9 +346,10 @@ class _ProgramSearch:
         )
 
     def _solve(self, available: Sequence[SolverInterface]) -> tuple[FloatArray | None, str]:
-        """Step (N, F) of the program by the first solver that finds one, and the solver.
+        """Solve the next program by the first solver that succeeds.
 
-        The step is None if no solver finds one.
+        Returns the step (N, F) of the freedoms and the name of the solver; None and the name of the last
+        solver if none succeeds.
         """
         program, unknowns = self._build_program()
         name = ""
@@ -345,9 +364,10 @@ class _ProgramSearch:
         return None, name
 
     def _build_program(self) -> tuple[MathematicalProgram, Any]:
-        """The program of the next step and its unknowns (N, F).
+        """Build the program of the next step.
 
-        Unknowns are in units of the change that a round allows.
+        Returns the program and its unknowns (N, F): steps of the freedoms in units of the change that a round
+        allows.
         """
         # Minimise x' H x + 2 g' x + price * sum of levels, with H block-pentadiagonal, over the steps
         # x = step / trust in [-1, 1] and levels in [0, 1], subject to (linear in x) ranges of the freedoms,
@@ -387,9 +407,9 @@ class _ProgramSearch:
         return program, unknowns
 
     def _add_distances(self, rows: LinearConstraints, rates: FloatArray) -> None:
-        """Add clearances of bodies, and the required margins to joint limits and singularities.
+        """Add rows for small distances between bodies and for narrow margins to limits and singularities.
 
-        The margins are added where they are narrow.
+        ``rates`` (N, J, F) are the derivatives of the joints by the freedoms.
         """
         near_distances = self.evaluation.near_distances
         rows.add_lower_bounds(
@@ -399,9 +419,10 @@ class _ProgramSearch:
             rows.add_lower_bounds(margins, rates, np.minimum(hard - margins.value, 0.0))
 
     def _coupling_deviation(self, values: FloatArray) -> FloatArray:
-        """Deviation (N - 1, 6) [rad, m] of the relative pose of coupled tools half way between targets.
+        """Compute the deviation (N - 1, 6) [rad, m] of the relative pose of coupled tools between targets.
 
-        It is relative to the pose for equal freedoms at both targets.
+        It is evaluated half way between targets, relative to the pose with the mean of the freedoms at both
+        targets. It is 0 if no freedom changes the relative pose.
         """
         if not _is_coupled(self.targets):
             return np.zeros((self.targets.count - 1, 6))
@@ -411,6 +432,7 @@ class _ProgramSearch:
         return deviation
 
     def _add_coupling(self, rows: LinearConstraints) -> None:
+        """Add rows for the relative pose of coupled tools, with derivatives by central differences."""
         if not _is_coupled(self.targets):
             return
         current, ends = self.evaluation.coupling_deviation, (self.values[:-1], self.values[1:])
@@ -419,9 +441,9 @@ class _ProgramSearch:
             shift = np.zeros(self.values.shape[1])
             shift[j] = step
             for side, (shift_start, shift_end) in enumerate(((shift, 0.0 * shift), (0.0 * shift, shift))):
-                ahead = _coupling_deviation(self.targets, ends[0] + shift_start, ends[1] + shift_end)
-                back = _coupling_deviation(self.targets, ends[0] - shift_start, ends[1] - shift_end)
-                slopes[side, ..., j] = (ahead - back) / (2.0 * step)
+                plus = _coupling_deviation(self.targets, ends[0] + shift_start, ends[1] + shift_end)
+                minus = _coupling_deviation(self.targets, ends[0] - shift_start, ends[1] - shift_end)
+                slopes[side, ..., j] = (plus - minus) / (2.0 * step)
         rows.add_pairs(slopes, -self.max_coupling_deviation - current, self.max_coupling_deviation - current)
 
 
@@ -431,17 +453,25 @@ def _is_coupled(targets: Targets) -> bool:
 
 
 def _coupling_deviation(targets: Targets, start: FloatArray, end: FloatArray) -> FloatArray:
-    """Deviation as in :meth:`_ProgramSearch._coupling_deviation`, for given freedoms.
+    """Compute the deviation (N - 1, 6) [rad, m] of the relative pose of coupled tools between targets.
 
-    Freedoms (N - 1, F) are those at the start and end of each move.
+    It is evaluated half way between the targets. It is relative to the pose with the mean of the freedoms at
+    both targets.
+
+    Args:
+        targets: N targets.
+        start: (N - 1, F) values of the freedoms at the start of each move.
+        end: (N - 1, F) values of the freedoms at the end of each move.
     """
     first_arm, second_arm = targets.arms[0], targets.arms[-1]
-    first, last = np.arange(targets.count - 1), np.arange(1, targets.count)
+    start_index, end_index = np.arange(targets.count - 1), np.arange(1, targets.count)
     half, mean = np.full(targets.count - 1, 0.5), 0.5 * (start + end)
 
-    def relative_pose(a: FloatArray, b: FloatArray) -> FloatArray:
-        begins, ends = targets.poses(a, first), targets.poses(b, last)
-        middle = {arm: interpolate(begins[arm], ends[arm], half) for arm in (first_arm, second_arm)}
+    def relative_pose(start_values: FloatArray, end_values: FloatArray) -> FloatArray:
+        """Return the pose (N - 1, 4, 4) of the second tool in the frame of the first, half way."""
+        start_poses = targets.poses(start_values, start_index)
+        end_poses = targets.poses(end_values, end_index)
+        middle = {arm: interpolate(start_poses[arm], end_poses[arm], half) for arm in (first_arm, second_arm)}
         return inverse(middle[first_arm]) @ middle[second_arm]
 
     return log_pose(inverse(relative_pose(mean, mean)) @ relative_pose(start, end))

@@ -1,7 +1,7 @@
 """Timing: one clock for all arms, by TOPPRA over the joint path between stops.
 
-If TOPPRA (package ``toppra``) fails, Drake's ``Toppra`` with relaxed constraints is used, on the same path
-and limits, and the result says so. It is also the cross-check in benchmarks.
+If the package ``toppra`` fails, Drake's ``Toppra`` with relaxed constraints is used on the same path and
+limits, and the clock names its solver. Drake's solver is also the cross-check in benchmarks.
 
 Source: Pham and Pham, "A new approach to time-optimal path parameterization based on reachability analysis",
 IEEE T-RO 2018.
@@ -38,7 +38,7 @@ Not every release offers it.
 """
 
 DRAKE_GRID_STRIDES: Final = (1, 2, 4, 8)
-"""Strides of the grid points that are tried, in this order, until TOPPRA finds a solution."""
+"""Strides of the grid points that are tried, in this order, until Drake's solver finds a solution."""
 
 
 def parameterise_drake(
@@ -47,7 +47,7 @@ def parameterise_drake(
     """Compute path speeds with Drake's solver.
 
     The speed limit enters as one more joint whose slope over the path is the inverse of the limit. If the
-    fine grid fails, coarser ones are tried, with the smallest limit of the points left out.
+    fine grid fails, coarser ones are tried. Their points have the smallest limit of the points around them.
 
     Args:
         spline: Joint path.
@@ -62,10 +62,10 @@ def parameterise_drake(
         rows = np.unique(np.append(np.arange(0, len(grid), stride), len(grid) - 1))
         if len(rows) < 3:
             break
-        tight = np.minimum.reduceat(limit, rows)
-        tight[1:] = np.minimum(tight[1:], tight[:-1])
+        smallest_limit = np.minimum.reduceat(limit, rows)
+        smallest_limit[1:] = np.minimum(smallest_limit[1:], smallest_limit[:-1])
         try:
-            speeds = solve_drake(spline, grid[rows], tight if stride > 1 else limit, acceleration)
+            speeds = solve_drake(spline, grid[rows], smallest_limit if stride > 1 else limit, acceleration)
         except (RuntimeError, SystemExit):  # Drake raises SystemExit if one of its own conditions fails
             speeds = None
         if speeds is not None:
@@ -76,31 +76,36 @@ def parameterise_drake(
 def solve_drake(
     spline: CubicSpline, grid: FloatArray, limit: FloatArray, acceleration: FloatArray
 ) -> FloatArray | None:
-    """Path speeds (G,) by one run of Drake's solver on exactly this grid, or None."""
+    """Compute path speeds (G,) by one run of Drake's solver on exactly this grid, or None.
+
+    The arguments are those of :func:`parameterise_drake`.
+    """
     joints = spline.c.shape[2]
+    # an additional joint q = integral of ds / limit, whose speed limit is 1
     slope = 1.0 / np.clip(limit, 1e-9, 1e4)
-    extra = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(grid))])
-    values = np.column_stack([spline(grid), extra])
+    limit_joint = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(grid))])
+    values = np.column_stack([spline(grid), limit_joint])
     rates = np.column_stack([spline(grid, 1), slope])
     path = PiecewisePolynomial.CubicHermite(grid, values.T, rates.T)
     solver = Toppra(path, _slider_plant(joints + 1), grid)
     relax = getattr(solver, "set_constraint_relaxation", None)
     if relax is not None:
         relax(RELAXATION)
-    wide = np.full(joints + 1, 1e6)
-    wide[-1] = 1.0
-    solver.AddJointVelocityLimit(-wide, wide)
-    strong = np.append(acceleration, 1e9)
-    solver.AddJointAccelerationLimit(-strong, strong)
+    max_velocity = np.full(joints + 1, 1e6)
+    max_velocity[-1] = 1.0
+    solver.AddJointVelocityLimit(-max_velocity, max_velocity)
+    max_acceleration = np.append(acceleration, 1e9)
+    solver.AddJointAccelerationLimit(-max_acceleration, max_acceleration)
     trajectory = solver.SolvePathParameterization()
     if trajectory is None:
         return None
-    rate = trajectory.derivative(1)
-    ends = [float(rate.value(t)[0, 0]) for t in trajectory.get_segment_times()]
-    return np.maximum(ends, 0.0) if len(ends) == len(grid) else None
+    path_speed = trajectory.derivative(1)
+    speeds = [float(path_speed.value(t)[0, 0]) for t in trajectory.get_segment_times()]
+    return np.maximum(speeds, 0.0) if len(speeds) == len(grid) else None
 
 
 def _slider_plant(count: int) -> MultibodyPlant:
+    """Create a plant of ``count`` prismatic joints, because Drake's solver takes limits only with a plant."""
     plant = MultibodyPlant(0.0)
     parent = plant.world_body()
     for k in range(count):
@@ -119,22 +124,24 @@ ACCELERATION_FRACTION: Final = 0.74
 points.
 """
 CORNER_ACCELERATION_FRACTION: Final = 0.9
-"""Fraction of the acceleration limits at rounded corners. The rest covers corners between targets. Of feeds
-the clock uses ``FEED_FRACTION``.
+"""Fraction of the acceleration limits that the clock uses at rounded corners. The rest covers corners between
+targets.
 """
 MAX_RAMP_SPEED_RATIO: Final = 1.08
-"""Maximum ratio of the speed of tools from and to stops to their allowed speed, in the mean. Controllers
-execute these moves by cubics, which are faster in between. The proof allows 1.1.
+"""Maximum ratio of the peak speed of a tool on a move from or to a stop to its allowed speed. Controllers
+execute these moves by cubics, whose peak speed exceeds the mean. The proof allows 1.1.
 """
 MAX_CORNER_ROUNDS: Final = 8
-"""Maximum number of times that a piece is timed while corners require too much."""
+"""Maximum number of times that a piece is timed while its corners exceed the acceleration limits."""
 CORNER_SLOWING_FACTOR: Final = 1.1
-"""Factor of the missing acceleration by which corners are slowed in each round."""
+"""Factor by which corners are slowed in each round beyond what their excess of acceleration requires."""
 
 MAX_CLOCK_ROUNDS: Final = 4
 """Maximum number of times that a path is timed while corners are smaller than assumed."""
 MAX_CORNER_DEMAND: Final = 0.97
-"""Fraction of the accelerations above which such corners require another round."""
+"""Fraction of the acceleration limits that corners may require if they are smaller than assumed. Above it,
+another round follows.
+"""
 
 GRID_PER_KNOT: Final = 2
 """Minimum number of grid intervals between two knots."""
@@ -144,9 +151,9 @@ MIN_SEGMENT_TIME_S: Final = 6e-3
 MIN_GRID_INTERVALS: Final = 100
 """Minimum number of grid intervals of a piece."""
 MANY_PIECES_COUNT: Final = 500
-"""Number of pieces above which each is short and needs few points."""
+"""Number of pieces of a path above which each piece is short and needs few grid points."""
 MIN_GRID_INTERVALS_OF_MANY: Final = 24
-"""Minimum number of grid intervals of a piece in that case."""
+"""Minimum number of grid intervals of a piece if there are more than :data:`MANY_PIECES_COUNT` pieces."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -154,14 +161,14 @@ class ClockLimits:
     """Limits of a clock.
 
     Attributes:
-        speed: (J,) joint speeds.
-        acceleration: (J,) joint accelerations.
+        speed: (J,) joint speed limits.
+        acceleration: (J,) joint acceleration limits.
         min_time: (N,) [s] minimum duration of the move to each target by feeds.
         corner_fractions: (N,) fraction of the shorter adjacent move over which each corner is rounded.
         tcp_time: (N,) [s] duration of each move at the maximum speed of tools and coordinated tracks; None if
             unlimited.
-        length: (N,) lengths of the moves by which those from and to stops match their neighbours; None for
-            the path's own.
+        length: (N,) lengths of the moves, from which the speeds of moves from and to stops follow
+            (:func:`ramp_end_ratios`); None for the lengths in the path parameter.
     """
 
     speed: FloatArray
@@ -178,10 +185,10 @@ class Clock:
 
     Attributes:
         time: (N,) [s] times of the targets.
-        corner_demand: (N,) fractions of the joint accelerations that the corners require.
-        solvers: Solver of each piece.
-        peak_speed: Largest fraction of the joint speed limits on a dense check.
-        peak_acceleration: Largest fraction of the joint acceleration limits on a dense check.
+        corner_demand: (N,) fractions of the joint acceleration limits that the corners require; 0 at stops.
+        solvers: Name of the solver of each piece.
+        peak_speed: Largest fraction of the joint speed limits that the path uses.
+        peak_acceleration: Largest fraction of the joint acceleration limits that the path uses.
     """
 
     time: FloatArray
@@ -200,10 +207,7 @@ class TimingError(ArithmeticError):
 
 
 CornerFractions = Callable[[FloatArray, BoolArray], FloatArray]
-"""Returns the corner fractions (N,) of :class:`ClockLimits`.
-
-They are for durations (N,) [s] of the moves and stops (N,).
-"""
+"""Returns the corner fractions (N,) of :class:`ClockLimits` for move durations (N,) [s] and stops (N,)."""
 
 
 def settle_clock(
@@ -212,13 +216,19 @@ def settle_clock(
     corner_fractions: CornerFractions,
     clock_pieces: "dict[bytes, TimedPiece] | None" = None,
 ) -> Clock:
-    """Compute the clock, repeatedly while its own durations leave smaller corners than the limits assume.
+    """Compute the clock with corner fractions that suit its own durations.
+
+    Corner fractions depend on the durations of the moves, and the clock depends on the corner fractions. The
+    clock is computed again while corners are smaller than assumed and require too much acceleration.
 
     Args:
         path: Joint path.
         limits: Limits with assumed corner fractions.
-        corner_fractions: Corner fractions by durations and stops.
+        corner_fractions: Returns the corner fractions for durations and stops.
         clock_pieces: Pieces as for :func:`compute_clock`.
+
+    Raises:
+        TimingError: A piece has no timing.
     """
     stop = np.zeros(path.count, dtype=bool)
     stop[[end for piece in path.pieces for end in (piece.first, piece.last)]] = True
@@ -243,8 +253,8 @@ def compute_clock(
     Args:
         path: Joint path.
         limits: Limits.
-        clock_pieces: Pieces that are already timed; new ones are added. If a path changes at a few places,
-            most are the same.
+        clock_pieces: Pieces that are already timed, by a digest of their data; new ones are added. If a path
+            changes at a few places, most of its pieces are the same.
 
     Raises:
         TimingError: A piece has no timing.
@@ -263,20 +273,27 @@ def compute_clock(
                 piece_path.spline, piece_path.knots, limits, piece_path.first, piece_path.last, min_intervals
             )
         pieces.append(clock_pieces[key])
-    time, hardest = np.zeros((2, path.count))
-    speeds, accelerations = [0.0], [0.0]
-    for piece, (at, demand, profile, _) in zip(path.pieces, pieces, strict=True):
-        hardest[piece.first + 1 : piece.last] = demand
-        time[piece.first + 1 : piece.last + 1] = time[piece.first] + at[1:]
-        fast, hard = profile.peak_fractions(limits)
-        speeds.append(fast)
-        accelerations.append(hard)
-    return Clock(time, hardest, tuple(used for *_, used in pieces), max(speeds), max(accelerations))
+    time, corner_demand = np.zeros((2, path.count))
+    peak_speeds, peak_accelerations = [0.0], [0.0]
+    for piece, (piece_time, piece_demand, profile, _) in zip(path.pieces, pieces, strict=True):
+        corner_demand[piece.first + 1 : piece.last] = piece_demand
+        time[piece.first + 1 : piece.last + 1] = time[piece.first] + piece_time[1:]
+        peak_speed, peak_acceleration = profile.peak_fractions(limits)
+        peak_speeds.append(peak_speed)
+        peak_accelerations.append(peak_acceleration)
+    solvers = tuple(solver for *_, solver in pieces)
+    return Clock(time, corner_demand, solvers, max(peak_speeds), max(peak_accelerations))
 
 
 @dataclasses.dataclass(frozen=True)
 class SpeedProfile:
-    """A timed piece: path speeds at grid points. The squared path speed is linear in between."""
+    """Path speeds of a piece at grid points. The squared path speed is linear in between.
+
+    Attributes:
+        spline: Joint path.
+        grid: (G,) grid points of the path parameter.
+        speed: (G,) path speeds.
+    """
 
     spline: CubicSpline
     grid: FloatArray
@@ -284,12 +301,15 @@ class SpeedProfile:
 
     @property
     def time(self) -> FloatArray:
-        """Times (G,) of the grid points from the start of the piece."""
+        """Times (G,) [s] of the grid points from the start of the piece."""
         mean = 0.5 * (self.speed[1:] + self.speed[:-1])
         return np.concatenate([[0.0], np.cumsum(np.diff(self.grid) / np.maximum(mean, 1e-12))])
 
     def peak_fractions(self, limits: ClockLimits, dense: int = 4) -> tuple[float, float]:
-        """Largest fractions of the joint speed and acceleration limits at ``dense`` points per interval."""
+        """Return the largest fractions of the joint speed and acceleration limits that the profile uses.
+
+        They are evaluated at ``dense`` points in each grid interval.
+        """
         fraction = (np.arange(dense) + 0.5) / dense
         square = self.speed**2
         s = (self.grid[:-1, None] + fraction * np.diff(self.grid)[:, None]).ravel()
@@ -302,13 +322,15 @@ class SpeedProfile:
 
 
 TimedPiece = tuple[FloatArray, FloatArray, SpeedProfile, str]
-"""Times of the targets, corner accelerations, profile and solver of a piece."""
+"""Timing of a piece with n targets: times (n,) [s] of the targets, fractions (n - 2,) of the joint
+acceleration limits that its corners require, profile, and name of the solver.
+"""
 
 
 def _piece_key(
     spline: CubicSpline, knots: FloatArray, limits: ClockLimits, first: int, last: int, min_intervals: int
 ) -> bytes:
-    """Digest of all numbers that :func:`_time_piece` uses."""
+    """Return a digest of all numbers that :func:`_time_piece` uses, with its arguments."""
     piece_limits = (
         limits.min_time[first + 1 : last + 1],
         limits.corner_fractions[first + 1 : last],
@@ -323,12 +345,15 @@ def _piece_key(
 
 
 def _tcp_times(limits: ClockLimits, first: int, last: int) -> FloatArray:
-    """Minimum durations (2,) [s] of the first and the last move of a piece at the maximum speed of tools."""
+    """Return the durations (2,) [s] of the first and the last move of a piece at the maximum speed of tools.
+
+    ``first`` and ``last`` are the targets at the ends of the piece. The durations are 0 if unlimited.
+    """
     return np.zeros(2) if limits.tcp_time is None else limits.tcp_time[[first + 1, last]]
 
 
 def _move_lengths(knots: FloatArray, limits: ClockLimits, first: int, last: int) -> FloatArray:
-    """Lengths of the moves of a piece by which speeds next to stops are matched."""
+    """Return the lengths (n - 1,) of the moves of a piece for :func:`ramp_end_ratios`."""
     return np.diff(knots) if limits.length is None else limits.length[first + 1 : last + 1]
 
 
@@ -340,27 +365,37 @@ def _time_piece(
     last: int,
     min_intervals: int = MIN_GRID_INTERVALS,
 ) -> TimedPiece:
-    """Time the targets ``first`` to ``last`` of one piece at the path positions ``knots``.
+    """Time one piece, with ramps and corners as controllers execute them.
 
-    Also returns the fractions of the accelerations that the corners at its inner targets require.
+    Args:
+        spline: Joint path.
+        knots: (n,) path parameters of the targets.
+        limits: Limits.
+        first: Index of the first target of the piece.
+        last: Index of the last target of the piece.
+        min_intervals: Minimum number of grid intervals.
+
+    Raises:
+        TimingError: No solver can time the piece.
     """
     steps, move_lengths = np.diff(knots), _move_lengths(knots, limits, first, last)
-    top = FEED_FRACTION * steps / np.maximum(limits.min_time[first + 1 : last + 1], 1e-9)
+    max_speed = FEED_FRACTION * steps / np.maximum(limits.min_time[first + 1 : last + 1], 1e-9)
     grid = _grid_points(spline.x, min_intervals)
-    at = np.searchsorted(knots, grid, side="right") - 1
-    inner = np.clip(at, 0, len(steps) - 1)
-    bound = top[inner]
+    # the bound of the path speed is that of the move, and at a target that of the slower of both moves
+    move = np.clip(np.searchsorted(knots, grid, side="right") - 1, 0, len(steps) - 1)
+    bound = max_speed[move]
     on_knot = np.flatnonzero(np.isin(grid, knots[1:-1]))
-    bound[on_knot] = np.minimum(top[inner[on_knot]], top[inner[on_knot] - 1])
+    bound[on_knot] = np.minimum(max_speed[move[on_knot]], max_speed[move[on_knot] - 1])
     speed, acceleration = SPEED_FRACTION * limits.speed, ACCELERATION_FRACTION * limits.acceleration
     corners = PathCorners.from_spline(spline, knots, limits.corner_fractions[first + 1 : last])
     weaker = np.ones(len(knots) - 2)
     corner_limits: CornerLimits | None = None
     rounds = 0
     slower: TimedPiece | None = None
-    # Time the piece, then evaluate ramps and corners as controllers execute them. Slow what needs too much.
+    # Time the piece, then evaluate ramps and corners as controllers execute them. Those that exceed a limit
+    # are slowed in the next round.
     while True:
-        profile, used = compute_profile(spline, grid, bound, speed, acceleration, corner_limits)
+        profile, solver = compute_profile(spline, grid, bound, speed, acceleration, corner_limits)
         if profile is None:
             if slower is None:
                 raise TimingError(last)
@@ -381,17 +416,17 @@ def _time_piece(
             time[1] *= max(1.0, ramp_excess[0])
             ramp_excess[:] = 0.0
         demand = corners.acceleration_fractions(move_lengths, np.diff(time), limits.acceleration)
-        ends = (0.0, 0.0)
+        ramp_demand = (0.0, 0.0)
         if len(steps) > 1:
-            ends = ramp_acceleration_fractions(
+            ramp_demand = ramp_acceleration_fractions(
                 spline, knots, move_lengths, np.diff(time), limits.acceleration
             )
         rounds += 1
-        excess = max(max([*ends, *demand]) / CORNER_ACCELERATION_FRACTION, ramp_excess.max() ** 2)
+        excess = max(max([*ramp_demand, *demand]) / CORNER_ACCELERATION_FRACTION, ramp_excess.max() ** 2)
         if excess <= 1.0:
-            return time, demand, profile, used
+            return time, demand, profile, solver
         # slow the whole piece by one factor: accelerations fall with its square
-        slower = time * np.sqrt(excess), demand / excess, profile, used
+        slower = time * np.sqrt(excess), demand / excess, profile, solver
         if rounds == MAX_CORNER_ROUNDS:
             return slower
         if corner_limits is not None:
@@ -401,20 +436,26 @@ def _time_piece(
         corner_limits = corner_limits_on_grid(
             corners, knots, grid, weaker, CORNER_ACCELERATION_FRACTION * limits.acceleration
         )
-        mean = steps / np.diff(time)  # a ramp faster than its neighbour would have to brake at the corner
-        bound[grid < knots[1]] = np.minimum(bound[grid < knots[1]], mean[1])
-        bound[grid > knots[-2]] = np.minimum(bound[grid > knots[-2]], mean[-2])
-        for ramp, hard, fast in zip((grid <= knots[1], grid >= knots[-2]), ends, ramp_excess, strict=True):
-            if hard > CORNER_ACCELERATION_FRACTION:
-                bound[ramp] *= np.sqrt(CORNER_ACCELERATION_FRACTION / hard / CORNER_SLOWING_FACTOR)
-            if fast > 1.0:
-                bound[ramp] /= fast
+        # a ramp faster than its neighbour would have to brake at the corner
+        mean_speed = steps / np.diff(time)
+        bound[grid < knots[1]] = np.minimum(bound[grid < knots[1]], mean_speed[1])
+        bound[grid > knots[-2]] = np.minimum(bound[grid > knots[-2]], mean_speed[-2])
+        on_ramps = (grid <= knots[1], grid >= knots[-2])
+        for on_ramp, acceleration_fraction, speed_excess in zip(
+            on_ramps, ramp_demand, ramp_excess, strict=True
+        ):
+            if acceleration_fraction > CORNER_ACCELERATION_FRACTION:
+                bound[on_ramp] *= np.sqrt(
+                    CORNER_ACCELERATION_FRACTION / acceleration_fraction / CORNER_SLOWING_FACTOR
+                )
+            if speed_excess > 1.0:
+                bound[on_ramp] /= speed_excess
 
 
 def _grid_points(breaks: FloatArray, min_intervals: int) -> FloatArray:
-    """Grid points: the knots of the spline and points between them.
+    """Return grid points (G,): the breaks of a spline and points between them.
 
-    There are at least ``min_intervals`` intervals.
+    There are at least ``min_intervals`` intervals, and at least :data:`GRID_PER_KNOT` between two breaks.
     """
     points_per_knot = max(GRID_PER_KNOT, int(np.ceil(min_intervals / (len(breaks) - 1))))
     fraction = np.arange(points_per_knot) / points_per_knot
@@ -456,7 +497,7 @@ def compute_profile(
 def min_times(
     travel: FloatArray, feed: FloatArray, lengths: Mapping[str, FloatArray], tcp: float
 ) -> FloatArray:
-    """Minimum duration (N,) [s] of the move to each target.
+    """Compute the minimum duration (N,) [s] of the move to each target.
 
     The guarded point stays within its feed and every TCP within its speed limit. No move is shorter than
     controllers can plan.

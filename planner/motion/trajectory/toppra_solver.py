@@ -23,10 +23,10 @@ class _LazyPyplot(ModuleType):
 
 @contextmanager
 def _without_plots() -> Iterator[None]:
-    """Replace ``matplotlib.pyplot`` while ``toppra`` is imported.
+    """Replace ``matplotlib.pyplot`` by a stand-in while ``toppra`` is imported.
 
     Any import from ``toppra`` loads it, which takes 0.45 s of processor time per process for unused plots.
-    Imports inside get a stand-in; others get the library.
+    Later imports of it by other modules get the library.
     """
     if "matplotlib" in sys.modules:
         yield
@@ -87,9 +87,10 @@ def path_speeds(
 
 
 def _stoppable_squares(wrapper: Any) -> list[tuple[float, float]] | None:
-    """Smallest and largest squared path speed at each point from which the path can end at rest.
+    """Return the range of the squared path speed at each grid point from which the path can end at rest.
 
-    None if there is none.
+    The ranges are pairs of the smallest and the largest value. Returns None if there is no such range at a
+    point, or if the path cannot start at rest.
 
     This function and :func:`_fastest_squares` run the package's linear programs, three per grid point, in its
     order and thus with its results. They avoid its handling of arrays of two numbers, which takes longer than
@@ -99,11 +100,12 @@ def _stoppable_squares(wrapper: Any) -> list[tuple[float, float]] | None:
     out = [(0.0, 0.0)] * (last + 1)
     upper = np.array([1e-9, -1.0])  # maximise the speed, then minimise the acceleration
     lower = -upper
-    solve, low, high, free = wrapper.solve_stagewise_optim, 0.0, 0.0, float("nan")
+    solve, low, high = wrapper.solve_stagewise_optim, 0.0, 0.0
+    unbounded = float("nan")  # NaN stands for no bound, and as a result for no solution
     for i in range(last - 1, -1, -1):
-        after = low, high
-        high = solve(i, None, upper, free, free, *after)[1]
-        low = solve(i, None, lower, free, free, *after)[1]
+        next_range = low, high
+        high = solve(i, None, upper, unbounded, unbounded, *next_range)[1]
+        low = solve(i, None, lower, unbounded, unbounded, *next_range)[1]
         if low != low or high != high:
             return None
         low = max(low, 0.0)
@@ -112,66 +114,72 @@ def _stoppable_squares(wrapper: Any) -> list[tuple[float, float]] | None:
 
 
 def _fastest_squares(wrapper: Any, stoppable: list[tuple[float, float]]) -> list[float] | None:
-    """Squares of the highest path speeds from rest, within ``stoppable``; None if there are none.
+    """Return the squares of the highest path speeds at all grid points, starting from rest.
 
-    As in the package, each is a little less than its program allows. A program without a solution is run
-    again from lower speeds.
+    ``stoppable`` are the ranges of :func:`_stoppable_squares`. As in the package, each square is a little
+    less than its program allows. A program without a solution is run again from a lower speed. Returns None
+    if it has none at all.
     """
     out, x = [0.0], 0.0
-    faster = np.array([0.0, -1.0])
+    objective = np.array([0.0, -1.0])  # maximise the next square x + 2 step u
     solve = wrapper.solve_stagewise_optim
-    for i, (step, after) in enumerate(zip(wrapper.get_deltas().tolist(), stoppable[1:], strict=True)):
-        faster[0] = -2.0 * step
-        u = solve(i, None, faster, x, x, *after)[0]
+    for i, (step, next_range) in enumerate(zip(wrapper.get_deltas().tolist(), stoppable[1:], strict=True)):
+        objective[0] = -2.0 * step
+        u = solve(i, None, objective, x, x, *next_range)[0]
         for _ in range(MAX_TRIES):
-            if u == u:
+            if u == u:  # not NaN: solved
                 break
             x = out[-1] = max(x - TINY, 0.999 * x)
-            u = solve(i, None, faster, x, x, *after)[0]
+            u = solve(i, None, objective, x, x, *next_range)[0]
         if u != u:
             return None
         x += 2.0 * step * u
-        x = min(after[1], max(after[0], x - TINY, 0.9999 * x))
+        x = min(next_range[1], max(next_range[0], x - TINY, 0.9999 * x))
         out.append(x)
     return out
 
 
 class _SplinePath(AbstractGeometricPath):  # type: ignore[misc]
-    """A scipy spline with the interface of toppra."""
+    """A scipy spline with the interface of a path in toppra."""
 
     def __init__(self, spline: CubicSpline) -> None:
         self._spline = spline
 
     def __call__(self, path_positions: FloatArray, order: int = 0) -> FloatArray:
+        """Return joints, or their derivatives of the given order, at path positions."""
         return np.asarray(self._spline(path_positions, order))
 
     @property
     def dof(self) -> int:
+        """Number of joints."""
         return int(self._spline.c.shape[2])
 
     @property
     def path_interval(self) -> FloatArray:
+        """First and last path position (2,)."""
         return np.array([self._spline.x[0], self._spline.x[-1]])
 
     @property
     def waypoints(self) -> tuple[FloatArray, FloatArray]:
+        """Path positions of the breaks, and the joints there."""
         return self._spline.x, self(self._spline.x)
 
 
 class _SpeedBound(LinearConstraint):  # type: ignore[misc]
-    """Upper bound of the path speed at every grid point, which includes joint speeds."""
+    """Upper bound of the path speed at every grid point. It includes the limits of joint speeds."""
 
     def __init__(self, limit: FloatArray) -> None:
         super().__init__()
         self._limit = limit
 
     def compute_constraint_params(self, path: Any, gridpoints: FloatArray, *args: Any) -> tuple[Any, ...]:
+        # of toppra's parameters (a, b, c, F, g, ubound, xbound) only the bounds of the squared speed
         square = np.minimum(self._limit, 1e4) ** 2
         return None, None, None, None, None, None, np.stack([np.zeros_like(square), square], axis=1)
 
 
 class _CornerConstraint(LinearConstraint):  # type: ignore[misc]
-    """Acceleration limits of corners at the grid points."""
+    """Limits of the joint accelerations slope u + bend x that corners require at the grid points."""
 
     def __init__(self, corners: CornerLimits) -> None:
         super().__init__()

@@ -7,8 +7,8 @@ neighbours on either side:
 
     (J' K J + sum of hinge slopes' slopes + damping) step = -gradient / 2, K pentadiagonal.
 
-Where a smoother path is too close to something, the freedoms are narrowed to a corridor around the path that
-is kept.
+If a smoother path is too close to a body, the caller narrows the freedoms to a corridor around the path from
+which it started (:func:`narrow_freedoms`).
 """
 
 import dataclasses
@@ -27,12 +27,14 @@ from planner.motion.trajectory.hinge_costs import HingeResiduals, margin_residua
 from planner.targets import Freedom, JointFreedom, ScrewFreedom, Targets
 
 CURVATURE_WEIGHT: Final = 64.0
-"""Weight of second differences relative to first ones. Changes are spread over about eight targets."""
+"""Weight of second differences relative to first ones. It spreads changes over about eight targets, because
+64 = 8^2.
+"""
 
 MAX_ITERATIONS: Final = 30
 """Maximum number of steps of the optimisation."""
 MIN_GAIN_FRACTION: Final = 3e-3
-"""Relative gain of a step below which it is the last. A step whose expected gain is less than a tenth of it
+"""Relative gain of a step below which it is the last. A step whose expected gain is less than a tenth of this
 is not taken.
 """
 MIN_EXPECTED_GAIN_FRACTION: Final = 0.02
@@ -50,13 +52,13 @@ Blocks = list[FloatArray]
 
 
 class Obstacles(Protocol):
-    """Clearance as hinges. :mod:`planner.motion.trajectory.hinge_costs` implements it."""
+    """Penalty for small clearances. :mod:`planner.motion.trajectory.hinge_costs` implements it."""
 
     def rows(self, q: FloatArray) -> Sequence[HingeResiduals]:
-        """Hinges at joints (N, J)."""
+        """Return the residuals at joints (N, J)."""
 
     def cost(self, q: FloatArray) -> float:
-        """Their cost only."""
+        """Return the sum of the squared residuals at joints (N, J)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,9 +68,9 @@ class OptimisedPath:
     Attributes:
         values: (N, F) values of the freedoms.
         q: {arm: (N, J)} [rad] joints.
-        cost: Its cost.
-        cost_before: Cost of the path it started from.
-        iterations: Number of steps.
+        cost: Cost of the path.
+        cost_before: Cost of the path from which the optimisation started.
+        iterations: Number of steps of the optimisation.
     """
 
     values: FloatArray
@@ -78,7 +80,7 @@ class OptimisedPath:
     iterations: int
 
     def select(self, rows: IndexArray) -> "OptimisedPath":
-        """Select some of the targets."""
+        """Return the path at the targets ``rows`` (K,); costs are unchanged."""
         return dataclasses.replace(
             self, values=self.values[rows], q={arm: angles[rows] for arm, angles in self.q.items()}
         )
@@ -92,7 +94,7 @@ def optimise_path(
     q: Mapping[str, FloatArray],
     obstacles: Obstacles | None = None,
 ) -> OptimisedPath:
-    """Smooth a path.
+    """Lower the cost of a path by changing the freedoms of its targets.
 
     Args:
         scene: Cell with the arms.
@@ -100,7 +102,10 @@ def optimise_path(
         branch: {arm: branch}.
         values: (N, F) values of the freedoms.
         q: {arm: (N, J)} [rad] joints.
-        obstacles: Clearance as hinges; None to ignore it.
+        obstacles: Penalty for small clearances; None to ignore clearance.
+
+    Returns:
+        The path, which is the given one if no step lowers the cost.
     """
     problem = PathProblem(scene, targets, branch, obstacles)
     values = problem.unwrap(values)
@@ -113,24 +118,24 @@ def optimise_path(
         if not expected > MIN_GAIN_FRACTION * 0.1 * cost:
             break
         # line search: halve the step until the exact cost falls
-        scale, is_accepted = 1.0, False
-        while scale > 0.05:
-            trial = problem.clip(values + scale * step)
-            moved = problem.joints(trial, joints)
-            trial_cost = problem.cost(trial, moved, cost) if moved is not None else np.inf
-            if moved is not None and trial_cost < cost:
+        step_fraction, is_accepted = 1.0, False
+        while step_fraction > 0.05:
+            trial = problem.clip(values + step_fraction * step)
+            trial_joints = problem.joints(trial, joints)
+            trial_cost = problem.cost(trial, trial_joints, cost) if trial_joints is not None else np.inf
+            if trial_joints is not None and trial_cost < cost:
                 is_accepted = True
                 break
-            scale *= 0.5
+            step_fraction *= 0.5
         # a step that fails is repeated with more damping; a whole step that succeeds allows less
-        if not is_accepted or moved is None:
+        if not is_accepted or trial_joints is None:
             damping *= 30.0
             if damping > 1e3 or (cost < start and expected < MIN_EXPECTED_GAIN_FRACTION * cost):
                 break
             continue
         gain = cost - trial_cost
-        values, joints, cost = trial, moved, trial_cost
-        damping = max(damping * (0.1 if scale == 1.0 else 1.0), 1e-9)
+        values, joints, cost = trial, trial_joints, trial_cost
+        damping = max(damping * (0.1 if step_fraction == 1.0 else 1.0), 1e-9)
         if gain < MIN_GAIN_FRACTION * cost:
             break
     return OptimisedPath(values, problem.split(joints), cost, start, count)
@@ -143,7 +148,15 @@ def path_cost(
     q: Mapping[str, FloatArray],
     obstacles: Obstacles | None = None,
 ) -> float:
-    """Cost of a path, as in :func:`optimise_path`."""
+    """Return the cost of a path, as in :func:`optimise_path`.
+
+    Args:
+        scene: Cell with the arms.
+        targets: N targets.
+        values: (N, F) values of the freedoms.
+        q: {arm: (N, J)} [rad] joints.
+        obstacles: Penalty for small clearances; None to ignore clearance.
+    """
     problem = PathProblem(scene, targets, {}, obstacles)
     return problem.cost(problem.unwrap(values), problem.stack(q))
 
@@ -151,7 +164,14 @@ def path_cost(
 class PathProblem:
     """Cost, exact joints and derivatives of paths over the freedoms of targets, on fixed branches.
 
-    ``weights`` are those of the cost if the targets are part of a longer path.
+    Attributes:
+        columns: {arm: columns of its joints in arrays of all J joints}.
+        speed: (J,) [rad/s] joint speed limits.
+        stencil: Diagonals of K in the cost of motion, as in :class:`CostWeights`.
+        count: Number of targets of the whole path.
+        is_full_turn: (F,) whether each freedom is a full turn.
+        lower: (N, F) lower bounds of the freedoms, -inf for full turns.
+        upper: (N, F) upper bounds of the freedoms, inf for full turns.
     """
 
     def __init__(
@@ -162,6 +182,16 @@ class PathProblem:
         obstacles: Obstacles | None,
         weights: "CostWeights | None" = None,
     ) -> None:
+        """Prepare the problem.
+
+        Args:
+            scene: Cell with the arms.
+            targets: N targets.
+            branch: {arm: branch}.
+            obstacles: Penalty for small clearances; None to ignore clearance.
+            weights: Weights of the cost if the targets are part of a longer path; None for those of a path of
+                these targets.
+        """
         self.scene, self.targets, self.branch, self.obstacles = scene, targets, branch, obstacles
         self.columns = scene.columns(targets.arms)
         self.speed = np.concatenate([speed_limits(scene, arm) for arm in targets.arms])
@@ -193,13 +223,16 @@ class PathProblem:
         return out
 
     def joints(self, values: FloatArray, seed: FloatArray) -> FloatArray | None:
-        """Exact joints (N, J) on the branches; None where a branch or a required margin is lost."""
+        """Compute the exact joints (N, J) on the branches for values (N, F) of the freedoms.
+
+        ``seed`` (N, J) are joints nearby. Returns None if any target loses its branch or a required margin.
+        """
         poses = self.scene.tcp_poses(self.targets, values)
         out = []
         for arm, part in self.columns.items():
             chain = self.scene.chains[arm]
-            last = self.targets.last_joint_angle(arm, values)
-            q = chain.on_branch(poses[arm], self.branch[arm], seed[:, part], last)
+            redundant_angle = self.targets.last_joint_angle(arm, values)
+            q = chain.on_branch(poses[arm], self.branch[arm], seed[:, part], redundant_angle)
             if chain.limit_margin(q).min() < self.scene.settings.joint_margin - 1e-12:
                 return None
             if chain.singularity_margin(q).min() < self.scene.settings.singularity_margin - 1e-12:
@@ -208,16 +241,16 @@ class PathProblem:
         return np.concatenate(out, axis=-1)
 
     def rates(self, values: FloatArray, joints: FloatArray) -> FloatArray:
-        """dq/dvalue (N, J, F): the body twist of each freedom through the arms' closed-form Jacobians."""
+        """Compute the derivatives (N, J, F) of the joints by the freedoms, with closed-form Jacobians."""
         twists = self._freedom_twists(values)
-        parts = [
+        arm_rates = [
             self.scene.chains[arm].joint_rates(joints[:, part], twists[arm])
             for arm, part in self.columns.items()
         ]
-        return self._with_joint_freedoms(np.swapaxes(np.concatenate(parts, axis=-1), 1, 2), joints)
+        return self._with_joint_freedoms(np.swapaxes(np.concatenate(arm_rates, axis=-1), 1, 2), joints)
 
     def _with_joint_freedoms(self, rates: FloatArray, joints: FloatArray) -> FloatArray:
-        """Rates (N, J, F) with those of joints that are freedoms, which move no tool."""
+        """Set the derivatives (N, J, F) by freedoms that are redundant joints, which move no tool."""
         for j, freedom in enumerate(self.targets.freedoms):
             if isinstance(freedom, JointFreedom):
                 part = self.columns[freedom.arm]
@@ -225,36 +258,42 @@ class PathProblem:
         return rates
 
     def plant_rates(self, model: CellModel, values: FloatArray, joints: FloatArray) -> FloatArray:
-        """The same rates as :meth:`rates`, through the Jacobians of Drake's plant."""
+        """Compute the same derivatives as :meth:`rates`, with the Jacobians of Drake's plant."""
         twists, q = self._freedom_twists(values), self.split(joints)
-        poses, parts = self.scene.tcp_poses(self.targets, values), []
+        poses, rate_parts = self.scene.tcp_poses(self.targets, values), []
         for arm, jacobian in model.jacobians(q).items():
             rotation = poses[arm][:, None, :3, :3]
-            world = [
+            world_twist = [
                 np.einsum("nkij,nkj->nik", rotation, twists[arm][..., part]) for part in (_ANGULAR, _LINEAR)
             ]
             # J dq/dvalue = twist in world axes, the body twist rotated by the TCP
-            arm_rates = np.linalg.solve(jacobian[..., :6], np.concatenate(world, axis=1))
+            arm_rates = np.linalg.solve(jacobian[..., :6], np.concatenate(world_twist, axis=1))
             chain = self.scene.chains[arm]
-            parts.append(
+            rate_parts.append(
                 np.swapaxes(chain.with_fixed_last(np.swapaxes(arm_rates, 1, 2)), 1, 2)
                 if chain.is_redundant
                 else arm_rates
             )
-        return self._with_joint_freedoms(np.concatenate(parts, axis=1), joints)
+        return self._with_joint_freedoms(np.concatenate(rate_parts, axis=1), joints)
 
     def _freedom_twists(self, values: FloatArray) -> dict[str, FloatArray]:
-        """Body twists {arm: (N, F, 6)} of the TCPs by each freedom, by central differences."""
+        """Compute the twists {arm: (N, F, 6)} of the TCPs, in their own frames, per change of each freedom.
+
+        They are central differences, with the angular part first.
+        """
         twists: dict[str, list[FloatArray]] = {arm: [] for arm in self.targets.arms}
-        for sides in self.targets.perturbed_poses(values, DIFFERENCE_STEP):
-            plus, minus = (self.scene.world_poses(self.targets, poses) for poses in sides)
+        for perturbed in self.targets.perturbed_poses(values, DIFFERENCE_STEP):
+            plus, minus = (self.scene.world_poses(self.targets, poses) for poses in perturbed)
             for arm in self.targets.arms:
                 # twist = log(T(value - h)^-1 T(value + h)) / 2 h
                 twists[arm].append(log_pose(inverse(minus[arm]) @ plus[arm]) / (2.0 * DIFFERENCE_STEP))
-        return {arm: np.stack(each, axis=1) for arm, each in twists.items()}
+        return {arm: np.stack(arm_twists, axis=1) for arm, arm_twists in twists.items()}
 
     def cost(self, values: FloatArray, joints: FloatArray, limit: float = np.inf) -> float:
-        """The cost; inf if it reaches ``limit`` before obstacles are evaluated."""
+        """Return the cost of a path, given by values (N, F) of its freedoms and its joints (N, J).
+
+        Returns inf without evaluating obstacles if the cost without them reaches ``limit``.
+        """
         arms, total = self.targets.arms, self.smoothness(joints)
         total += sum(r.cost for r in margin_residuals(self.scene, arms, joints, self.count, slopes=False))
         total += sum(
@@ -265,7 +304,7 @@ class PathProblem:
         return total + (self.obstacles.cost(joints) if self.obstacles else 0.0)
 
     def smoothness(self, joints: FloatArray) -> float:
-        """Cost of the differences of joints (N, J), without hinges.
+        """Return the cost of the motion of joints (N, J), without margins, preferred values and obstacles.
 
         It is the sum over joints of x' K x with x = q / speed.
         """
@@ -275,7 +314,7 @@ class PathProblem:
     def quadratic_model(
         self, values: FloatArray, joints: FloatArray, rates: FloatArray
     ) -> tuple[Blocks, FloatArray]:
-        """Quadratic model of the cost about a path, by Gauss-Newton, without obstacles.
+        """Compute the quadratic model of the cost about a path, by Gauss-Newton, without obstacles.
 
         Args:
             values: (N, F) values of the freedoms.
@@ -303,7 +342,10 @@ class PathProblem:
         return blocks, gradient
 
     def step(self, values: FloatArray, joints: FloatArray, damping: float) -> tuple[FloatArray, float]:
-        """Gauss-Newton step (N, F) and the gain that its model expects."""
+        """Return the Gauss-Newton step (N, F) of the freedoms, and the gain that the quadratic model expects.
+
+        ``damping`` is relative to the largest diagonal entry of the model's matrix.
+        """
         rates = self.rates(values, joints)
         blocks, gradient = self.quadratic_model(values, joints, rates)
         for hinge in self.obstacles.rows(joints) if self.obstacles else ():
@@ -317,38 +359,47 @@ class PathProblem:
     def _bounded_step(
         self, blocks: Blocks, gradient: FloatArray, values: FloatArray, damping: float
     ) -> FloatArray:
-        """Gauss-Newton step within the bounds.
+        """Compute the Gauss-Newton step (N, F) within the bounds of the freedoms.
 
-        Values that would leave their bounds go to them, and the rest is solved again.
+        Values that would leave their bounds are fixed at them, and the step of the others is solved again.
+
+        Args:
+            blocks: Matrix of the quadratic model.
+            gradient: (N, F) half the gradient of the cost.
+            values: (N, F) current values.
+            damping: As for :meth:`step`.
         """
         is_fixed = (self.upper <= self.lower) | ((values <= self.lower) & (gradient > 0))
         is_fixed |= (values >= self.upper) & (gradient < 0)
-        fixed = np.zeros_like(values)
-        step = fixed
+        fixed_step = np.zeros_like(values)
+        step = fixed_step
         for _ in range(MAX_BOUND_ROUNDS):
-            # H_ll step_l = -(g + H fixed)_l for the values l that are not fixed
-            right = np.where(is_fixed, 0.0, gradient + _multiply_blocks(blocks, fixed))
+            # H_ll step_l = -(g + H fixed_step)_l for the values l that are not fixed
+            right = np.where(is_fixed, 0.0, gradient + _multiply_blocks(blocks, fixed_step))
             banded = _lower_banded(blocks, is_fixed, damping)
-            step = -solveh_banded(banded, right.ravel(), lower=True).reshape(values.shape) + fixed
-            target = np.clip(values + step, self.lower, self.upper) - values
-            is_outside = ~is_fixed & (np.abs(target - step) > 1e-12)
+            step = -solveh_banded(banded, right.ravel(), lower=True).reshape(values.shape) + fixed_step
+            clipped_step = np.clip(values + step, self.lower, self.upper) - values
+            is_outside = ~is_fixed & (np.abs(clipped_step - step) > 1e-12)
             if not is_outside.any():
                 break
             is_fixed |= is_outside
-            fixed = np.where(is_outside, target, fixed)
+            fixed_step = np.where(is_outside, clipped_step, fixed_step)
         return np.clip(values + step, self.lower, self.upper) - values
 
 
 def _add_residuals(
     diagonal: FloatArray, gradient: FloatArray, hinge: HingeResiduals, slope: FloatArray
 ) -> None:
-    """Add residuals with derivatives (R, F) by freedoms to the diagonal blocks and to half the gradient."""
+    """Add R residuals, with derivatives ``slope`` (R, F) by the freedoms, to a quadratic model in place.
+
+    ``diagonal`` (N, F, F) are its diagonal blocks, ``gradient`` (N, F) is half the gradient.
+    """
     np.add.at(diagonal, hinge.index, np.einsum("rf,rg->rfg", slope, slope))
     np.add.at(gradient, hinge.index, slope * hinge.value[:, None])
 
 
 def _multiply_blocks(blocks: Sequence[FloatArray], x: FloatArray) -> FloatArray:
-    """The symmetric block-banded matrix times x (N, F)."""
+    """Multiply a symmetric block-banded matrix by x (N, F)."""
     out = np.einsum("nfg,ng->nf", blocks[0], x)
     for d in (1, 2):
         if len(x) > d:
@@ -358,24 +409,28 @@ def _multiply_blocks(blocks: Sequence[FloatArray], x: FloatArray) -> FloatArray:
 
 
 def _lower_banded(blocks: Sequence[FloatArray], is_fixed: BoolArray, damping: float) -> FloatArray:
-    """Lower banded form of the block-banded matrix, with fixed variables removed and the diagonal damped."""
-    rows, free = is_fixed.shape
-    width = 3 * free - 1
-    banded = np.zeros((width + 1, rows * free))
-    loose = ~is_fixed
+    """Convert a block-banded matrix to the lower banded form of :func:`scipy.linalg.solveh_banded`.
+
+    Rows and columns of fixed variables (N, F) become those of the identity. ``damping``, relative to the
+    largest diagonal entry, is added to the diagonal.
+    """
+    rows, freedom_count = is_fixed.shape
+    width = 3 * freedom_count - 1
+    banded = np.zeros((width + 1, rows * freedom_count))
+    is_free = ~is_fixed
     # banded[r, c] = H[c + r, c]; freedom f of target n has column n F + f
     for d, block in enumerate(blocks):
         if rows <= d:
             continue
-        kept = block * loose[: rows - d, :, None] * loose[d:, None, :]
-        for f in range(free):
-            for g in range(free):
-                offset = d * free + g - f
+        kept = block * is_free[: rows - d, :, None] * is_free[d:, None, :]
+        for f in range(freedom_count):
+            for g in range(freedom_count):
+                offset = d * freedom_count + g - f
                 if offset >= 0:
-                    columns = np.arange(rows - d) * free + f
+                    columns = np.arange(rows - d) * freedom_count + f
                     banded[offset, columns] = kept[:, f, g]
     # H + damping max(H_ii) 1; a fixed value keeps a row of the identity
-    diagonal = banded[0].reshape(rows, free)
+    diagonal = banded[0].reshape(rows, freedom_count)
     scale = float(diagonal.max(initial=1e-12))
     diagonal += damping * scale + 1e-12
     diagonal[is_fixed] = 1.0
@@ -388,9 +443,9 @@ class CostWeights:
     """Weights of the cost of a path.
 
     Attributes:
-        stencil: Diagonals of the pentadiagonal K with q' K q = ``count`` * (sum of weighted first and second
-            differences).
-        count: Number of targets of the path.
+        stencil: Diagonals 0, 1 and 2 of the symmetric pentadiagonal K with q' K q = ``count`` * (sum of
+            weighted squares of first and second differences).
+        count: Number of targets of the whole path.
     """
 
     stencil: list[FloatArray]
@@ -398,9 +453,10 @@ class CostWeights:
 
 
 def cost_weights(targets: Targets, rows: IndexArray | None = None) -> CostWeights:
-    """Return the weights of a path of all targets, or of its ``rows`` (K,).
+    """Return the weights of the cost of a path of all targets, or of some of them.
 
-    Rows keep their weights of the whole path. Differences from targets outside of the rows are left out.
+    ``rows`` (K,) are the indices of these targets, ascending. They keep their weights in the whole path.
+    Differences that involve other targets are left out.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         time = np.where(targets.feed > 0, targets.travel / targets.feed, 0.0)[1:]
@@ -412,9 +468,13 @@ def cost_weights(targets: Targets, rows: IndexArray | None = None) -> CostWeight
 
 
 def _cost_stencil(time: FloatArray, stop: BoolArray, is_move: BoolArray, count: int) -> list[FloatArray]:
-    """Diagonals for targets with stops (K,) and moves of durations (K - 1,).
+    """Compute the diagonals of K in :class:`CostWeights` for K targets.
 
-    ``is_move`` (K - 1,) are true moves.
+    Args:
+        time: (K - 1,) relative durations of the moves.
+        stop: (K,) whether the arms stop at a target.
+        is_move: (K - 1,) whether the arms move from a target to the next; False between two windows.
+        count: Number of targets of the whole path.
     """
     rows = len(stop)
     out = [np.zeros(rows), np.zeros(max(rows - 1, 0)), np.zeros(max(rows - 2, 0))]
@@ -438,7 +498,7 @@ def _cost_stencil(time: FloatArray, stop: BoolArray, is_move: BoolArray, count: 
 
 
 def _multiply_stencil(stencil: Sequence[FloatArray], x: FloatArray) -> FloatArray:
-    """K x for the diagonals of a symmetric pentadiagonal K and x (N, J)."""
+    """Multiply a symmetric pentadiagonal matrix, given by its diagonals, by x (N, J)."""
     out = stencil[0][:, None] * x
     for d in (1, 2):
         if len(x) > d:
@@ -452,7 +512,7 @@ WIDE_BOUND_RAD = 1e3
 
 
 def unwrap_freedoms(targets: Targets, values: FloatArray) -> FloatArray:
-    """Values (N, F) with full turns continuous from target to target instead of jumping at half a turn."""
+    """Return values (N, F) with full turns continuous from target to target, without jumps."""
     out = values.copy()
     for j, freedom in enumerate(targets.freedoms):
         if is_full_turn(freedom):
@@ -467,8 +527,8 @@ def narrow_freedoms(targets: Targets, values: FloatArray, rows: BoolArray, width
         targets: N targets.
         values: (N, F) unwrapped centre of the corridor.
         rows: (N,) targets at which it applies.
-        width: Half width [rad] for rotations. Slides and tables keep the fraction of their range that it is
-            of half a turn.
+        width: Half width [rad] of the corridor for rotations. The corridor of a slide or table is the same
+            fraction of its range that this is of half a turn.
     """
     freedoms: list[Freedom] = []
     for j, freedom in enumerate(targets.freedoms):
@@ -488,7 +548,10 @@ def narrow_freedoms(targets: Targets, values: FloatArray, rows: BoolArray, width
 
 
 def targets_around(count: int, moves: IndexArray, reach: int) -> BoolArray:
-    """Targets (count,) at most ``reach`` away from either end of the moves to targets ``moves`` (M,)."""
+    """Whether (count,) a target is close to a move: at most ``reach`` targets from its start or its end.
+
+    ``moves`` (M,) are the targets to which the moves lead.
+    """
     is_end = np.zeros(count, dtype=np.bool_)
     is_end[moves] = True
     is_end[np.maximum(moves - 1, 0)] = True

@@ -1,9 +1,9 @@
 """Windows of a long path: the parts that a program over the freedoms may improve most.
 
-A program over tens of thousands of targets would take longer than everything else. A few windows are left
-free instead. They lie where joints that freedoms move have the highest peaks of acceleration or jerk on the
-clock of the path, then where these joints cost most. Between windows, and at a few targets at their ends, the
-path and its slopes stay.
+A program over tens of thousands of targets would take longer than the rest of planning. Therefore only the
+targets of a few windows may change. Windows lie where joints that freedoms move have the highest peaks of
+acceleration or jerk on the clock of the path, then where the motion of these joints costs most. The path
+stays the same between windows and at a few targets at their ends, so that it continues smoothly there.
 """
 
 import dataclasses
@@ -25,15 +25,15 @@ MAX_WINDOWS: Final = 8
 WINDOW_TARGETS: Final = 300
 """Number of targets of a window."""
 HELD_TARGETS: Final = 3
-"""Number of fixed targets at both ends of a window: as many as a jerk needs beside a free one."""
+"""Number of fixed targets at both ends of a window: as many as a jerk covers in addition to a free one."""
 MIN_PEAK_DISTANCE: Final = 12
-"""Distance in targets from the end of a window from which a peak counts as one that the window may lower."""
+"""Minimum number of targets between a peak and the ends of a window for the window to lower that peak."""
 SAMPLED_TARGETS: Final = 256
 """Approximate number of targets at which the joints that freedoms move are determined."""
 MIN_JOINT_RATE: Final = 1e-9
 """Rate [rad per rad or m] below which a freedom does not move a joint."""
 MIN_PEAK_REDUCTION: Final = 0.02
-"""Relative reduction below which peaks are ignored."""
+"""Fraction of the highest peak by which freedoms must be able to lower a peak for it to count."""
 MIN_COST_FRACTION: Final = 1e-5
 """Fraction of the cost that freedoms can change below which there are no windows, unless they can lower a
 peak.
@@ -45,14 +45,16 @@ class Windows:
     """Windows of a path.
 
     Attributes:
-        rows: (K,) their targets, in order.
-        held: (K,) which of these stay fixed.
-        weights: Weights of their cost.
-        bands: Accelerations and jerks on the clock of the path.
-        tops: (J,) peaks of each of the two on the whole path, by joint.
-        goals: Peak of the worst joint outside of windows, to which windows may lower it.
+        rows: (K,) indices of the targets of all windows, ascending.
+        held: (K,) whether such a target stays fixed.
+        weights: Weights of the cost of these targets.
+        bands: Accelerations and jerks over these targets, on the clock of the path.
+        tops: Peaks (J,) of the accelerations and of the jerks of each joint on the whole path.
+        goals: For accelerations and jerks the value to which windows may lower the highest peak of any joint.
+            Lower is useless, because peaks outside of the windows stay.
         moved: (J,) whether freedoms move a joint.
-        fraction: Fraction of the cost of these joints and all hinges, an upper bound of the gain.
+        fraction: Part of the cost of the path, 0 to 1, that is due to joints that freedoms move, to margins
+            and to preferred values. It is an upper bound of the relative gain.
     """
 
     rows: IndexArray
@@ -84,7 +86,10 @@ class Windows:
         return dataclasses.replace(path, values=values, q=q)
 
     def peak_levels(self, joints: FloatArray) -> tuple[float, ...]:
-        """Relative excess of the peaks of joints (K, J) over the goals: 1 at the peaks of the path itself."""
+        """Return for accelerations and jerks how far the peaks of joints (K, J) are above the goals.
+
+        The value is 0 at the goal and 1 at the peak of the path itself.
+        """
         out = []
         for band, (goal, top) in zip(self.bands, self.peak_bounds, strict=True):
             peak = float(np.abs(band.differences(joints)).max(initial=0.0))
@@ -93,7 +98,7 @@ class Windows:
 
     @property
     def peak_bounds(self) -> list[tuple[float, float]]:
-        """Goal and top of the worst joint, for each band."""
+        """For accelerations and jerks the goal, and the highest peak of any joint on the whole path."""
         return [(goal, float(top.max(initial=0.0))) for goal, top in zip(self.goals, self.tops, strict=True)]
 
 
@@ -120,21 +125,21 @@ def choose_windows(
     """
     if not targets.freedoms:
         return "no target has a freedom"
-    problem = PathProblem(scene, targets, branch, None)
+    problem = PathProblem(scene, targets, branch, obstacles=None)
     values, joints = problem.unwrap(path.values), problem.stack(path.q)
     moved = _moved_joints(scene, targets, branch, values, joints)
     # Score targets by peaks that the freedoms could lower, and by the cost of the joints that they move.
-    own = difference_bands(duration, stop)
-    magnitudes = [np.abs(band.differences(joints)) for band in own]
-    tops = tuple(part.max(axis=0, initial=0.0) for part in magnitudes)
+    bands = difference_bands(duration, stop)
+    magnitudes = [np.abs(band.differences(joints)) for band in bands]
+    tops = tuple(magnitude.max(axis=0, initial=0.0) for magnitude in magnitudes)
+    # peaks of joints that no freedom moves, below which it is useless to lower others
     floors = [float(top[~moved].max(initial=0.0)) for top in tops]
     highest_peaks = [float(top.max(initial=0.0)) for top in tops]
     excess = np.zeros(targets.count)
-    for band, part, floor, top in zip(own, magnitudes, floors, highest_peaks, strict=True):
-        above = (part[:, moved].max(axis=1, initial=0.0) - floor) / max(top, 1e-12)
-        np.maximum.at(
-            excess, band.first + band.weight.shape[1] // 2, np.where(above > MIN_PEAK_REDUCTION, above, 0.0)
-        )
+    for band, magnitude, floor, top in zip(bands, magnitudes, floors, highest_peaks, strict=True):
+        reduction = (magnitude[:, moved].max(axis=1, initial=0.0) - floor) / max(top, 1e-12)
+        middle_target = band.first + band.weight.shape[1] // 2
+        np.maximum.at(excess, middle_target, np.where(reduction > MIN_PEAK_REDUCTION, reduction, 0.0))
     scaled = (joints / problem.speed)[:, moved]
     cost = _cost_by_target(CostWeights(problem.stencil, problem.count), scaled)
     hinges = [
@@ -145,15 +150,15 @@ def choose_windows(
     fraction = min(float(cost.sum() + sum(hinge.cost for hinge in hinges)) / max(total_cost, 1e-12), 1.0)
     if not excess.any() and fraction < MIN_COST_FRACTION:
         return f"its freedoms can change only {100.0 * max(fraction, 0.0):.1g} % of its cost and no peak"
-    free, held = _place_windows(excess, cost)
-    rows = np.flatnonzero(free)
+    in_window, held = _place_windows(excess, cost)
+    rows = np.flatnonzero(in_window)
     goals = [
-        max(floor, float(part[_rows_outside(band, free & ~held)][:, moved].max(initial=0.0)))
-        for band, part, floor in zip(own, magnitudes, floors, strict=True)
+        max(floor, float(magnitude[_rows_outside(band, in_window & ~held)][:, moved].max(initial=0.0)))
+        for band, magnitude, floor in zip(bands, magnitudes, floors, strict=True)
     ]
-    kept = tuple(_rows_within(band, free) for band in own)
+    window_bands = tuple(_rows_within(band, in_window) for band in bands)
     weights = cost_weights(targets, rows)
-    return Windows(rows, held[rows], weights, kept, tops, tuple(goals), moved, fraction)
+    return Windows(rows, held[rows], weights, window_bands, tops, tuple(goals), moved, fraction)
 
 
 def _moved_joints(
@@ -161,16 +166,17 @@ def _moved_joints(
 ) -> BoolArray:
     """Whether (J,) any freedom moves a joint, determined at some targets."""
     rows = np.arange(0, targets.count, max(targets.count // SAMPLED_TARGETS, 1))
-    subset_problem = PathProblem(scene, select_targets(targets, rows), branch, None)
+    subset_problem = PathProblem(scene, select_targets(targets, rows), branch, obstacles=None)
     return np.asarray(
         np.abs(subset_problem.rates(values[rows], joints[rows])).max(axis=(0, 2)) > MIN_JOINT_RATE
     )
 
 
 def _cost_by_target(weights: CostWeights, x: FloatArray) -> FloatArray:
-    """Contribution (N,) of each target to x' K x.
+    """Return the contribution (N,) of each target to the cost x' K x of scaled joints x (N, J).
 
-    K has rows that sum to 0, so it is a sum of squared differences.
+    The rows of K sum to 0, so the cost is a weighted sum of squared differences of targets. Each difference
+    counts at its later target.
     """
     out = np.zeros(len(x))
     for d in (1, 2):
@@ -180,40 +186,43 @@ def _cost_by_target(weights: CostWeights, x: FloatArray) -> FloatArray:
 
 
 def _place_windows(excess: FloatArray, cost: FloatArray) -> tuple[BoolArray, BoolArray]:
-    """Targets (N,) of the windows, and those of them that are fixed.
+    """Place the windows around the highest peaks first, then where the cost is largest.
 
-    Windows lie around the targets with the largest ``excess`` (N,), the rest where the ``cost`` (N,) is
-    largest.
+    Args:
+        excess: (N,) peaks that the freedoms could lower, 0 elsewhere.
+        cost: (N,) cost of each target.
+
+    Returns:
+        Whether (N,) a target lies in a window, and whether (N,) it lies in a window but stays fixed.
     """
     count = len(excess)
-    free, inner = np.zeros((2, count), dtype=np.bool_)
+    in_window, inner = np.zeros((2, count), dtype=np.bool_)
     open_peaks = excess.copy()
-    open_peaks[:MIN_PEAK_DISTANCE] = open_peaks[count - MIN_PEAK_DISTANCE :] = (
-        0.0  # the ends of the path are fixed
-    )
+    # the ends of the path are fixed, so peaks close to them cannot be lowered
+    open_peaks[:MIN_PEAK_DISTANCE] = open_peaks[count - MIN_PEAK_DISTANCE :] = 0.0
     width = min(WINDOW_TARGETS, count)
     for _ in range(MAX_WINDOWS):
         if open_peaks.any():
             first = int(np.argmax(open_peaks)) - width // 2
         else:
-            sums = np.concatenate([[0.0], np.cumsum(np.where(free, 0.0, cost))])
+            sums = np.concatenate([[0.0], np.cumsum(np.where(in_window, 0.0, cost))])
             first = int(np.argmax(sums[width:] - sums[:-width]))
         first = min(max(first, 0), count - width)
-        free[first : first + width] = True
+        in_window[first : first + width] = True
         inner[first + HELD_TARGETS : first + width - HELD_TARGETS] = True
         open_peaks[first + MIN_PEAK_DISTANCE : first + width - MIN_PEAK_DISTANCE] = 0.0
-    return free, free & ~inner
+    return in_window, in_window & ~inner
 
 
 def _rows_outside(band: DifferenceBand, free: BoolArray) -> BoolArray:
-    """Rows (M,) of a band without any free target."""
-    at = band.first[:, None] + np.arange(band.weight.shape[1])
-    return np.asarray(~free[at].any(axis=1))
+    """Whether (M,) a difference of a band covers no target that may change, ``free`` (N,)."""
+    covered = band.first[:, None] + np.arange(band.weight.shape[1])
+    return np.asarray(~free[covered].any(axis=1))
 
 
-def _rows_within(band: DifferenceBand, free: BoolArray) -> DifferenceBand:
-    """Rows of a band whose targets all lie in windows, renumbered to the targets of windows."""
-    at = band.first[:, None] + np.arange(band.weight.shape[1])
-    kept = free[at].all(axis=1)
-    new_index = np.cumsum(free) - 1
+def _rows_within(band: DifferenceBand, in_window: BoolArray) -> DifferenceBand:
+    """Return the differences of a band over targets in windows only, with indices among these targets."""
+    covered = band.first[:, None] + np.arange(band.weight.shape[1])
+    kept = in_window[covered].all(axis=1)
+    new_index = np.cumsum(in_window) - 1
     return DifferenceBand(new_index[band.first[kept]], band.weight[kept])

@@ -22,17 +22,17 @@ class FormsSheet(Claim):
     nor flat at the end level, within the scallop.
 
     Attributes:
-        segment: Segment.
+        segment: Segment in which the face is formed.
         arm: Arm.
         side: +1 if the ball is above the face, -1 below.
         radius: Radius [m] of the ball about the TCP.
-        vertices: Vertices [m] of the face.
-        faces: Triangles with normals up (+z).
+        vertices: Vertices (V, 3) [m] of the face.
+        faces: Triangles (F, 3) with normals up (+z).
         start: Level z [m] of the start.
         end: Level z [m] of the end.
         tolerance: Allowed depth [m].
         scallop: Height (F,) [m] that the steps of the path leave at each triangle.
-        share: Fraction of the area.
+        share: Minimum fraction of that area that the ball touches.
     """
 
     segment: Segment
@@ -53,8 +53,8 @@ class ToolGap(Claim):
     """The distance of two tools is the required thickness of the sheet between them, at and between targets.
 
     The required gap [m] at an instant is that of the point of the face nearest to the forming ball. The line
-    of the balls' centres is between the face's normal there and the vertical, toward which a support is
-    rotated near the flat or by a shift.
+    through the centres of both balls lies between the face's normal at that point and the vertical, because a
+    support is rotated toward the vertical near the flat or by a shift.
 
     Attributes:
         segment: Segment.
@@ -62,10 +62,10 @@ class ToolGap(Claim):
         side: +1 if the forming ball is above the face, -1 below.
         radii: Radii [m] of the balls about their TCPs.
         vertices: Vertices (V, 3) [m] of the face.
-        faces: Triangles.
-        gap: Gap (V,) [m] at the vertices.
+        faces: Triangles (F, 3).
+        gap: Required gap (V,) [m] at the vertices.
         tolerance: Tolerance [m] of the gap.
-        turn: Tolerance [rad] of the line.
+        turn: Tolerance [rad] of the direction of the line through the centres.
         handshake: Allowed error [m] of the gap if two controllers are one step apart.
     """
 
@@ -82,7 +82,7 @@ class ToolGap(Claim):
 
     @property
     def tool_distance(self) -> ToolDistance:
-        """Allowed change of the gap."""
+        """Allowed change of the distance of both TCPs while the controllers are one step apart."""
         return ToolDistance(self.segment, self.arms, self.handshake)
 
 
@@ -116,11 +116,11 @@ class FollowsOpposite(Claim):
         arms: Arms, the forming one first.
         side: Side of the forming ball; the tool is in direction -side along the normal.
         vertices: Vertices [m] of the face.
-        faces: Triangles.
+        faces: Triangles (F, 3).
         distance: Distance [m] of its TCP from the ball's centre.
         tolerance: Tolerance [m] of the distance.
-        turn: Tolerance [rad] of the direction to the normal.
-        aim: Tolerance [rad] of the z axis.
+        turn: Maximum angle [rad] between the face's normal and the line from the TCP to the ball's centre.
+        aim: Maximum angle [rad] of its z axis to the directions between the face's normal and the vertical.
     """
 
     segment: Segment
@@ -139,7 +139,7 @@ class SheetState(Claim):
     """The sheet while a segment is formed, without the face that is being formed.
 
     No point may be inside a tool by more than the tolerance. Carried points move along z with the floor that
-    the forming ball sinks: at each instant by the lowest (side +1) or highest (-1) level that the ball has
+    the forming ball lowers: at each instant by the lowest (side +1) or highest (-1) level that the ball has
     reached, minus the start level.
 
     Attributes:
@@ -201,16 +201,16 @@ class LimitsToolTilt(Claim):
 class SinksHolder(Claim):
     """While a segment is formed, the clamp sinks by one step at each pulse of a signal.
 
-    It goes from the start level of the flat sheet to the end level, or as near above it as whole steps
-    permit. It is within one step of the lowest level (side +1, the highest for -1) that the tip of the ball
-    has reached. The signal is switched at no other time.
+    The clamp goes from the start level of the flat sheet to the end level, or as near above it as whole steps
+    permit. It stays within one step of the lowest level (side +1, the highest for -1) that the tip of the
+    ball has reached. The signal is switched at no other time.
 
     Attributes:
         segment: Segment.
         arm: Arm of the forming tool.
-        side: Its side.
+        side: +1 if that tool is above the sheet, -1 below.
         radius: Radius [m] of its ball about the TCP.
-        signal: Signal.
+        signal: Output signal, each pulse of which moves the clamp by one step.
         start: Start level z [m].
         end: End level z [m].
         step: Step [m].
@@ -234,7 +234,7 @@ class SinksHolder(Claim):
 
 @dataclasses.dataclass(frozen=True)
 class CompensatesSpringback(Claim):
-    """Both tools of some segments are deeper, alike along z, by the shifts of a springback file.
+    """In some segments both tools are shifted along z by the same amount, which a springback file states.
 
     The operation names the file. Other claims on these segments refer to the tools without the shifts.
 
@@ -249,9 +249,9 @@ class CompensatesSpringback(Claim):
 
 @dataclasses.dataclass(frozen=True)
 class FormsLevel(Claim):
-    """A single level of what an operation is claimed to form is formed now.
+    """Only a single level of what an operation is claimed to form is formed now.
 
-    The problem states which one, and by how much tools are deeper there. No other segment is formed.
+    The problem states which level, and by how much the tools are deeper there. No other segment is formed.
 
     Attributes:
         operation: Name of the operation.
@@ -288,15 +288,15 @@ class FormsByTable(Claim):
         end: End level z [m].
         thickness: Thickness [m] of the sheet.
         metal: Metal of the sheet.
-        table: Text of a CSV file.
+        table: Response table, as the text of a CSV file.
         prefer: Preferred solution of the table: small "angle" or large "gap".
-        pitch: Distance [m] of the loops.
-        sag: Deviation [m] of straight moves from the loops.
+        pitch: Distance [m] between neighbouring loops.
+        sag: Maximum deviation [m] of straight moves from the loops.
         projection: Depth [m] of the forming ball's lowest point.
         give: Deflection [m] of the tools from each other in the sheet's plane under load.
         turning: Direction of the loops, +1 anticlockwise seen from above.
         tolerance: Tolerance [m] of gap and positions.
-        lean: Tolerance [rad] of the tools' axes.
+        lean: Maximum angle [rad] of the tools' axes to the sheet's normal.
     """
 
     segment: Segment

@@ -7,7 +7,7 @@ from planner.processes.forming.plan.features.tree import FeatureTree, plan_drawi
 
 
 def drawing_page(tree: FeatureTree, title: str) -> str:
-    """Return one self-contained HTML file with both drawings and a table.
+    """Return one self-contained HTML page with the contours from above, the feature tree and a table.
 
     Args:
         tree: Features of the part.

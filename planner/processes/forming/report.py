@@ -14,19 +14,25 @@ from planner.report.plugin_contributions import ProcessMotion, ReportOfProcess, 
 
 
 def _gap_chart(_: Plan, series: Mapping[str, Any]) -> ProcessMotion:
-    """Chart of the gap series ``gap/<n>/time``, ``got``, ``low``, ``high`` [m], each (G,).
+    """Return the chart of the gap between the tools.
 
-    All gaps follow one another. Lines are interrupted between two of them.
+    The gaps of all claims follow one another in time. A NaN after each of them interrupts the lines.
+
+    Args:
+        _: Plan; not used.
+        series: Series ``gap/<n>/time`` [s] and ``got``, ``low``, ``high`` [m] of the n-th claim, each (G,).
     """
     matches = (re.fullmatch(r"gap/(\d+)/time", name) for name in series)
-    rows = [
-        np.stack([np.append(series[f"gap/{n}/{what}"], np.nan) for what in ("time", "got", "low", "high")])
+    gaps = [
+        np.stack(
+            [np.append(series[f"gap/{n}/{quantity}"], np.nan) for quantity in ("time", "got", "low", "high")]
+        )
         for n in sorted(int(match.group(1)) for match in matches if match)
         if len(series[f"gap/{n}/time"])
     ]
-    if not rows:
+    if not gaps:
         return ProcessMotion()
-    time, actual, low, high = np.concatenate(rows, axis=1)
+    time, actual, low, high = np.concatenate(gaps, axis=1)
     lines = (
         ChartLine("gap", time, actual / MM, 0),
         ChartLine("maximum", time, high / MM, 1, True),

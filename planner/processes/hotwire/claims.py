@@ -100,7 +100,7 @@ class KerfCurve:
         return KerfCurve(np.array([0.0, 1.0]), table, table, table)
 
     def at(self, speed: FloatArray) -> FloatArray:
-        """Return the expected width (...,) [m] at speeds (...,) [m/s]; NaN for NaN."""
+        """Return the expected widths (...,) [m] at speeds (...,) [m/s]. Those at NaN are NaN."""
         return np.asarray(np.interp(speed, self.speed, self.width))
 
 

@@ -23,18 +23,18 @@ WIRE_FACE: Final = FaceWords("wire")
 
 
 def kerf_range(cuts: Sequence[CutsSurface], windows: Sequence[FeedWindow]) -> str:
-    """Return the widths [mm] of the slots at the speeds that their feed windows allow, as text.
+    """Return the range of kerf widths [mm] at the speeds that the feed windows allow, as text.
 
     Args:
-        cuts: Claims on cuts.
-        windows: Claims on feeds.
+        cuts: Claims on cut surfaces. Each has the kerf of its wire as a function of speed.
+        windows: Claims on feeds. A cut without one counts with all speeds of its kerf.
     """
     allowed = {window.segment: (window.lower, window.upper) for window in windows}
     widths = []
     for cut in cuts:
-        table = cut.kerf.speed
-        lower, upper = allowed.get(cut.segment, (float(table[0]), float(table[-1])))
-        inside = table[(table > lower) & (table < upper)]
+        table_speeds = cut.kerf.speed
+        lower, upper = allowed.get(cut.segment, (float(table_speeds[0]), float(table_speeds[-1])))
+        inside = table_speeds[(table_speeds > lower) & (table_speeds < upper)]
         widths.append(cut.kerf.at(np.concatenate([[lower], inside, [upper]])) / MM)
     return _range_text(widths)
 
@@ -42,13 +42,13 @@ def kerf_range(cuts: Sequence[CutsSurface], windows: Sequence[FeedWindow]) -> st
 def displayed_kerf(
     cuts: Sequence[CutsSurface], windows: Sequence[FeedWindow], proof: Proof | None
 ) -> tuple[str, str]:
-    """Return the name of the kerf and its range [mm] as text.
+    """Return the label of the reported kerf and its range [mm], both as text.
 
-    With a proof it is the kerf of the cut, at the speeds with which the wire passes the faces. Without a
-    proof it is that of the allowed feeds.
+    With a proof the kerf is reported at the speeds at which the wire passes the faces, and without one at the
+    allowed feeds.
 
     Args:
-        cuts: Claims on cuts.
+        cuts: Claims on cut surfaces.
         windows: Claims on feeds.
         proof: Proof of the programs, or None.
     """
@@ -63,11 +63,13 @@ def displayed_kerf(
 
 
 def _range_text(widths: Sequence[FloatArray]) -> str:
+    """Return the range of all widths [mm] as text: one value if all are equal to the displayed digits."""
     low, high = min(float(width.min()) for width in widths), max(float(width.max()) for width in widths)
     return f"{low:.3g}" if high - low < 5e-4 else f"{low:.2f}–{high:.2f}"
 
 
 def _tiles(plan: Plan, proof: Proof | None) -> tuple[Tile, ...]:
+    """Return the tiles of the report about the wires, the kerf and the tolerances."""
     claims = [claim for operation in plan.operations for claim in operation.targets.claims]
     out = []
     for wire in [c for c in claims if isinstance(c, WireJoins)][:1]:
@@ -81,13 +83,15 @@ def _tiles(plan: Plan, proof: Proof | None) -> tuple[Tile, ...]:
         windows = [c for c in claims if isinstance(c, FeedWindow)]
         out.append(Tile(*displayed_kerf(cuts, windows, proof), "mm"))
         tolerances = sorted({c.tolerance / MM for c in cuts})
-        ends = tolerances[:: max(1, len(tolerances) - 1)]
+        ends = tolerances[:: max(1, len(tolerances) - 1)]  # the smallest and the largest, or the only one
         out.append(Tile("tolerance", "±" + " – ".join(f"{v:g}" for v in ends), "mm"))
     return tuple(out)
 
 
 def _setup_rows(setup: Setup, plan: Plan, operation: OperationPlan, proof: Proof | None) -> list[SetupRow]:
-    claims, out = operation.targets.claims, list[SetupRow]()
+    """Return the rows (label, value) of the setup sheet for one operation."""
+    claims = operation.targets.claims
+    out: list[SetupRow] = []
     for claim in claims:
         if isinstance(claim, WireJoins):
             out += _bent_wire_rows(claim) + _mounting_rows(setup, plan, operation, claim)
@@ -145,21 +149,25 @@ def _mounting_rows(setup: Setup, plan: Plan, operation: OperationPlan, wire: Wir
     if distance > 1e-6:
         for name, pose in zip(wire.arms, poses, strict=True):
             angle = np.arccos(np.clip(pose[:3, 0] @ gap / distance, -1.0, 1.0)) / DEG
-            words = f"as planned: TCP of {name} to the line between them"
-            out.append((words, f"{markup.fixed_decimals(float(angle), 2)}°"))
+            label = f"as planned: TCP of {name} to the line between them"
+            out.append((label, f"{markup.fixed_decimals(float(angle), 2)}°"))
     return out
 
 
 def _motion(plan: Plan, series: Mapping[str, Any]) -> ProcessMotion:
-    """Return charts of the series of wire n.
+    """Return the charts over time of all wires: speed in the block, clearance, curvature and stability.
 
-    The series are ``wire/<n>/time``, ``label``, ``feed`` [m/s], ``clearance`` [m], ``curvature`` [1/m] and
-    ``stability`` [-], each (W,). Straight wires only have the first three.
+    Args:
+        plan: The plan.
+        series: Values over time by name. The names for wire n are ``wire/<n>/`` and time [s], label, feed
+            [m/s], clearance [m], curvature [1/m] or stability [-], each (W,). Straight wires only have the
+            first three.
     """
     claims = [claim for operation in plan.operations for claim in operation.targets.claims]
     limits = [claim.max_curvature for claim in claims if isinstance(claim, WireJoins)]
     bent = [n for n in _wire_numbers(series, "time") if f"wire/{n}/curvature" in series]
-    clearances, charts = list[ChartLine](), list[TimeChart]()
+    clearances: list[ChartLine] = []
+    charts: list[TimeChart] = []
     for i, n in enumerate(bent):
         time, curvature = np.asarray(series[f"wire/{n}/time"]), series[f"wire/{n}/curvature"]
         if len(time) < 2:
@@ -168,38 +176,41 @@ def _motion(plan: Plan, series: Mapping[str, Any]) -> ProcessMotion:
             clearances.append(
                 ChartLine("wire", time, np.where(np.asarray(clearance) > 0.0, clearance, np.nan) / MM, 1)
             )
-        limit = limits[i] if len(bent) == len(limits) else 0.0  # wires are numbered as claims
+        # Wires are numbered in the order of their claims. Without one claim per wire no limit is drawn.
+        limit = limits[i] if len(bent) == len(limits) else 0.0
         max_curvature = float(np.nanmax(curvature))
-        lines, levels = (ChartLine("curvature", time, curvature, 4),), (LimitLine(limit, "elastic limit"),)
-        note, span = f"maximum: {markup.number(max_curvature, 3)} /m", (0.0, 1.1 * max(max_curvature, limit))
+        lines = (ChartLine("curvature", time, curvature, 4),)
+        levels = (LimitLine(limit, "elastic limit"),)
+        note = f"maximum: {markup.number(max_curvature, 3)} /m"
+        span = (0.0, 1.1 * max(max_curvature, limit))
         title = "Maximum curvature of the wire"
         charts.append(TimeChart(title, lines, "1/m", note, levels if limit else (), span))
         if (stability := series.get(f"wire/{n}/stability")) is not None:
-            lines, levels = (
-                (ChartLine("smallest eigenvalue", time, stability, 6),),
-                (LimitLine(0.0, "snaps"),),
-            )
+            lines = (ChartLine("smallest eigenvalue", time, stability, 6),)
+            levels = (LimitLine(0.0, "snaps"),)
             span = (min(0.0, float(np.nanmin(stability))), 1.1 * float(np.nanmax(stability)) + 1e-9)
             note = "at 0 the wire snaps to another shape"
             charts.append(TimeChart("Stability of the wire", lines, "relative", note, levels, span))
     speeds = []
     for n in _wire_numbers(series, "feed"):
-        time, feed = (np.asarray(series[f"wire/{n}/{what}"]) for what in ("time", "feed"))
+        time = np.asarray(series[f"wire/{n}/time"])
+        feed = np.asarray(series[f"wire/{n}/feed"])
         label = [str(label_value) for label_value in series[f"wire/{n}/label"]]
         speeds.append(EdgeSpeed(time, feed, label, "speed of the wire's fastest point in the block"))
     return ProcessMotion(tuple(speeds), tuple(clearances), charts=tuple(charts))
 
 
-def _wire_numbers(series: Mapping[str, Any], what: str) -> list[int]:
-    """Return the numbers n of the wires that have ``wire/<n>/<what>``."""
-    matches = (re.fullmatch(rf"wire/(\d+)/{what}", name) for name in series)
+def _wire_numbers(series: Mapping[str, Any], quantity: str) -> list[int]:
+    """Return the numbers n of the wires that have a series ``wire/<n>/<quantity>``, in ascending order."""
+    matches = (re.fullmatch(rf"wire/(\d+)/{quantity}", name) for name in series)
     return sorted(int(match.group(1)) for match in matches if match)
 
 
 def _rulings(claims: Sequence[Claim]) -> list[tuple[str, MapRulings]]:
-    words = "laid flat: along the cut to the right, along the wire up; mm"
+    """Return the segment key and the rulings of each face whose deviations the report maps."""
+    caption = "laid flat: along the cut to the right, along the wire up; mm"
     ruled = [claim for claim in claims if isinstance(claim, FollowsRulings)]
-    return [(claim.segment.key, MapRulings(claim.start, claim.end, words)) for claim in ruled]
+    return [(claim.segment.key, MapRulings(claim.start, claim.end, caption)) for claim in ruled]
 
 
 REPORT: Final = ReportOfProcess(

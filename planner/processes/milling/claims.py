@@ -1,4 +1,6 @@
-"""Claims of milling: what must hold of a block that a cutter mills, as data in the stock frame.
+"""Claims of milling: requirements on the motion of a cutter and on the milled block, as data.
+
+All coordinates are in the stock frame.
 
 See ``planner.claims.claim`` for what a claim is.
 """
@@ -39,15 +41,15 @@ class SafeMoves:
     rapid: float
 
     def tightened(self, allowance: Allowance) -> "SafeMoves":
-        """Return the moves with lower maximum speeds."""
-        faster = allowance.speed_factor
-        return dataclasses.replace(self, plunge=self.plunge / faster, rapid=self.rapid / faster)
+        """Return the moves with maximum speeds reduced by the factor that spline blocks may need."""
+        factor = allowance.speed_factor
+        return dataclasses.replace(self, plunge=self.plunge / factor, rapid=self.rapid / factor)
 
 
 class _TolerancedClaim:
-    """Base of claims with a tolerance, and perhaps an angle ``turn``, feeds and safe moves.
+    """Base of claims with a ``tolerance``, and perhaps with an angle ``turn``, a ``feed`` and safe moves.
 
-    Spline blocks use up part of each.
+    Spline blocks use up a part of these limits.
     """
 
     on_curves: ClassVar[bool] = True
@@ -68,7 +70,7 @@ class _TolerancedClaim:
         return dataclasses.replace(self, **changes)  # type: ignore[type-var]
 
     def used_up(self, allowance: Allowance) -> tuple[float, float] | None:
-        """Return deviation and tolerance [m] if nothing is left of the tolerance or of the angle."""
+        """Return deviation and tolerance [m] if spline blocks use up all of the tolerance or of the angle."""
         shift, allowed = allowance.at(self._reach()), vars(self)["tolerance"]
         is_used_up = shift >= allowed or allowance.max_rotation >= vars(self).get("turn", math.inf)
         return (shift, allowed) if is_used_up else None
@@ -84,20 +86,20 @@ class _TolerancedClaim:
 
 @dataclasses.dataclass(frozen=True)
 class MillsSurface(_TolerancedClaim, Claim):
-    """All ``segments`` together make a surface within a tolerance.
+    """All ``segments`` together produce a surface within a tolerance.
 
     The swept cutter leaves at most ``tolerance`` on the fraction ``min_fraction`` of the surface. It never
     cuts deeper than ``tolerance``.
 
     Attributes:
-        segments: Segments that make the surface together.
+        segments: Segments that produce the surface together.
         arm: Arm that carries the cutter. Its TCP is the cutter's tip, with z out of the spindle.
         cutter: Cutter on the arm.
         vertices: Vertices of the surface (V, 3) [m].
         faces: Triangles (T, 3) with normals away from the part.
-        tolerance: Allowed rest or excess cut [m].
+        tolerance: Allowed residual material, and allowed depth of an excess cut [m].
         min_fraction: Fraction of the surface that has to be within the tolerance.
-        margin: Width [m] of the strip along the edge, in plan, that does not have to be made.
+        margin: Width [m] of the strip along the edge, in plan, that does not have to be produced.
     """
 
     segments: tuple[Segment, ...]
@@ -115,7 +117,7 @@ class MillsAlong(_TolerancedClaim, Claim):
     """The TCP of ``arm`` passes the points ``tip`` in order, on straight moves.
 
     Attributes:
-        segment: Segment in which it does.
+        segment: Segment in which it passes them.
         arm: Arm that carries the cutter. Its TCP is the cutter's tip.
         tip: Points (K, 3) [m]; the TCP passes all of them and goes straight from each to the next.
         axis: Unit vectors from tip to spindle (K, 3), against the z axis of the TCP.
@@ -142,11 +144,11 @@ class MillsAlong(_TolerancedClaim, Claim):
 
     @property
     def longest_stop(self) -> tuple[Segment, float] | None:
-        """Return the dwell of a G-code file, if it has one."""
+        """Return segment and longest dwell [s] if the path has a dwell, else None."""
         return (self.segment, self.dwell) if self.dwell > 0.0 else None
 
     def uneven_feed(self) -> Segment | None:
-        """Return the segment if its feed changes from point to point."""
+        """Return the segment if its feed changes from point to point, else None."""
         return self.segment if len(self.feed) >= 3 and np.ptp(self.feed[1:]) > 0.0 else None
 
 
@@ -217,7 +219,7 @@ class ProgramFile:
 
 @dataclasses.dataclass(frozen=True)
 class MillsProgram(_TolerancedClaim, Claim):
-    """The TCP of ``arm`` makes all cuts of a G-code file, in order and at the file's own feeds.
+    """The TCP of ``arm`` runs all cuts of a G-code file, in order and at the file's own feeds.
 
     The cuts between the file's rapid moves are the milling segments ``name``_1, ``name``_2 and so on. Between
     them the tool moves as ``safe`` states. The proof reads the file itself.
@@ -229,7 +231,7 @@ class MillsProgram(_TolerancedClaim, Claim):
         safe: Moves between the cuts.
         tolerance: Allowed deviation of the TCP [m].
         turn: Allowed deviation of the axis [rad].
-        is_first: Whether nothing is milled before it.
+        is_first: Whether nothing is milled before this program.
     """
 
     name: str
@@ -286,11 +288,11 @@ class Engraves(_TolerancedClaim, Claim):
 
 @dataclasses.dataclass(frozen=True)
 class MillsFlank(_TolerancedClaim, Claim):
-    """In each segment the side of the cutter, or its axis, passes all of a ruled surface once.
+    """In each segment the side of the cutter, or its axis, passes along the whole of a ruled surface once.
 
-    Nothing else of the block is milled. All segments but the last one rough: each goes deeper by the same
-    step. Approach and retreat continue the surface, straight or with decreasing rotation, for ``lead_length``
-    or until the cutter has left the block, and from there as ``safe`` states.
+    Nothing else of the block is milled. The last segment finishes. All segments before it rough, each deeper
+    by the same step. Approach and retreat continue the surface, straight or with decreasing rotation, for
+    ``lead_length`` or until the cutter has left the block, and from there as ``safe`` states.
 
     Attributes:
         segments: Passes in order; the last one finishes.
@@ -302,7 +304,7 @@ class MillsFlank(_TolerancedClaim, Claim):
         closed: Whether the last ruling is followed by the first one.
         direction: ``along``, ``against``, ``climb`` or ``conventional``.
         axis_offset: Distance of the axis from both guides [m]; 0 if the guides are those of the axis itself.
-            The axis leads or trails on one of the guides by no more than that.
+            On one guide the axis may lead or trail by at most this distance.
         tip_overrun: Distance of the tip beyond the low guide [m].
         roughing_allowance: Additional distance of roughing passes [m].
         stepdown: Maximum depth of a roughing step [m], None without roughing.
@@ -336,9 +338,9 @@ class MillsFlank(_TolerancedClaim, Claim):
 class MillsOver(_TolerancedClaim, Claim):
     """The end of the cutter touches a face that faces upwards, at every instant of ``segments``.
 
-    The contact is at least ``margin`` inside the edge of the face, and the cutter extends at most by its
-    radius from there, also beyond the face. Nothing else of the block is milled. Where the axis turns over
-    from line to line, the cutter's edge may rise by as much as that takes.
+    The contact is at least ``margin`` inside the edge of the face. From there the cutter extends at most by
+    its radius, also beyond the face. Nothing else of the block is milled. Where the axis reverses its tilt
+    from one line to the next, the cutter's edge may rise as far as this rotation requires.
 
     Attributes:
         segments: Segments in which it holds.

@@ -1,4 +1,4 @@
-"""Contribution of milling to the report: words for faces."""
+"""Contribution of milling to the report: the words with which it describes milled faces."""
 
 from typing import Final
 

@@ -8,7 +8,7 @@ BLOCK: Final = Sentence(
     "Block {x_mm:g} x {y_mm:g} x {z_mm:g} mm; {kind} mill of {diameter_mm:g} mm, {rpm:g} 1/min"
 )
 BLOCK_OF_FILE: Final = Sentence("Block {x_mm:g} x {y_mm:g} x {z_mm:g} mm; {kind} mill of {diameter_mm:g} mm")
-"""Used if all cuts are files. Their questions state the speeds."""
+"""Message about block and cutter if all cuts are G-code files, whose questions state the spindle speeds."""
 BLOCK_READY: Final = Sentence("Block and cutter clamped, nobody in the cell?")
 CONTINUE: Final = Sentence("Go on: {asked}?")
 """Question between passes of a file. ``asked`` is a list of the next three sentences, with commas between."""

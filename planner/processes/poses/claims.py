@@ -15,7 +15,8 @@ class FollowsPoses(Claim):
         arm: Name of the arm.
         frame: Frame of the poses: ``stock`` or ``world``.
         poses: Poses (M, 4, 4) [m].
-        free: Twists (6,) in the tool frame along which a pose may differ.
+        free: Twists (6,) in the pose's own frame, angular part first, along which the TCP may differ from a
+            pose.
         position_tol: Allowed distance [m].
         angle_tol: Allowed angle [rad].
     """
@@ -32,10 +33,10 @@ class FollowsPoses(Claim):
 
 @dataclasses.dataclass(frozen=True)
 class FreeAxisRange:
-    """A freedom of poses: rotation about, or translation along, an axis of the pose.
+    """A free axis of poses: rotation about, or translation along, an axis of the pose within a range.
 
     Attributes:
-        arms: Arms that have it; several arms share its value.
+        arms: Arms that have it; if there are several, they share its value.
         axis: x, y or z (0, 1, 2).
         is_rotation: Whether it is a rotation.
         lower: Lower bound [rad or m].
@@ -53,9 +54,9 @@ class FreeAxisRange:
 class FollowsTable(Claim):
     """The TCPs of arms pass the poses of a table in order, up to free axes.
 
-    From each pose to the next the farthest TCP moves no faster than the feed and no slower than the minimum
-    feed. From and to stops, and where the minimum feed starts and ends, the TCPs reach it over ``run_up``.
-    Stops are only those of the table.
+    From each pose to the next the TCP that moves farthest is no faster than the feed and no slower than the
+    minimum feed. From and to stops, and where the minimum feed starts and ends, the TCPs reach it over
+    ``run_up``. In sections with a minimum feed the tools stop only where the table has a stop.
 
     Attributes:
         operation: Name of the operation, whose file has the table.
@@ -64,7 +65,7 @@ class FollowsTable(Claim):
         free: Free axes; later ones act after earlier ones.
         position_tol: Allowed distance [m].
         angle_tol: Allowed angle [rad].
-        feed: Feed of rows without their own [m/s].
+        feed: Feed of rows without their own [m/s], None if each row has one.
         feed_min: Minimum feed of rows without their own [m/s], 0 for none.
         run_up: Length over which the TCPs accelerate to the minimum feed [m].
     """

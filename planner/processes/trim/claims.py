@@ -22,10 +22,10 @@ class TrimOutline:
     Attributes:
         name: Name of the outline.
         drawn: Curve, None for a circle.
-        centre: Centre of the circle (2,) [mm].
-        diameter: Diameter of the circle [mm].
-        drops_inside: Whether what is inside drops, or what is outside.
-        joints: Number of micro-joints that stay in the slot.
+        centre: Centre of the circle (2,) [mm]; zeros for a drawn curve.
+        diameter: Diameter of the circle [mm]; 0 for a drawn curve.
+        drops_inside: Whether the sheet inside the curve is waste and drops, otherwise the sheet outside.
+        joints: Number of micro-joints, which are left uncut in the slot.
         width: Width of a micro-joint [m].
     """
 
@@ -61,10 +61,10 @@ class TrimCutter:
         cutter: The cutter.
         depth_below: Depth of its tip below a sheet of full thickness [m].
         start_height: Height above the face from which it plunges [m].
-        is_ramp: Whether it goes down along its lead-in, or else straight.
+        is_ramp: Whether it goes down along its lead-in, otherwise straight down.
         plunge: Maximum speed along its axis [m/s].
-        spin_up: How long its spindle has been on before [s]. It stays on until the tip is ``start_height``
-            above the face again.
+        spin_up: Minimum time [s] for which the spindle is on before the cutter plunges. It stays on until the
+            tip is ``start_height`` above the face again.
     """
 
     cutter: Cutter
@@ -93,7 +93,7 @@ class TrimBlade:
         max_corner: Maximum angle of a corner that it passes inside the sheet [rad].
         overcut: Maximum cut into the part past a sharper corner [m].
         plunge: Maximum speed along its axis [m/s].
-        spin_up: How long its drive, if it has one, has been on before [s].
+        spin_up: Minimum time [s] for which its drive, if it has one, is on before the blade plunges.
     """
 
     blade: Blade
@@ -141,10 +141,10 @@ class TrimsSheet(Claim):
         min_feed_fraction: Minimum average feed as a fraction of the required one. It does not apply to a
             knife.
         signal: Output that switches the tool, empty for a knife that is dragged.
-        ok_signal: Input that reports the arc, if there is one.
-        timeout: Maximum wait for it [s].
+        ok_signal: Input that reports the arc, None if the program does not wait for it.
+        timeout: Maximum wait for that input [s].
         pierce_height: Height of the nozzle where the torch pierces [m].
-        pierce_seconds: Wait after that [s].
+        pierce_seconds: Wait at the pierce point once the arc burns [s].
         pierce_distance: Minimum distance from all curves where the torch pierces or the mill goes into the
             sheet [m].
     """

@@ -1,8 +1,9 @@
 """Converts programs to automata: what two programs do with the wires between their controllers.
 
-Meetings are counted by the program text, not by the cell's definition: the program's own output rises
-(four-phase) or changes (toggle). An interval is what happens between two meetings. A text that counts
-differently from its partner, or uses a wire in a way that the automata do not model, is a fault.
+Meetings are counted by the program text, not by the cell's definition: at each meeting the program's own
+output rises (four-phase) or changes (toggle). The steps between two meetings form an interval. It is a fault
+if two programs have different numbers of meetings, or if a program uses a wire in a way that the automata do
+not model.
 """
 
 import dataclasses
@@ -29,24 +30,25 @@ from planner.programs.steps import (
 )
 
 Sections = Mapping[tuple[str, str], tuple[ProgramStep, ...]]
+"""Steps of ERROR or UNDO sections by (module, procedure)."""
 _READY_TEXT = "readytomeetarm"
 """Letters of the message that a following program shows before the two meet."""
 _START_TEXT = "starttheprogramofarm"
-"""Letters of the message that asks to start it."""
+"""Letters of the message of the leading program that asks the operator to start the following one."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Wiring:
-    """Wires between two controllers, by number. Names of signals are in lower case.
+    """Wires between two controllers. Names of signals are in lower case.
 
     Attributes:
-        wires: The wires.
-        drives: Wires that an arm's outputs drive, by arm and name.
-        reads: Wires that an arm's inputs read, by arm and name.
-        doubled: Names that have several wires.
-        running: Running wires, which say that a controller runs.
-        running_outputs: Outputs to running wires, by arm.
-        running_inputs: Inputs from running wires, by arm.
+        wires: Wires of the handshake.
+        drives: Numbers of the wires that outputs drive, by arm and name of the output.
+        reads: Numbers of the wires that inputs read, by arm and name of the input.
+        doubled: Descriptions of the signals that have several wires.
+        running: Running wires, each of which states that a controller runs its program.
+        running_outputs: Names of the outputs to running wires, by arm.
+        running_inputs: Names of the inputs from running wires, by arm.
     """
 
     wires: tuple[SignalWire, ...]
@@ -77,9 +79,15 @@ class Wiring:
             if number < len(wires):
                 drives.setdefault(wire.source, {})[wire.output.lower()] = number
                 reads.setdefault(wire.sink, {})[wire.input.lower()] = number
-        tells = {arm: frozenset(w.output.lower() for w in running if w.source == arm) for arm in arms}
-        watches = {arm: frozenset(w.input.lower() for w in running if w.sink == arm) for arm in arms}
-        return Wiring(tuple(wires), drives, reads, tuple(doubled), tuple(running), tells, watches)
+        running_outputs = {
+            arm: frozenset(wire.output.lower() for wire in running if wire.source == arm) for arm in arms
+        }
+        running_inputs = {
+            arm: frozenset(wire.input.lower() for wire in running if wire.sink == arm) for arm in arms
+        }
+        return Wiring(
+            tuple(wires), drives, reads, tuple(doubled), tuple(running), running_outputs, running_inputs
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,10 +95,10 @@ class ProgramAutomaton:
     """Automaton of one program.
 
     Attributes:
-        actions: Its actions; their ``line`` is an index into the steps of the program.
-        interval: Interval of each step.
-        protocol: Whether each step is part of the protocol.
-        faults: Faults as (message, step).
+        actions: Actions of the program. Their ``line`` is the index of a step among its steps.
+        interval: Interval of each step: number of meetings before it.
+        protocol: Whether each step belongs to the handshake, and is no work.
+        faults: Faults of the program, as (message, step).
     """
 
     actions: tuple[AutomatonAction, ...]
@@ -107,9 +115,10 @@ def program_automata(
     kind: HandshakeKind,
     max_stop_wait: float,
 ) -> dict[str, ProgramAutomaton]:
-    """Return the automata of the programs.
+    """Return the automata of the programs, by arm.
 
-    A program that is started because the other one's panel asks for it starts with a gate.
+    If the panel of one program asks to start the other one, the other one begins with a gate: it does not
+    start before the first one shows this text. A question whether the other program is ready is also a gate.
 
     Args:
         arms: Names of the arms.
@@ -119,7 +128,7 @@ def program_automata(
         kind: Kind of handshake.
         max_stop_wait: Maximum time for which a program may wait until the other one is stopped [s].
     """
-    readers = {
+    builders = {
         arm: _AutomatonBuilder(
             _ArmProgram(arm, steps[arm], sections[arm]),
             wiring,
@@ -129,25 +138,26 @@ def program_automata(
         )
         for arm in arms
     }
-    for reader in readers.values():
-        reader.run()
-    start_calls = {
-        arm: _position_naming(arm, arms, {name: readers[name].starts for name in arms}) for arm in arms
+    for builder in builders.values():
+        builder.run()
+    start_positions = {
+        arm: _position_naming(arm, arms, {name: builders[name].starts for name in arms}) for arm in arms
     }
     out = {}
-    for arm, reader in readers.items():
-        offset = sum(call is not None for name, call in start_calls.items() if name != arm)
-        ready = _position_naming(arm, arms, {name: readers[name].ready for name in arms})
-        gate_position = 0 if ready is None else ready + offset
+    for arm, builder in builders.items():
+        # positions in the other program are one later if it begins with a gate itself
+        offset = sum(position is not None for name, position in start_positions.items() if name != arm)
+        ready_position = _position_naming(arm, arms, {name: builders[name].ready for name in arms})
+        gate_position = 0 if ready_position is None else ready_position + offset
         actions = [
             dataclasses.replace(action, value=gate_position) if action.kind == "gate" else action
-            for action in reader.actions
+            for action in builder.actions
         ]
-        call = start_calls[arm]
-        if call is not None:
-            actions.insert(0, AutomatonAction("gate", 0, call + offset))
+        start_position = start_positions[arm]
+        if start_position is not None:
+            actions.insert(0, AutomatonAction("gate", wire=0, value=start_position + offset))
         out[arm] = ProgramAutomaton(
-            tuple(actions), tuple(reader.interval), tuple(reader.protocol), tuple(reader.faults)
+            tuple(actions), tuple(builder.interval), tuple(builder.protocol), tuple(builder.faults)
         )
     return out
 
@@ -158,11 +168,11 @@ def uses_wires(arm: str, steps: Iterable[ProgramStep], sections: Sequence[Sectio
     Args:
         arm: Name of the arm.
         steps: Steps of the program.
-        sections: Its ERROR and UNDO sections.
+        sections: ERROR and UNDO sections of the program.
         wiring: Wires between the controllers.
     """
-    seen = wiring.running_outputs.get(arm, frozenset()) | wiring.running_inputs.get(arm, frozenset())
-    names = {*wiring.drives[arm], *wiring.reads[arm], *seen}
+    running_names = wiring.running_outputs.get(arm, frozenset()) | wiring.running_inputs.get(arm, frozenset())
+    names = {*wiring.drives[arm], *wiring.reads[arm], *running_names}
     handlers = (step for table in sections for part in table.values() for step in part)
     for step in _all_steps((*steps, *handlers)):
         match step:
@@ -178,12 +188,12 @@ def uses_wires(arm: str, steps: Iterable[ProgramStep], sections: Sequence[Sectio
 
 
 def counts_as_stopped(step: MessageStep) -> bool:
-    """Return whether a program counts as stopped while it shows a message."""
+    """Return whether a program counts as stopped, with its running wire at 0, while it shows a message."""
     return step.kind == "HALT" or step.counts_as_stopped
 
 
 def _position_naming(arm: str, arms: Sequence[str], positions: Mapping[str, Mapping[str, int]]) -> int | None:
-    """Position at which another program's panel names an arm, or None."""
+    """Return the position at which another program's panel names an arm, or None."""
     matches = [
         positions[name][normalised_text(arm)]
         for name in arms
@@ -193,9 +203,9 @@ def _position_naming(arm: str, arms: Sequence[str], positions: Mapping[str, Mapp
 
 
 def _ready_question(arm: str, steps: Mapping[str, Sequence[ProgramStep]], arms: Sequence[str]) -> int | None:
-    """Step at which a program asks whether the other panel says that it is ready to meet this arm.
+    """Return the index of the step at which a program asks if the other panel says "ready to meet" this arm.
 
-    None if it does not ask, or if the other panel never says so.
+    None if the program does not ask before its first move, or if the other panel never says so.
     """
     sentence = _READY_TEXT + normalised_text(arm)
     is_shown = any(
@@ -218,7 +228,7 @@ def _ready_question(arm: str, steps: Mapping[str, Sequence[ProgramStep]], arms: 
 
 
 def _messages_before_moves(steps: Sequence[ProgramStep]) -> Iterable[int]:
-    """Indices of the messages before the first move."""
+    """Yield the indices of the messages before the first move."""
     for i, step in enumerate(steps):
         if isinstance(step, MoveStep):
             return
@@ -227,13 +237,13 @@ def _messages_before_moves(steps: Sequence[ProgramStep]) -> Iterable[int]:
 
 
 def _panel_lines(steps: Sequence[ProgramStep], last: int) -> str:
-    """Letters of the consecutive panel lines that end with message ``last``."""
-    text = ""
-    while last >= 0:
-        step = steps[last]
+    """Return the letters of the consecutive panel lines up to the message with index ``last``."""
+    text, index = "", last
+    while index >= 0:
+        step = steps[index]
         if not isinstance(step, MessageStep) or step.panel != "line":
             break
-        text, last = normalised_text(step.text) + text, last - 1
+        text, index = normalised_text(step.text) + text, index - 1
     return text
 
 
@@ -243,8 +253,8 @@ class _ArmProgram:
 
     Attributes:
         arm: Name of the arm.
-        steps: Its steps.
-        sections: Its ERROR and UNDO sections by (module, procedure).
+        steps: Steps of the program.
+        sections: ERROR and UNDO sections of the program, by (module, procedure).
     """
 
     arm: str
@@ -253,6 +263,17 @@ class _ArmProgram:
 
 
 class _AutomatonBuilder:
+    """Builds the automaton of one program, and collects its faults.
+
+    Attributes:
+        drives: Numbers of the wires that the program's outputs drive, by name of the output.
+        reads: Numbers of the wires that its inputs read, by name of the input.
+        gate: Index of the step that asks whether the other program is ready, or None.
+        interval: Interval of each step so far.
+        protocol: Whether each step so far belongs to the handshake.
+        faults: Faults so far, as (message, step).
+    """
+
     def __init__(
         self,
         program: _ArmProgram,
@@ -264,10 +285,8 @@ class _AutomatonBuilder:
         arm = program.arm
         self.steps = program.steps
         self.drives, self.reads = wiring.drives[arm], wiring.reads[arm]
-        self.running_outputs, self.running_inputs = (
-            wiring.running_outputs.get(arm, ()),
-            wiring.running_inputs.get(arm, ()),
-        )
+        self.running_outputs = wiring.running_outputs.get(arm, ())
+        self.running_inputs = wiring.running_inputs.get(arm, ())
         self.max_stop_wait = max_stop_wait
         self.kind = kind
         self.gate = gate
@@ -276,7 +295,7 @@ class _AutomatonBuilder:
         self.protocol: list[bool] = []
         self.faults: list[tuple[str, ProgramStep]] = []
         self.ready: dict[str, int] = {}
-        """Positions at which the panel is ready for a meeting, by the letters of the other arm's name."""
+        """Positions at which the panel says "ready to meet", by the letters of the other arm's name."""
         self.starts: dict[str, int] = {}
         """Positions at which the panel asks to start another program, by the letters of its arm's name."""
         self.covered = 0
@@ -285,10 +304,15 @@ class _AutomatonBuilder:
         """Timeout of that check [s]."""
         self.sections = program.sections
         self.resets: dict[tuple[str, str], Levels] = {}
+        """Levels that handlers leave on the wires, by module and procedure."""
         self.levels: dict[int, int] = {}
-        self.count = 0
-        self.last: MoveStep | None = None
+        """Level that the program last set on each wire, by number."""
+        self.meeting_count = 0
+        """Number of meetings so far."""
+        self.last_move: MoveStep | None = None
+        """Last move of the current work."""
         self.working: int | None = None
+        """Interval of the current work, None if the program does not work."""
         self.holds_low = False
         """Whether the program holds its running wire at 0."""
         self.uncleared = False
@@ -297,18 +321,19 @@ class _AutomatonBuilder:
         """Whether the operator was asked anything, such as whether an earlier run is still active."""
 
     def run(self) -> None:
+        """Process all steps, and end the last work."""
         for i, step in enumerate(self.steps):
             self.protocol.append(self._step(i, step))
-            self.interval.append(self.count)
-        if self.count and self.last is not None:
-            what = "the arm still works when the other program may have ended, which stops this one"
-            self._fault(f"{what}; add a meeting after the work", self.last)
+            self.interval.append(self.meeting_count)
+        if self.meeting_count and self.last_move is not None:
+            message = "the arm still works when the other program may have ended, which stops this one"
+            self._fault(f"{message}; add a meeting after the work", self.last_move)
         self._end_work()
 
     # ---- steps ----
 
     def _step(self, i: int, step: ProgramStep) -> bool:
-        """Process one step; return whether it is part of the protocol."""
+        """Process the step with index ``i``, and return whether it belongs to the handshake."""
         match step:
             case SignalStep() if step.signal.lower() in self.drives:
                 self._set(i, step)
@@ -343,7 +368,7 @@ class _AutomatonBuilder:
             case MoveStep():
                 self._require_meeting(step, "the arm moves")
                 self._start_work(i)
-                self.last = step
+                self.last_move = step
             case SignalStep():
                 if step.signal.lower() in (*self.reads, *self.running_inputs):
                     self._fault(f"{step.signal} is an input of this controller; it cannot be switched", step)
@@ -367,7 +392,7 @@ class _AutomatonBuilder:
                 return True
             case RunningStep():
                 self._require_dwell(step)
-                self.uncleared = step.on and not self.count
+                self.uncleared = step.on and not self.meeting_count
                 self.holds_low = not step.on
                 return True
             case WatchStep():
@@ -377,6 +402,7 @@ class _AutomatonBuilder:
         return False
 
     def _set(self, i: int, step: SignalStep) -> None:
+        """Process the change of a line, which begins a meeting or is the second half of one."""
         wire = self.drives[step.signal.lower()]
         if step.value not in (0.0, 1.0):
             self._fault(f"{step.signal} is set to {step.value:g}; allowed: 0 and 1", step)
@@ -390,58 +416,63 @@ class _AutomatonBuilder:
                 "no wait checks that the other program's line is 0 after the rise of the running wire", step
             )
         self._end_work()
-        known = self.levels.get(wire)
-        if known == value:
+        previous = self.levels.get(wire)
+        if previous == value:
             self._fault(f"{step.signal} is already {value}; the other program sees no change", step)
-        if value != known and (value == 1 or (self.kind == "toggle" and known is not None)):
-            self.count += 1
+        if value != previous and (value == 1 or (self.kind == "toggle" and previous is not None)):
+            self.meeting_count += 1
         self.levels[wire] = value
         self._require_check(step, value)
         self._add("set", wire, value, i)
 
     def _wait(self, i: int, step: WaitStep) -> None:
+        """Process a wait for the other program's line; a wait for any other input is a fault, and work."""
         if step.signal.lower() not in self.reads:
-            known = ", ".join(sorted(self.reads)) or "none"
-            self._fault(f"it waits for {step.signal}, which has no wire; wired: {known}", step)
+            wired = ", ".join(sorted(self.reads)) or "none"
+            self._fault(f"it waits for {step.signal}, which has no wire; wired: {wired}", step)
             self._start_work(i)
             return
         if step.value not in (0.0, 1.0):
             self._fault(f"it waits for another level of {step.signal} than 0 or 1", step)
         if step.flag and not self._ends_on_timeout(i, step):
-            what = f"on a timeout it continues with {step.flag} set; it must stop and end the program"
-            self._fault(what, step)
+            message = f"on a timeout it continues with {step.flag} set; it must stop and end the program"
+            self._fault(message, step)
         self.uncleared = self.uncleared and step.value != 0.0
         self._end_work()
-        limit = self.check_timeout
+        check_timeout = self.check_timeout
         self._require_check(step, int(step.value == 1.0))
-        if limit is not None and step.seconds is not None and limit > step.seconds:
-            what = f"{limit:g} s for the other program to run, {step.seconds:g} s for the meeting itself"
-            self._fault(f"{what}; the check of the running wire must not take longer", step)
+        if check_timeout is not None and step.seconds is not None and check_timeout > step.seconds:
+            message = (
+                f"{check_timeout:g} s for the other program to run, {step.seconds:g} s for the meeting itself"
+            )
+            self._fault(f"{message}; the check of the running wire must not take longer", step)
         self._add("wait", self.reads[step.signal.lower()], int(step.value == 1.0), i)
 
     def _running_wait(self, i: int, step: WaitStep) -> None:
+        """Process a wait for the other program's running wire. At 1 it covers the meeting that follows."""
         if step.value not in (0.0, 1.0):
             self._fault(f"it waits for another level of {step.signal} than 0 or 1", step)
         if step.flag and not self._ends_on_timeout(i, step):
-            what = f"on a timeout it continues with {step.flag} set; it must stop and end the program"
-            self._fault(what, step)
+            message = f"on a timeout it continues with {step.flag} set; it must stop and end the program"
+            self._fault(message, step)
         if step.seconds is None:
             self._fault(f"the wait for {step.signal} has no timeout; add one", step)
         elif step.value == 0.0 and step.seconds > self.max_stop_wait + 1e-6:
-            what = (
+            message = (
                 f"{step.seconds:g} s for the other program to be stopped; allowed: {self.max_stop_wait:g} s"
             )
-            self._fault(what, step)
-        if step.value == 0.0 and self.count:
+            self._fault(message, step)
+        if step.value == 0.0 and self.meeting_count:
             self._fault(f"after the first meeting it waits for {step.signal} to be 0", step)
         self._end_work()
         running = step.value == 1.0
+        # a set and a wait for each phase: two phases, or one of a toggle handshake
         self.covered = (4 if self.kind == "four_phase" else 2) if running else 0
         self.check_timeout = step.seconds if running else None
         self._add("look", 0, int(running), i)
 
     def _instant_check(self, i: int, step: CheckStep) -> None:
-        """A check of the other program's line and its running wire, which ends the program or continues."""
+        """Process a check of the other program's line and its running wire, which may end the program."""
         line, runs = step.signal.lower(), step.runs.lower()
         if line not in self.reads or runs not in self.running_inputs:
             self._fault(
@@ -450,47 +481,50 @@ class _AutomatonBuilder:
             )
             return
         self._end_work()
-        self.covered, self.check_timeout = (4 if step.own_level else 0), None
+        self.covered = 4 if step.own_level else 0
+        self.check_timeout = None
         self._add("look", 0, 1, i)
         self._add("wait", self.reads[line], step.value, i)
 
     def _require_check(self, step: ProgramStep, value: int) -> None:
-        """Every meeting must start with a check of the other program's running wire."""
+        """Record a fault if no check of the other program's running wire covers this set or wait."""
         if self.covered:
             self.covered -= 1
-        elif self.count or value:
+        elif self.meeting_count or value:
             self._fault("nothing checks before this meeting that the other program runs", step)
         if not self.covered:
             self.check_timeout = None
 
     def _require_meeting(self, step: ProgramStep, what: str) -> None:
-        """Nothing may happen before the first meeting, before which the running wires are checked."""
-        if not self.count:
+        """Record a fault if work begins before the first meeting; ``what`` is done, as a clause."""
+        if not self.meeting_count:
             self._fault(f"{what} before the first meeting, before which the running wires are checked", step)
 
     def _require_dwell(self, step: RunningStep) -> None:
-        """A starting program must wait before each rise of its running wire, so the other sees it low."""
-        if step.on and not self.count and step.waited < MIN_SETTLING_TIME_S:
-            what = (
+        """Record a fault if the other program may not see the running wire low before its first rise."""
+        if step.on and not self.meeting_count and step.waited < MIN_SETTLING_TIME_S:
+            detail = (
                 f"{step.waited:g} s before the running wire rises at the start; at least: "
                 f"{MIN_SETTLING_TIME_S:g} s"
             )
-            self._fault(f"the program waits {what}, so that the other one sees it low", step)
+            self._fault(f"the program waits {detail}, so that the other one sees it low", step)
 
     def _ends_on_timeout(self, i: int, step: WaitStep) -> bool:
-        """Whether the step after a wait ends the program on a timeout, and does nothing before."""
-        after = self.steps[i + 1] if i + 1 < len(self.steps) else None
-        if not isinstance(after, ChoiceStep):
+        """Return whether the step after a wait ends the program on a timeout, without motion before that."""
+        next_step = self.steps[i + 1] if i + 1 < len(self.steps) else None
+        if not isinstance(next_step, ChoiceStep):
             return False
-        condition = normalised_text(after.condition)
+        condition = normalised_text(next_step.condition)
         if condition not in (normalised_text(step.flag), normalised_text(step.flag) + "true"):
             return False
-        last = after.steps[-1]
-        quiet = all(isinstance(s, MessageStep | SettingStep | SignalStep) for s in after.steps)
-        return quiet and isinstance(last, SettingStep) and last.kind == "EXIT"
+        last_step = next_step.steps[-1]
+        without_motion = all(
+            isinstance(inside, MessageStep | SettingStep | SignalStep) for inside in next_step.steps
+        )
+        return without_motion and isinstance(last_step, SettingStep) and last_step.kind == "EXIT"
 
     def _check_branch(self, step: ChoiceStep) -> None:
-        """Steps under a run-time condition must not use the wires or wait for them."""
+        """Record faults of steps under a run-time condition that use the wires or wait for them."""
         for inside in step.steps:
             if isinstance(inside, ChoiceStep):
                 self._check_branch(inside)
@@ -506,51 +540,57 @@ class _AutomatonBuilder:
     # ---- actions ----
 
     def _start_work(self, i: int) -> None:
-        self.covered, self.check_timeout = (
-            0,
-            None,
-        )  # a check before the work does not cover the meeting after it
+        """Begin the work of the current interval, unless the program works already."""
+        # a check before the work does not cover the meeting after it
+        self.covered = 0
+        self.check_timeout = None
         if self.working is None:
-            self.working = self.count
-            self._add("go", 0, self.count, i)
+            self.working = self.meeting_count
+            self._add("go", 0, self.meeting_count, i)
 
     def _end_work(self) -> None:
-        """End the work before a meeting, with the arm at rest."""
+        """End the current work, if there is any. The arm must then be at rest."""
         if self.working is None:
             return
-        if self.last is not None and not self.last.zone.fine:
-            what = f"{self.last.zone_name} precedes a handshake, which may run before the arm is there"
-            self._fault(what, self.last)
+        if self.last_move is not None and not self.last_move.zone.fine:
+            message = (
+                f"{self.last_move.zone_name} precedes a handshake, which may run before the arm is there"
+            )
+            self._fault(message, self.last_move)
         self._add("done", 0, self.working, self.actions[-1].line)
-        self.working, self.last = None, None
+        self.working = None
+        self.last_move = None
 
     def _add(self, kind: str, wire: int, value: int, i: int) -> None:
+        """Append the action of step ``i``. Before that the operator must have ruled out an earlier run."""
         step = self.steps[i]
         if kind in ("set", "wait", "look") and not (self.operator_asked or self.holds_low):
-            what = (
+            message = (
                 "the operator is not asked before whether the other controller still runs an earlier program"
             )
-            self._fault(what, step)
+            self._fault(message, step)
             self.operator_asked = True
         self.actions.append(AutomatonAction(kind, wire, value, self._handler_levels(step), i))  # type: ignore[arg-type]
 
     def _handler_levels(self, step: ProgramStep) -> Levels:
-        """Levels that error handlers and UNDO of a step's procedure leave on the wires."""
+        """Return the levels that the ERROR and UNDO sections of a step's procedure leave on the wires."""
         key = (step.module, step.procedure)
         if key not in self.resets:
             signals = [
-                s
+                signal
                 for table in self.sections
-                for s in _all_steps(table.get(key, ()))
-                if isinstance(s, SignalStep)
+                for signal in _all_steps(table.get(key, ()))
+                if isinstance(signal, SignalStep)
             ]
-            for s in signals:
-                if s.signal.lower() in self.running_outputs:
-                    self._fault(f"{s.signal} says that the program runs; a handler must not switch it", s)
+            for signal in signals:
+                if signal.signal.lower() in self.running_outputs:
+                    self._fault(
+                        f"{signal.signal} says that the program runs; a handler must not switch it", signal
+                    )
             self.resets[key] = tuple(
-                (self.drives[s.signal.lower()], int(s.value == 1.0))
-                for s in signals
-                if s.signal.lower() in self.drives
+                (self.drives[signal.signal.lower()], int(signal.value == 1.0))
+                for signal in signals
+                if signal.signal.lower() in self.drives
             )
         return self.resets[key]
 
@@ -559,6 +599,7 @@ class _AutomatonBuilder:
 
 
 def _all_steps(steps: Iterable[ProgramStep]) -> Iterable[ProgramStep]:
+    """Yield steps, and those inside branches and loops after them."""
     for step in steps:
         yield step
         if isinstance(step, ChoiceStep):
@@ -568,13 +609,13 @@ def _all_steps(steps: Iterable[ProgramStep]) -> Iterable[ProgramStep]:
 def intervals(
     readings: Mapping[str, ProgramAutomaton], steps: Mapping[str, Sequence[ProgramStep]]
 ) -> list[dict[str, list[ProgramStep]]]:
-    """Return the steps of each program in each interval, without those of the protocol.
+    """Return for each interval the steps of each program, by arm, without those of the handshake.
 
     The result is empty if the programs have different numbers of meetings.
 
     Args:
-        readings: Automata of the programs.
-        steps: Their steps.
+        readings: Automata of the programs, by arm.
+        steps: Steps of the programs, by arm.
     """
     counts = {(reading.interval[-1] if reading.interval else 0) for reading in readings.values()}
     if len(counts) != 1:

@@ -1,10 +1,10 @@
-"""Shortens two programs that meet repeatedly: fewer of the meetings that are alike, with the same verdict.
+"""Shortens two programs that meet repeatedly: leaves out meetings that are alike, with the same verdict.
 
-The moves between two meetings form a block. The level of a state is the later of both programs' blocks. The
-other program is in the previous block, or *far*: at its start. So a state depends on no more than two
-blocks, and its successors on no more than three. Of a long sequence of blocks only so many are kept that
-every three consecutive blocks that occur in it still occur. Where the same two blocks are kept at several
-positions, a state that is reached at one of them counts as reached at all of them
+The operations between two meetings form a block. The level of a state is the later of both programs' blocks.
+The other program is in the previous block, or *far*: at its start. So a state depends on no more than two
+blocks, and its successors on no more than three. Of a long sequence of blocks so many are kept that every
+three consecutive blocks that occur in it still occur. If the same two blocks are kept at several positions, a
+state that is reached at one of them counts as reached at all of them
 (:meth:`BlockWindows.equivalent_positions`).
 
 Soundness: let a state of the whole programs correspond to the one at a kept position with the same blocks.
@@ -24,7 +24,7 @@ from planner.programs.handshake.wire_operations import WireOperation
 
 _WORK = ("go", "done")
 _END = WireOperation("ask", -1)
-"""Separator between the moves of both programs."""
+"""Separator between the operations of both programs in the kind of a block."""
 
 
 @dataclasses.dataclass
@@ -32,11 +32,13 @@ class BlockWindows:
     """Correspondence between shortened and whole programs.
 
     Attributes:
-        kept: Blocks of the whole that the shortened programs contain, in their order.
-        count: Number of blocks of the whole.
-        blocks: Block of each position in a shortened program; its end belongs to the last one.
+        kept: Blocks of the whole programs that the shortened ones contain, in order.
+        count: Number of blocks of the whole programs.
+        blocks: Block of each position in the shortened programs, by program. The end of a program belongs to
+            the last block.
         starts: First position of each block, by program.
-        next_block: For each block the next one after the same two blocks, itself if there is none.
+        next_block: For each block the next one of the same kind after a block of the same kind. The first
+            such block follows the last one; a block without another one has itself.
         first_work: Position of each program's first work.
     """
 
@@ -50,13 +52,16 @@ class BlockWindows:
     """Whether a program was far beyond its first work, so that the shortening is not valid."""
 
     def equivalent_positions(self, positions: tuple[int, int]) -> tuple[int, int] | None:
-        """Return positions of both programs after the same two blocks elsewhere, or None."""
+        """Return the next positions of both programs at which the same two blocks are kept, or None.
+
+        A program that is more than one block behind stays at its position.
+        """
         a, b = (
             program_blocks[position] for program_blocks, position in zip(self.blocks, positions, strict=True)
         )
         level = max(a, b)
-        for block, position, works in zip((a, b), positions, self.first_work, strict=True):
-            self.is_invalid |= level - block > 1 and position > works
+        for block, position, first_work in zip((a, b), positions, self.first_work, strict=True):
+            self.is_invalid |= level - block > 1 and position > first_work
         other = self.next_block[level]
         if other == level:
             return None
@@ -73,84 +78,92 @@ class BlockWindows:
 def shorten_programs(
     programs: Sequence[Sequence[WireOperation]], blocks: Sequence[Sequence[int]]
 ) -> tuple[list[list[WireOperation]], BlockWindows] | None:
-    """Return both programs with as few blocks as contain every three consecutive ones, or None.
+    """Return both programs with few blocks that still contain every three consecutive ones, or None.
 
     None means that no block can be left out.
 
     Args:
         programs: Operations of both programs.
         blocks: Block of each operation, by program.
+
+    Returns:
+        Operations of both shortened programs, and their correspondence with the whole ones.
     """
-    count = 1 + max((number for row in blocks for number in row), default=0)
+    count = 1 + max((number for block_numbers in blocks for number in block_numbers), default=0)
     parts: list[list[list[WireOperation]]] = [[[] for _ in range(count)] for _ in programs]
     for part, program, block_numbers in zip(parts, programs, blocks, strict=True):
         for move, number in zip(program, block_numbers, strict=True):
             part[number].append(move)
-    working = [[k for k in range(count) if any(m.kind == "done" for m in part[k])] for part in parts]
+    working = [[k for k in range(count) if any(move.kind == "done" for move in part[k])] for part in parts]
     if not all(working) or not all(block for part in parts for block in part):
         return None
-    first = max(block_numbers[0] for block_numbers in working)
+    last_first_work = max(block_numbers[0] for block_numbers in working)
+    # blocks with equal operations, apart from the numbers of block and line, are of one kind
     kinds: list[Hashable] = [
         k
-        if k <= first or k == count - 1
+        if k <= last_first_work or k == count - 1
         else tuple(
-            dataclasses.replace(_shift_operation(m, -k), line=0) for part in parts for m in (*part[k], _END)
+            dataclasses.replace(_shift_operation(move, -k), line=0)
+            for part in parts
+            for move in (*part[k], _END)
         )
         for k in range(count)
     ]
     kept = _covering_indices(kinds)
     if len(kept) == count:
         return None
-    rows: list[list[WireOperation]] = [[] for _ in programs]
+    shortened: list[list[WireOperation]] = [[] for _ in programs]
     numbers: list[list[int]] = [[] for _ in programs]
     starts: list[list[int]] = [[] for _ in programs]
     for position, k in enumerate(kept):
-        for row, block_numbers, block_starts, part in zip(rows, numbers, starts, parts, strict=True):
-            block_starts.append(len(row))
-            row += [_shift_operation(move, position - k) for move in part[k]]
+        for short, block_numbers, block_starts, part in zip(shortened, numbers, starts, parts, strict=True):
+            block_starts.append(len(short))
+            short += [_shift_operation(move, position - k) for move in part[k]]
             block_numbers += [position] * len(part[k])
     for block_numbers in numbers:
         block_numbers.append(len(kept) - 1)
-    a, b = (next(i for i, move in enumerate(row) if move.kind == "done") for row in rows)
-    return rows, BlockWindows(
+    a, b = (next(i for i, move in enumerate(short) if move.kind == "done") for short in shortened)
+    return shortened, BlockWindows(
         kept, count, numbers, starts, _next_equivalent([kinds[k] for k in kept]), (a, b)
     )
 
 
 def _shift_operation(move: WireOperation, by: int) -> WireOperation:
-    """An operation of a block that is ``by`` blocks later."""
+    """Return an operation in a block that is ``by`` blocks later; work states the number of its block."""
     return dataclasses.replace(move, value=move.value + by) if move.kind in _WORK else move
 
 
 def _covering_indices(kinds: Sequence[Hashable]) -> list[int]:
-    """Indices of a sequence, in order, with the same neighbours and all triples of consecutive kinds.
+    """Return indices of a sequence, in order, with exactly the same triples of consecutive kinds.
 
-    A section between two positions after the same two kinds is dropped if all its triples occur before.
+    A section between two positions after the same two kinds is dropped if all its triples occur before it.
     """
     out: list[int] = []
-    seen: dict[tuple[Hashable, ...], int] = {}
+    first_occurrence: dict[tuple[Hashable, ...], int] = {}
     for k in range(len(kinds)):
         out.append(k)
         end = len(out) - 1
         if end < 2:
             continue
-        seen.setdefault(tuple(kinds[i] for i in out[-3:]), end)
-        latest = 0
+        first_occurrence.setdefault(tuple(kinds[i] for i in out[-3:]), end)
+        latest_occurrence = 0
         for i in range(end - 1, 0, -1):
-            latest = max(latest, seen[tuple(kinds[j] for j in out[i - 1 : i + 2])])
-            if latest <= i and [kinds[out[i - 1]], kinds[out[i]]] == [kinds[j] for j in out[-2:]]:
+            latest_occurrence = max(
+                latest_occurrence, first_occurrence[tuple(kinds[j] for j in out[i - 1 : i + 2])]
+            )
+            if latest_occurrence <= i and [kinds[out[i - 1]], kinds[out[i]]] == [kinds[j] for j in out[-2:]]:
                 del out[i + 1 :]
                 break
     return out
 
 
 def _next_equivalent(kinds: Sequence[Hashable]) -> list[int]:
-    """For each position the next one after the same two kinds; the first one follows the last."""
-    same: dict[tuple[Hashable, ...], list[int]] = {}
+    """Return for each position the next one after the same two kinds; the first one follows the last."""
+    positions_by_kinds: dict[tuple[Hashable, ...], list[int]] = {}
     for i in range(len(kinds)):
-        same.setdefault((i,) if i == 0 else tuple(kinds[i - 1 : i + 1]), []).append(i)
+        positions_by_kinds.setdefault((i,) if i == 0 else tuple(kinds[i - 1 : i + 1]), []).append(i)
     out = list(range(len(kinds)))
-    for positions in same.values():
+    for positions in positions_by_kinds.values():
         for i, position in enumerate(positions):
             out[position] = positions[(i + 1) % len(positions)]
     return out

@@ -13,8 +13,9 @@ instant. After a stop the other side therefore stops too, or reads 0 until someb
 is on. The wire itself cannot detect that it is stuck; then no program may start to work (``unwatched``).
 
 **Exploration.** Every step of a program adds one to the sum of both positions, so the reachable states are
-visited sum by sum. What depends on positions only is put in relative form, and equal sets of states before
-equal actions are expanded once. This is exact, and takes time proportional to the length of the programs.
+visited sum by sum. A state holds only the difference of the positions (its offset), and equal sets of states
+before equal actions are expanded once. This is exact, and takes time proportional to the length of the
+programs.
 """
 
 import dataclasses
@@ -31,42 +32,45 @@ FaultKind = Literal["deadlock", "lost_edge", "apart", "unwatched"]
 RunningWire = Literal["works", "low", "high"]
 """A running wire that works, or is stuck at a level for ever. A missing wire counts as stuck."""
 Levels = tuple[tuple[int, int], ...]
+"""Levels of wires, as pairs (number of the wire, level)."""
 _State = tuple[int, int]
 """Offset between the positions of both programs, and bits.
 
-The bits are three for each wire (driven level, level as read, a change that the reader has not seen yet),
-then four for each program, grouped by kind: it has stopped for good, it is stopped, the other one reads it
-as stopped, its running wire is cut.
+The lowest bits are three for each wire: driven level, level as read, and whether the reader has not seen the
+last change yet. Then four pairs follow, with a bit for each program: it has stopped for good, it is stopped,
+the other one reads it as stopped, its running wire is cut.
 """
 _PositionFacts = tuple[int, int, bool, bool, bool, bool]
-"""What the positions determine.
+"""Facts that follow from the positions of both programs.
 
-These are the codes of both actions, for each program whether the other one has done the previous work, and
-for each program whether its gate is open.
+They are the codes of both actions (0 at the end of a program), for each program whether the other one has
+done the work of the previous interval, and for each program whether its gate is open.
 """
 _ProgramStep = tuple[int, int, FaultKind | None]
-"""A step of a program: which one, the bits after it, and the fault that it causes."""
+"""A step of a program: number of the program, the bits after the step, and the fault that it causes."""
 _AFTER_ALL, _BEFORE_ALL = 2**60, -(2**60)
 _UNCONDITIONAL_FAULTS: Final = ("apart", "unwatched")
-"""Faults whatever the operator does."""
+"""Faults that count even if the operator ignores the panels, and after a program has stopped for good."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class AutomatonAction:
     """One action of a program.
 
-    "set" puts ``wire`` to ``value``. "wait" waits until it reads so. "go" and "done" enclose the work of the
-    interval ``value`` between two meetings. "gate" is passed once the other program has reached its position
-    ``value``; a program that is stopped before it is not started earlier either. "look" waits until the
-    other program is read as running (``value`` 1) or stopped (0). "pause": the program stops itself until it
-    is started again.
+    - "set": The program sets ``wire`` to ``value``.
+    - "wait": The program waits until it reads ``value`` from ``wire``.
+    - "go", "done": They enclose the work of the interval ``value`` between two meetings.
+    - "gate": The program waits until the other one has reached its position ``value``. A program that is
+      stopped at a gate is not started before that either.
+    - "look": The program waits until it reads the other one as running (``value`` 1) or stopped (0).
+    - "pause": The program stops itself until it is started again.
 
     Attributes:
         kind: Kind of action.
         wire: Number of the wire.
         value: Level, interval or position, by kind.
-        resets: Levels of wires that the active error handler leaves, as (wire, value).
-        line: Index of its step in the program, for messages.
+        resets: Levels on the wires that the active error handler leaves after an error.
+        line: Index of the step among the steps of the program, for messages.
     """
 
     kind: ActionKind
@@ -86,16 +90,16 @@ class AutomatonEvent:
 
 @dataclasses.dataclass(frozen=True)
 class HandshakeFault:
-    """A fault and how it comes about.
+    """A fault, and events that lead to it.
 
     Attributes:
         kind: Kind of fault.
         positions: Positions of both programs.
-        program: Program whose action is at fault (0 in a deadlock).
+        program: Program whose action is at fault; 0 if it is the fault of both, as in a deadlock.
         driven: Levels of the wires at their driving ends.
         read: Levels of the wires at their reading ends.
-        trace: The last events before, in order.
-        steps: Number of events from the start.
+        trace: The last events before the fault, in order.
+        steps: Number of events from the start to the fault.
     """
 
     kind: FaultKind
@@ -113,8 +117,8 @@ class HandshakeVerdict:
 
     Attributes:
         findings: Faults with the fewest events, none for correct programs.
-        states: Number of explored states, with their positions.
-        kinds: Number of explored states that differ in more than their positions.
+        states: Number of explored states; equal ones at different positions count each time.
+        kinds: Number of states in the distinct sets of states, one for each sum of the positions.
     """
 
     findings: tuple[HandshakeFault, ...]
@@ -123,9 +127,10 @@ class HandshakeVerdict:
 
 
 class ProgramProduct:
-    """Product of two programs, shared by several checks.
+    """Product of two programs, which several checks share.
 
-    It holds what the positions of both programs determine, by their sum and offset.
+    It holds the facts that follow from the positions of both programs, by sum and offset of the positions.
+    ``table`` has the distinct actions by code; code 0 stands for the end of a program.
 
     Raises:
         ValueError: There are not two programs.
@@ -136,33 +141,41 @@ class ProgramProduct:
             raise ValueError(f"{len(programs)} programs; the check takes two")
         self.max_sum = sum(len(program) for program in programs)
         self.table: list[AutomatonAction | None] = [None]
-        known: dict[tuple[object, ...], int] = {}
+        code_by_action: dict[tuple[object, ...], int] = {}
         code = []
         for program in programs:
-            row = []
+            program_codes = []
             for action in program:
                 value = action.value if action.kind in ("set", "wait", "look") else 0
                 if action.kind == "go":
                     value = min(action.value, 1)
                 key = (action.kind, action.wire, value, action.resets)
-                if key not in known:
-                    known[key] = len(self.table)
+                if key not in code_by_action:
+                    code_by_action[key] = len(self.table)
                     self.table.append(action)
-                row.append(known[key])
-            code.append(np.array([*row, 0]))
+                program_codes.append(code_by_action[key])
+            code.append(np.array([*program_codes, 0]))
         self._code = code
+        """Code of the action at each position, by program."""
         self._need = [
-            np.array([a.value - 1 if a.kind == "go" else _BEFORE_ALL for a in program] + [_BEFORE_ALL])
+            np.array(
+                [action.value - 1 if action.kind == "go" else _BEFORE_ALL for action in program]
+                + [_BEFORE_ALL]
+            )
             for program in programs
         ]
+        """Interval whose work the other program must have done, at each position, by program."""
         self._gate = [
-            np.array([a.value if a.kind == "gate" else -1 for a in program] + [-1]) for program in programs
+            np.array([action.value if action.kind == "gate" else -1 for action in program] + [-1])
+            for program in programs
         ]
+        """Position that the other program must have reached, at each position, by program."""
         self._finished = [np.array(_finished_intervals(program)) for program in programs]
+        """Last interval whose work is done, at each position, by program."""
         self._kinds: dict[int, list[int]] = {}
 
     def kinds(self, offset: int) -> list[int]:
-        """Return for each sum of positions a number for what they determine at an offset.
+        """Return for each sum of the positions, at an offset, a number that encodes the facts there.
 
         Numbers of sums that are impossible at this offset have no meaning.
         """
@@ -184,11 +197,11 @@ class ProgramProduct:
         return self._kinds[offset]
 
     def facts_at(self, total: int, offset: int) -> _PositionFacts:
-        """Return what a sum of positions determines at an offset.
+        """Return the facts at a sum of the positions and an offset.
 
         Args:
             total: Sum of the positions.
-            offset: Difference of the positions.
+            offset: Position of the first program less that of the second one.
         """
         kind = self.kinds(offset)[total]
         first, second = divmod(kind >> 4, len(self.table))
@@ -204,19 +217,21 @@ def check_handshake(
 ) -> HandshakeVerdict:
     """Explore all joint behaviour of two programs.
 
-    Faults are: "apart", a program works in an interval before the other one has done its work of the
-    previous interval; "lost_edge", a wire changes before the other program has seen its last change, or a
-    change is never seen; "unwatched", a program works after the first meeting although a running wire is
-    stuck; "deadlock".
+    The faults are:
+
+    - "apart": A program works in an interval before the other one has done its work of the previous one.
+    - "lost_edge": A wire changes before the other program has seen its last change, or that is never seen.
+    - "unwatched": A program works after the first meeting although a running wire is stuck.
+    - "deadlock": No unfinished program can ever continue.
 
     Args:
         programs: Actions of both programs, or their product.
-        wires: Number of wires; initially each has any level, at both ends.
-        gates: False if gates are passed at any time (the operator does not look). Then only "apart" and
-            "unwatched" are faults.
+        wires: Number of wires. Initially each has any level, which is equal at both ends.
+        gates: Whether programs wait at gates. False if the operator does not look at the panels; then only
+            "apart" and "unwatched" are faults.
         trace: Maximum number of events in the trace of a fault.
-        running: State of the wire that each program's controller drives. None: both programs run from the
-            start, only their end stops them, and "look" and "pause" are passed.
+        running: State of the running wire that each program's controller drives. None if there are no running
+            wires: both programs run from the start, and "look" and "pause" have no effect.
     """
     product = programs if isinstance(programs, ProgramProduct) else ProgramProduct(programs)
     return _HandshakeSearch(product, wires, gates, trace, running).run()
@@ -224,13 +239,19 @@ def check_handshake(
 
 @dataclasses.dataclass(frozen=True)
 class _StateSet:
-    """States (offset between the positions, bits) and the offsets in them."""
+    """A set of states at one sum of the positions, and the offsets that occur in it, in ascending order."""
 
     states: frozenset[_State]
     offsets: tuple[int, ...]
 
 
 class _HandshakeSearch:
+    """Search over the reachable states, see :func:`check_handshake` for the parameters.
+
+    Of each pair of bits in a state, ``gone_bit``, ``stopped_bit``, ``low_bit`` and ``cut_bit`` are the lower
+    ones. ``stuck``: a running wire is stuck or missing.
+    """
+
     def __init__(
         self,
         product: ProgramProduct,
@@ -249,103 +270,109 @@ class _HandshakeSearch:
         self.gone_bit, self.stopped_bit, self.low_bit, self.cut_bit = (3 * wires + 2 * i for i in range(4))
 
     def run(self) -> HandshakeVerdict:
+        """Visit the states sum by sum, up to the first sum with faults or to the end of both programs."""
         # Initial states: all levels of the wires, read as driven. With running wires both are stopped.
-        first = 0
+        initial_bits = 0
         if self.running is not None:
-            first = 3 << self.stopped_bit | sum(
+            initial_bits = 3 << self.stopped_bit | sum(
                 1 << self.low_bit + i for i in range(2) if self.running[i] != "high"
             )
         start = frozenset(
-            (0, first | sum(level * 3 << 3 * wire for wire, level in enumerate(levels)))
+            (0, initial_bits | sum(level * 3 << 3 * wire for wire, level in enumerate(levels)))
             for levels in itertools.product((0, 1), repeat=self.wires)
         )
-        rows = [_state_set(start)]
-        known = {start: 0}
+        # distinct sets of states, with their indices; the memo holds the result of each expansion
+        state_sets = [_state_set(start)]
+        index_by_states = {start: 0}
         memo: dict[tuple[int, tuple[int, ...]], tuple[int, int, frozenset[FaultKind]]] = {}
         kinds: list[list[list[int]]] = []
         history: list[int] = []
         findings: list[HandshakeFault] = []
         current, states = 0, 0
         for total in range(self.product.max_sum + 1):
-            # One sum: the set of states and the facts that positions determine give the set at the next sum.
-            row = rows[current]
-            if not row.states:
+            # the set of states and the facts at this sum determine the set at the next sum
+            state_set = state_sets[current]
+            if not state_set.states:
                 break
             history.append(current)
-            while len(kinds) < len(rows):
-                kinds.append([self.product.kinds(offset) for offset in rows[len(kinds)].offsets])
+            while len(kinds) < len(state_sets):
+                kinds.append([self.product.kinds(offset) for offset in state_sets[len(kinds)].offsets])
             facts = tuple([kind[total] for kind in kinds[current]])
-            answer = memo.get((current, facts))
-            if answer is None:
-                decided = {offset: self.product.facts_at(total, offset) for offset in row.offsets}
-                following, count, faults = self._expand(row, decided)
-                if following not in known:
-                    known[following] = len(rows)
-                    rows.append(_state_set(following))
-                answer = memo[current, facts] = (known[following], count, faults)
-            current, count, faults = answer
+            expansion = memo.get((current, facts))
+            if expansion is None:
+                facts_by_offset = {
+                    offset: self.product.facts_at(total, offset) for offset in state_set.offsets
+                }
+                next_states, count, faults = self._expand(state_set, facts_by_offset)
+                if next_states not in index_by_states:
+                    index_by_states[next_states] = len(state_sets)
+                    state_sets.append(_state_set(next_states))
+                expansion = memo[current, facts] = (index_by_states[next_states], count, faults)
+            current, count, faults = expansion
             states += count
             if faults:
-                findings += [self._finding(kind, total, rows, history) for kind in sorted(faults)]
+                findings += [self._finding(kind, total, state_sets, history) for kind in sorted(faults)]
                 break
-        return HandshakeVerdict(tuple(findings), states, sum(len(row.states) for row in rows))
+        return HandshakeVerdict(
+            tuple(findings), states, sum(len(state_set.states) for state_set in state_sets)
+        )
 
-    # ---- one sum of places ----
+    # ---- one sum of the positions ----
 
     def _expand(
-        self, row: _StateSet, facts: Mapping[int, _PositionFacts]
+        self, state_set: _StateSet, facts: Mapping[int, _PositionFacts]
     ) -> tuple[frozenset[_State], int, frozenset[FaultKind]]:
-        """States after one event, number of states before it, and the faults."""
+        """Return the states after one step of a program, the number of states before it, and the faults."""
         faults: set[FaultKind] = set()
         out: set[_State] = set()
-        # All states at this sum; each step of a program leads to a state at the next one.
-        whole = self._closure(row.states, facts)
-        for offset, bits in whole:
-            moved = self._enabled_steps(bits, facts[offset])
+        # all states at this sum; each step of a program leads to a state at the next one
+        closure = self._closure(state_set.states, facts)
+        for offset, bits in closure:
+            enabled = self._enabled_steps(bits, facts[offset])
             stopped = bits >> self.gone_bit & 3
-            for program, after, fault in moved:
+            for program, after, fault in enabled:
                 if fault and (fault in _UNCONDITIONAL_FAULTS or (self.gates and not stopped)):
                     faults.add(fault)
                 out.add((offset + (1 if program == 0 else -1), after))
-            if self.gates and self._is_deadlocked(bits, facts[offset], moved):
+            if self.gates and self._is_deadlocked(bits, facts[offset], enabled):
                 faults.add("deadlock")
             if self.gates and self._has_unread_change(bits, facts[offset]):
                 faults.add("lost_edge")
-        return frozenset(out), len(whole), frozenset(faults)
+        return frozenset(out), len(closure), frozenset(faults)
 
     def _closure(self, states: frozenset[_State], facts: Mapping[int, _PositionFacts]) -> set[_State]:
-        """Closure of states under changes without a step of a program: wires follow, programs stop."""
-        whole = set(states)
+        """Return all states that states reach without a step of a program: wires follow, programs stop."""
+        closure = set(states)
         todo = list(states)
         while todo:
             offset, bits = todo.pop()
             # a reading end follows its driving end
             lagging = [wire for wire in range(self.wires) if (bits >> 3 * wire ^ bits >> 3 * wire + 1) & 1]
-            after = [bits ^ 2 << 3 * wire for wire in lagging]
+            next_bits = [bits ^ 2 << 3 * wire for wire in lagging]
             if self.running is not None:
-                after += self._external_successors(bits, facts[offset])
+                next_bits += self._external_successors(bits, facts[offset])
             # a program stops for good, and its outputs stay or change as its error handler does
             for program in range(2):
-                mark = 1 << self.gone_bit + program
+                stop_bits = 1 << self.gone_bit + program
                 action = self.table[facts[offset][program]]
-                if bits & mark or action is None or self.stuck:
+                if bits & stop_bits or action is None or self.stuck:
                     continue
                 if self.running is not None:
-                    mark |= 1 << self.stopped_bit + program
-                after.append(bits | mark)
-                changed = bits
+                    stop_bits |= 1 << self.stopped_bit + program
+                next_bits.append(bits | stop_bits)
+                bits_after_handler = bits
                 for wire, value in action.resets:
-                    changed = changed & ~(1 << 3 * wire) | value << 3 * wire
-                after.append(changed | mark)
-            for new in after:
+                    bits_after_handler = bits_after_handler & ~(1 << 3 * wire) | value << 3 * wire
+                next_bits.append(bits_after_handler | stop_bits)
+            for new in next_bits:
                 state = (offset, new)
-                if state not in whole:
-                    whole.add(state)
+                if state not in closure:
+                    closure.add(state)
                     todo.append(state)
-        return whole
+        return closure
 
     def _external_successors(self, bits: int, facts: _PositionFacts) -> list[int]:
-        """Successors by starts, stops and cut wires, and as running wires follow."""
+        """Return the bits after each start or stop of a program, and each change or cut of a running wire."""
         out = [bits & ~(1 << self.stopped_bit + program) for program in self._startable(bits, facts)]
         for program in range(2):
             # a program stops; its wire falls (and stops the other one) or rises; a wire is cut
@@ -361,12 +388,12 @@ class _HandshakeSearch:
                 out.append(bits & ~(1 << self.low_bit + program))
             if self.gates or self.stuck or bits >> self.cut_bit:  # only one fault of the cell at a time
                 continue
-            cut = bits | 1 << self.cut_bit + program | 1 << self.low_bit + program
-            out.append(cut if low else cut | other)
+            bits_after_cut = bits | 1 << self.cut_bit + program | 1 << self.low_bit + program
+            out.append(bits_after_cut if low else bits_after_cut | other)
         return out
 
     def _wire_works(self, bits: int, program: int) -> bool:
-        """Whether the running wire of a program works and is not cut."""
+        """Return whether the running wire of a program is neither missing, stuck nor cut."""
         return (
             self.running is not None
             and self.running[program] == "works"
@@ -374,7 +401,7 @@ class _HandshakeSearch:
         )
 
     def _startable(self, bits: int, facts: _PositionFacts) -> list[int]:
-        """Stopped programs that may be started again: their stop has been seen, and gates are open."""
+        """Return the stopped programs that may be started: their wire has fallen, their gate is open."""
         return [
             program
             for program in range(2)
@@ -385,12 +412,12 @@ class _HandshakeSearch:
             and (not self.gates or facts[4 + program])
         ]
 
-    def _is_deadlocked(self, bits: int, facts: _PositionFacts, moved: list[_ProgramStep]) -> bool:
-        """Whether no unfinished program can ever continue.
+    def _is_deadlocked(self, bits: int, facts: _PositionFacts, enabled: list[_ProgramStep]) -> bool:
+        """Return whether no unfinished program can ever continue.
 
         States in which a program has stopped for good or a running wire is cut do not count.
         """
-        if moved or bits >> self.gone_bit & 3 or bits >> self.cut_bit or not (facts[0] or facts[1]):
+        if enabled or bits >> self.gone_bit & 3 or bits >> self.cut_bit or not (facts[0] or facts[1]):
             return False
         if any((bits >> 3 * wire ^ bits >> 3 * wire + 1) & 1 for wire in range(self.wires)):
             return False
@@ -401,12 +428,12 @@ class _HandshakeSearch:
         return not (self.stuck or follows or ends or self._startable(bits, facts))
 
     def _has_unread_change(self, bits: int, facts: _PositionFacts) -> bool:
-        """Whether both programs have ended and the last change of a wire was never seen."""
+        """Return whether both programs have ended, and the last change of a wire was never seen."""
         unseen = any(bits >> 3 * wire & 4 for wire in range(self.wires))
         return not (facts[0] or facts[1]) and not bits >> self.gone_bit & 3 and unseen
 
     def _enabled_steps(self, bits: int, facts: _PositionFacts) -> list[_ProgramStep]:
-        """Enabled steps of the programs."""
+        """Return the steps that the programs can execute in a state."""
         out: list[_ProgramStep] = []
         for program in range(2):
             action = self.table[facts[program]]
@@ -438,35 +465,36 @@ class _HandshakeSearch:
                         continue
                 case "pause" if self.running is not None:
                     after |= 1 << self.stopped_bit + program
-            # after one step of this program the fallen running wire of the other one stops it
-            fallen = bits >> self.stopped_bit + other & ~(bits >> self.low_bit + other) & 1
-            if fallen and self._wire_works(bits, other):
-                after |= 1 << self.low_bit + other | 1 << self.stopped_bit + program  # by its stop input
+            # if the other program is stopped and its running wire has not fallen yet, it falls during this
+            # step and stops this program by its stop input
+            wire_falls = bits >> self.stopped_bit + other & ~(bits >> self.low_bit + other) & 1
+            if wire_falls and self._wire_works(bits, other):
+                after |= 1 << self.low_bit + other | 1 << self.stopped_bit + program
             out.append((program, after, fault))
         return out
 
-    # ---- how it comes about ----
+    # ---- events that lead to a fault ----
 
-    def _states_with_steps(self, total: int, row: _StateSet) -> dict[_State, list[_ProgramStep]]:
-        """States at a sum of positions, with their enabled steps."""
-        facts = {offset: self.product.facts_at(total, offset) for offset in row.offsets}
+    def _states_with_steps(self, total: int, state_set: _StateSet) -> dict[_State, list[_ProgramStep]]:
+        """Return all states at a sum of the positions, each with its enabled steps."""
+        facts = {offset: self.product.facts_at(total, offset) for offset in state_set.offsets}
         return {
             (offset, bits): self._enabled_steps(bits, facts[offset])
-            for offset, bits in sorted(self._closure(row.states, facts))
+            for offset, bits in sorted(self._closure(state_set.states, facts))
         }
 
     def _finding(
-        self, kind: FaultKind, total: int, rows: list[_StateSet], history: list[int]
+        self, kind: FaultKind, total: int, state_sets: list[_StateSet], history: list[int]
     ) -> HandshakeFault:
-        # walk back from the faulty state, one sum at a time, over any predecessor
-        at, program = next(self._faulty_states(kind, total, rows[history[total]]))
+        """Return a fault with its trace: walk back from a faulty state, one sum of positions at a time."""
+        faulty_state, program = next(self._faulty_states(kind, total, state_sets[history[total]]))
         events: list[AutomatonEvent] = []
-        state, level = at, total
+        state, level = faulty_state, total
         while level > 0 and len(events) < self.trace:
-            state, event = self._predecessor(state, level, rows[history[level - 1]])
+            state, event = self._predecessor(state, level, state_sets[history[level - 1]])
             events.append(event)
             level -= 1
-        offset, bits = at
+        offset, bits = faulty_state
         return HandshakeFault(
             kind,
             ((total + offset) >> 1, (total - offset) >> 1),
@@ -477,23 +505,29 @@ class _HandshakeSearch:
             total,
         )
 
-    def _faulty_states(self, kind: FaultKind, total: int, row: _StateSet) -> Iterator[tuple[_State, int]]:
-        """States with the fault and the program that causes it, those without stopped programs first."""
-        whole = self._states_with_steps(total, row)
-        for (offset, bits), moved in sorted(whole.items(), key=lambda item: item[0][1] >> self.gone_bit & 3):
+    def _faulty_states(
+        self, kind: FaultKind, total: int, state_set: _StateSet
+    ) -> Iterator[tuple[_State, int]]:
+        """Yield states with the fault and the program at fault, those without stopped programs first."""
+        enabled_by_state = self._states_with_steps(total, state_set)
+        for (offset, bits), enabled in sorted(
+            enabled_by_state.items(), key=lambda item: item[0][1] >> self.gone_bit & 3
+        ):
             stopped = bits >> self.gone_bit & 3
-            for program, _, fault in moved:
+            for program, _, fault in enabled:
                 if fault == kind and (kind in _UNCONDITIONAL_FAULTS or not stopped):
                     yield (offset, bits), program
-            if kind == "deadlock" and self._is_deadlocked(bits, self.product.facts_at(total, offset), moved):
+            if kind == "deadlock" and self._is_deadlocked(
+                bits, self.product.facts_at(total, offset), enabled
+            ):
                 yield (offset, bits), 0
             if kind == "lost_edge" and self._has_unread_change(bits, self.product.facts_at(total, offset)):
                 yield (offset, bits), 0
 
-    def _predecessor(self, state: _State, level: int, row: _StateSet) -> tuple[_State, AutomatonEvent]:
-        """A predecessor of ``state`` at the sum ``level``, and the event between them."""
-        for (offset, bits), moved in self._states_with_steps(level - 1, row).items():
-            for program, after, _ in moved:
+    def _predecessor(self, state: _State, level: int, state_set: _StateSet) -> tuple[_State, AutomatonEvent]:
+        """Return any predecessor of a state at the sum ``level``, and the event between them."""
+        for (offset, bits), enabled in self._states_with_steps(level - 1, state_set).items():
+            for program, after, _ in enabled:
                 next_offset = offset + (1 if program == 0 else -1)
                 if next_offset != state[0]:
                     continue
@@ -507,11 +541,12 @@ class _HandshakeSearch:
 
 
 def _state_set(states: frozenset[_State]) -> _StateSet:
+    """Return states together with their offsets."""
     return _StateSet(states, tuple(sorted({offset for offset, _ in states})))
 
 
 def _finished_intervals(program: Sequence[AutomatonAction]) -> list[int]:
-    """For each position, the last interval whose work is done: the one before that of the work ahead."""
+    """Return for each position the last interval whose work is done: the one before that of the next work."""
     out = [_AFTER_ALL] * (len(program) + 1)
     for position in range(len(program) - 1, -1, -1):
         action = program[position]

@@ -25,20 +25,24 @@ Chosen: one second settles wires, monitoring threads and the other program's sta
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class WireOperation:
-    """The next operation of a program.
+    """One operation of a program on the wires.
 
-    "set": its line gets ``value``. "wait": until it reads the other program's line so. "look": until it
-    reads the other program's running wire so. "check": it ends unless it reads that line so, the other
-    program as running, and its own running wire is ``own_level``. "ask": until the operator answers. "run":
-    its running wire gets ``value``; ``is_slow``: long after everything before. "watch": a monitoring thread
-    starts or ends. "go" and "done" enclose its work in the interval ``value`` between two meetings.
+    - "set": The program's line gets ``value``.
+    - "wait": The program waits until it reads the level ``value`` of the other program's line.
+    - "look": The program waits until it reads the level ``value`` of the other program's running wire.
+    - "check": The program ends unless it reads ``value`` of the other program's line and 1 of its running
+      wire, and its own running wire is ``own_level``.
+    - "ask": The program waits until the operator answers.
+    - "run": The program's running wire gets ``value``.
+    - "watch": A monitoring thread starts (``value`` 1) or ends (0).
+    - "go", "done": They enclose the program's work in the interval ``value`` between two meetings.
 
     Attributes:
         kind: Kind of operation.
-        value: Level or interval, by kind.
-        own_level: Required level of its own running wire in a "check".
-        is_slow: Whether a "run" comes after a long wait.
-        line: Index into the steps of the program.
+        value: Level or number of the interval, by kind.
+        own_level: Required level of the program's own running wire in a "check".
+        is_slow: Whether a "run" comes after a wait that is so long that all wires have settled.
+        line: Index of the step among the steps of the program.
     """
 
     kind: MoveKind
@@ -55,22 +59,24 @@ def wire_operations(
     reads: Collection[str],
     watches: Collection[str],
 ) -> tuple[list[WireOperation], list[int]]:
-    """Return the operations of a URScript program on its wires, and the interval of each.
+    """Return the operations of a URScript program on its wires, and the interval of each operation.
 
-    Work is what moves the arm or switches something on.
+    Steps that move the arm or switch something on are work. Consecutive work of one interval becomes one
+    "go" and one "done".
 
     Args:
         steps: Steps of the program.
-        interval: Interval of each step.
-        drives: Outputs to the other program, in lower case.
-        reads: Inputs from there, in lower case.
-        watches: Inputs of the other program's running wire, in lower case.
+        interval: Interval between two meetings of each step.
+        drives: Names of outputs to the other program, in lower case.
+        reads: Names of inputs from the other program, in lower case.
+        watches: Names of inputs of the other program's running wire, in lower case.
     """
     out: list[WireOperation] = []
     blocks: list[int] = []
     current_interval = 0
 
     def add(move: WireOperation) -> None:
+        """Append an operation, after the end of the work before it."""
         if move.kind != "go" and out and out[-1].kind == "go":
             out.append(dataclasses.replace(out[-1], kind="done"))
             blocks.append(blocks[-1])

@@ -26,10 +26,10 @@ Bodies that keep the clearance at two queries do not touch between them, as long
 ``MIN_SAMPLE_STRIDE_M``.
 """
 MIN_SAMPLE_STRIDE_M = 0.003
-"""Minimum of that path [m]."""
+"""Smallest stride [m] between two queries. It holds even if the required clearance is smaller."""
 MAX_FULLY_MEASURED = 20_000
-"""Number of queries up to which all distances are measured. Of more, a quarter of it and all undecided ones
-are measured.
+"""Number of queries up to which all distances are measured. With more queries, a quarter of this number,
+evenly spread, and all undecided queries are measured.
 """
 QUERIES_PER_BATCH = 2000
 """Number of queries per batch, after which the number of violations is checked."""
@@ -42,16 +42,18 @@ MAX_UNDECIDED = 250_000
 MAX_VIOLATIONS = 1000
 """Number of violations after which no more undecided queries are measured."""
 DRAKE_QUERIES = 32
-"""Number of queries with the smallest distances, and of others, that Drake measures, too."""
+"""Number of queries that Drake measures, too: as many with the smallest distances, and as many evenly
+spread.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
 class ClearanceMeasurement:
-    """Measured distances.
+    """Measured distances between the bodies of a cell.
 
     Attributes:
         rows: Ascending indices (K,) of the measured queries.
-        min_clearance: Smallest distances there.
+        min_clearance: Smallest distance [m], and its pair of bodies, at each of them.
         unmeasured_bound: Lower bound [m] of the distance at all other queries, infinite without any. None of
             them is below the limit, unless there are so many violations that the search ended.
     """
@@ -62,11 +64,11 @@ class ClearanceMeasurement:
 
 
 def clearance_samples(context: Context, index: int, itself: bool = False) -> IntArray:
-    """Return the samples of setup ``index`` at which clearance is queried.
+    """Return the indices of the samples of setup ``index`` at which clearance is queried.
 
-    No point of an arm, its tool or what it holds moves farther than ``MAX_SAMPLE_STRIDE_M`` between them,
-    of all arms together. With ``itself`` it is each arm's clearance to itself, for which the paths of the
-    others do not count.
+    Between two of them the paths of all arms add up to at most ``MAX_SAMPLE_STRIDE_M``. The path of an arm is
+    that of its fastest point, with its tool and with what it holds. For the clearance of each arm to
+    ``itself`` only the longest path of one arm counts.
     """
     rows = np.flatnonzero(context.sample_setup == index)
     if not len(rows):
@@ -81,6 +83,7 @@ def clearance_samples(context: Context, index: int, itself: bool = False) -> Int
     if itself:
         required = context.problem.settings.self_clearance
     along = np.cumsum(path)
+    # The stride is the required clearance, within the two bounds.
     count = max(int(np.ceil(along[-1] / min(MAX_SAMPLE_STRIDE_M, max(required, MIN_SAMPLE_STRIDE_M)))), 1)
     marks = np.searchsorted(along, np.linspace(0.0, along[-1], count + 1))
     return rows[np.unique(np.clip(marks, 0, len(along) - 1))]
@@ -89,10 +92,9 @@ def clearance_samples(context: Context, index: int, itself: bool = False) -> Int
 def measure_min_distances(
     model: CellModel, q: Mapping[str, FloatArray], limit: float, reach: float, ignore: Pairs
 ) -> ClearanceMeasurement:
-    """Measure smallest distances of bodies.
+    """Measure the smallest distance between the bodies of a cell at many queries.
 
-    They are measured wherever they may be below the limit, where they are smallest, and at evenly spread
-    queries.
+    It is measured wherever it may be below the limit, where it is smallest, and at evenly spread queries.
 
     Args:
         model: Model of the cell.
@@ -106,7 +108,8 @@ def measure_min_distances(
     """
     count = max((len(rows) for rows in q.values()), default=0)
     if count <= MAX_FULLY_MEASURED:
-        measured_rows, distances = np.arange(count), clearance.min_clearance(model, q, reach, ignore)
+        measured_rows = np.arange(count)
+        distances = clearance.min_clearance(model, q, reach, ignore)
         return ClearanceMeasurement(
             measured_rows, _checked_with_drake(model, q, reach, ignore, measured_rows, distances), np.inf
         )
@@ -123,9 +126,9 @@ def measure_min_distances(
         if np.count_nonzero(measured.distance < limit) > MAX_VIOLATIONS:
             break
         if first >= MAX_UNDECIDED:
-            what = f"clearance is undecided at {len(undecided)} of {count} queries"
-            what = f"{what}; allowed: {MAX_UNDECIDED}. Split the job"
-            raise issue_error("verify.duration", what, value=len(undecided), limit=MAX_UNDECIDED)
+            message = f"clearance is undecided at {len(undecided)} of {count} queries"
+            message = f"{message}; allowed: {MAX_UNDECIDED}. Split the job"
+            raise issue_error("verify.duration", message, value=len(undecided), limit=MAX_UNDECIDED)
         measured.measure(undecided[first : first + QUERIES_PER_BATCH])
     order = np.argsort(lower, kind="stable")
     for first in range(0, MAX_NEAREST_QUERIES, QUERIES_PER_BATCH):
@@ -152,9 +155,10 @@ def _checked_with_drake(
     measured_rows: IntArray,
     distances: clearance.MinClearance,
 ) -> clearance.MinClearance:
-    """Compare the smallest distances and some others with Drake's.
+    """Return measured distances after a comparison of the smallest ones and some others with Drake's.
 
-    Drake's come from other code and are never below the truth. If they are smaller, they count.
+    Drake's distances come from independent code and are never below the true ones. Where they are smaller,
+    they replace the measured distances.
     """
     spread = (
         np.linspace(0, len(measured_rows) - 1, DRAKE_QUERIES).astype(np.int64)
@@ -168,11 +172,11 @@ def _checked_with_drake(
         reach,
         ignore,
     )
-    less = np.flatnonzero(drake.distance < distances.distance[chosen] - DISTANCE_PRECISION_M)
-    distance, pair = distances.distance.copy(), list(distances.pair)
-    for k in less.tolist():
-        distance[chosen[k]], pair[chosen[k]] = drake.distance[k], drake.pair[k]
-    return clearance.MinClearance(distance, tuple(pair))
+    closer = np.flatnonzero(drake.distance < distances.distance[chosen] - DISTANCE_PRECISION_M)
+    distance, pairs = distances.distance.copy(), list(distances.pair)
+    for k in closer.tolist():
+        distance[chosen[k]], pairs[chosen[k]] = drake.distance[k], drake.pair[k]
+    return clearance.MinClearance(distance, tuple(pairs))
 
 
 class _MeasuredQueries:
@@ -187,7 +191,7 @@ class _MeasuredQueries:
         self.pair: dict[int, tuple[str, str]] = {}
 
     def measure(self, queries: IntArray) -> None:
-        """Measure queries that have not been measured."""
+        """Measure those of the given queries that have not been measured yet."""
         queries = queries[~self.done[queries]]
         if not len(queries):
             return
@@ -211,14 +215,17 @@ class _MeasuredQueries:
 def max_point_path(
     context: Context, index: int, arm: str, rows: IntArray | slice = slice(None)
 ) -> FloatArray:
-    """Bound the path (M - 1,) [m] of any point of an arm between samples ``rows`` (M,) of a setup."""
+    """Return an upper bound (M - 1,) [m] of the path of any point of an arm between samples ``rows`` (M,).
+
+    It is the sum over the axes of the rotation, times the distance of the farthest point from the axis.
+    """
     reach, q = max_point_distances(context, index, arm), context.motion.link_joints[arm]
     # One axis at a time to limit the memory of long motions.
     return np.asarray(sum(reach[axis] * np.abs(np.diff(q[rows, axis])) for axis in range(q.shape[1])))
 
 
 def max_point_distances(context: Context, index: int, arm: str) -> FloatArray:
-    """Return the maximum distance (J,) [m] of any point of an arm from each of its axes."""
+    """Return upper bounds (J,) [m] of the distance of any point of an arm, with its tool, from each axis."""
     setup = context.setups[index]
     machine, tool = arm_model.robot_machine(setup.cell.arm(arm).data), _hand_reach(setup, arm)
     if machine.spherical_shape is None:
@@ -234,7 +241,10 @@ def max_point_distances(context: Context, index: int, arm: str) -> FloatArray:
 
 
 def _hand_reach(setup: Setup, arm: str) -> float:
-    """Return the maximum distance [m] of any point of the tool, or of a held block, from the flange."""
+    """Return the maximum distance [m] from the flange of any point of the tool, or of a block that it holds.
+
+    At least 50 mm beyond the TCP are counted.
+    """
     tool, stock = setup.cell.arm(arm).tool, setup.stock
     distances = [float(np.linalg.norm(tool.tcp[:3, 3])) + 0.05]
     solid = working_solid(tool)
@@ -248,7 +258,7 @@ def _hand_reach(setup: Setup, arm: str) -> float:
 
 
 def _bounding_radius(shape: Shape) -> float:
-    """Return the radius [m] of a ball about a shape's origin that contains it."""
+    """Return the radius [m] of a sphere about a shape's origin that contains the shape."""
     if shape.vertices is not None:
         return float(np.linalg.norm(shape.vertices, axis=1).max())
     if shape.kind == "box":

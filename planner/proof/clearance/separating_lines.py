@@ -1,7 +1,7 @@
 """Separation of carried shapes from stationary shapes along lines, in closed form.
 
-The extents of two convex shapes along any line prove a distance between them, whatever found the line. So
-does a plane along the motion that keeps both shapes on their sides.
+The extents of two convex shapes along any line prove a distance between them, no matter how the line was
+found. So does a plane along the motion that keeps the shapes on different sides.
 """
 
 import dataclasses
@@ -20,7 +20,9 @@ from planner.proof.rule import mm
 DISTANCE_TOLERANCE_M = 1e-6
 """Tolerance [m] within which distances are equal."""
 MIN_NORMAL_LENGTH = 1e-3
-"""Minimum length of the component of a shape's axis to which a plane along a motion is square."""
+"""Minimum length of the cross product of a shape's axis and the direction of motion from which the normal of
+a plane along the motion is computed. If it is shorter, the two are parallel.
+"""
 
 
 def slides_along(
@@ -31,19 +33,19 @@ def slides_along(
 ) -> bool:
     """Return whether one shape slides along another, which supports it.
 
-    A plane along the motion lies between them, less than a bearing's gap apart across it and nowhere
-    through it. At either end of the motion they are no farther apart than that along the plane, across the
-    motion and along it. A shape that is only passed, or left behind, is no support.
+    A plane along the motion must separate the shapes, with less than a bearing's gap between them. At both
+    ends of the motion the gap between them along the plane, along the motion and across it, must be smaller
+    than that, too. A shape that is only passed, or left behind, is not a support.
 
     Args:
         moving: Moving shape with its pose (4, 4).
         stationary: Stationary shape with its pose (4, 4).
-        direction: Direction (3,) of the motion.
-        travel: Range [m] of the motion from the pose.
+        direction: Unit vector (3,) of the motion.
+        travel: Lower and upper end [m] of the motion, relative to the pose of the moving shape.
     """
-    past = _gap_along(moving, stationary, direction)
+    forward_gap = _gap_along(moving, stationary, direction)
     if (
-        max(past + travel[1], _gap_along(stationary, moving, direction) - travel[0])
+        max(forward_gap + travel[1], _gap_along(stationary, moving, direction) - travel[0])
         >= external_axis_motion.MAX_STANDING_GAP_M
     ):
         return False
@@ -53,7 +55,7 @@ def slides_along(
         if length < MIN_NORMAL_LENGTH:
             continue
         n = normal / length
-        m = np.cross(direction, n)
+        m = np.cross(direction, n)  # in the plane, across the motion
         across, sideways = (
             max(_gap_along(moving, stationary, u), _gap_along(stationary, moving, u)) for u in (n, m)
         )
@@ -68,7 +70,10 @@ def slides_along(
 def _gap_along(
     shape_pose: tuple[Shape, FloatArray], other_pose: tuple[Shape, FloatArray], line: FloatArray
 ) -> float:
-    """Return how far [m] a shape starts after the end of another along a line (3,), negative if before it."""
+    """Return the gap [m] along a line (3,) from the end of the other shape to the start of the first one.
+
+    It is negative if the first shape starts before the other one ends.
+    """
     return -extent(*shape_pose, -line) - extent(*other_pose, line)
 
 
@@ -95,21 +100,21 @@ def unproven_clearance(
     left_out: BoolArray,
     limit: float,
 ) -> str:
-    """Report two shapes for which no line proves that they keep ``limit`` [m].
+    """Report the first query at which no line proves that two shapes keep ``limit`` [m].
 
-    The bound holds at each query and, as no point moves farther than the lever of the carried shapes per
-    unit of the axis value, between two queries.
+    The bound holds at each query. It also holds between two queries, because no point moves farther than the
+    lever of the carried shapes per unit of the axis value.
 
     Args:
         axis: Axis that moves.
         motion: Its motion with the queries.
         carried: Shapes that move.
-        stationary: Shapes that do not move, with their poses.
-        left_out: Pairs (R, F) that are not checked.
+        stationary: Shapes that do not move, and their poses (4, 4).
+        left_out: Flags (R, F) of the pairs of R moving and F stationary shapes that are not checked.
         limit: Required clearance [m].
 
     Returns:
-        What is wrong, or an empty text.
+        Text that names the two shapes and the axis value, empty if the clearance is proven.
     """
     carried_solids, (still_solids, still_poses) = carried.solids, stationary
     first, second = np.nonzero(~left_out)
@@ -127,22 +132,27 @@ def unproven_clearance(
             - extent(still_solids[j].shape, still_poses[j], line)
             for i, j, line in zip(first.tolist(), second.tolist(), lines, strict=True)
         ]
-        worst = int(np.argmin(gaps))
-        bound = gap = float(gaps[worst])
+        worst_index = int(np.argmin(gaps))
+        bound = gap = float(gaps[worst_index])
         if previous is not None:
+            # Between two queries at distance d the gap is at least max(g0 - lever x, g1 - lever (d - x)).
+            # The minimum over x is (g0 + g1 - lever d) / 2.
             bound = min(gap, 0.5 * (previous[1] + gap - carried.lever * abs(query.value - previous[0])))
         if bound < limit - DISTANCE_TOLERANCE_M:
-            what = (
-                f"{carried_solids[int(first[worst])].body} keeps {mm(limit):g} mm from "
-                f"{still_solids[int(second[worst])].body}"
+            requirement = (
+                f"{carried_solids[int(first[worst_index])].body} keeps {mm(limit):g} mm from "
+                f"{still_solids[int(second[worst_index])].body}"
             )
-            return f"it is not proven that {what} at {axis.format_value(query.value)}"
+            return f"it is not proven that {requirement} at {axis.format_value(query.value)}"
         previous = query.value, gap
     return ""
 
 
 def stationary_solids(model: CellModel, excluded: set[str]) -> tuple[list[Solid], list[FloatArray]]:
-    """Return the solids of stationary bodies with their poses: no links, tools or held blocks."""
+    """Return the solids of stationary bodies with their poses (4, 4) in the world.
+
+    Links (except for base links), tools, a held stock and the bodies ``excluded`` are left out.
+    """
     poses = model.poses({})
     held = {"stock"} if model.stock.held_by is not None else set[str]()
     stationary = [
@@ -154,14 +164,17 @@ def stationary_solids(model: CellModel, excluded: set[str]) -> tuple[list[Solid]
 
 
 def is_round_about(shape: Shape, pose: FloatArray, centre: FloatArray, along: FloatArray) -> bool:
-    """Return whether a shape at a pose (4, 4) is rotationally symmetric about an axis."""
+    """Return whether a shape at a pose is rotationally symmetric about the axis ``along`` at ``centre``."""
     aside = float(np.linalg.norm(np.cross(pose[:3, 3] - centre, along)))
     skew = 0.0 if shape.kind == "sphere" else float(np.linalg.norm(np.cross(pose[:3, 2], along)))
     return shape.kind in ("sphere", "cylinder", "capsule") and max(aside, skew) < DISTANCE_TOLERANCE_M
 
 
 def extent(shape: Shape, pose: FloatArray, line: FloatArray) -> float:
-    """Return the extent [m] of a shape at a pose (4, 4) along a line (3,) from the origin, in closed form."""
+    """Return the support function of a shape at a pose: the largest coordinate [m] of its points on a line.
+
+    The line passes through the origin, along a unit vector (3,).
+    """
     local_line, middle = line @ pose[:3, :3], float(line @ pose[:3, 3])
     if shape.vertices is not None:
         return middle + float((shape.vertices @ local_line).max())

@@ -2,7 +2,7 @@
 
 Limits and speeds are the catalogue's. The kinematics are the proof's own: the chain of six revolute joints
 is read from the URDF's text and evaluated in batches. The lengths, offsets and signs of the closed form
-follow from the axes of that chain. No figure comes from the catalogue. The form is that of Brandstoetter,
+follow from the axes of that chain. No dimension comes from the catalogue. The form is that of Brandstoetter,
 Angerer, Hofbaur (2014), ortho-parallel basis and spherical wrist. How its parameters follow from the axes
 is derived here.
 """
@@ -42,12 +42,13 @@ def read_chain(text: str, base: str = BASE_LINK, tip: str = TIP_LINK, user_file:
         text: Text of the file.
         base: Link at which the chain starts.
         tip: Link at which the chain ends.
-        user_file: Whether the file is the user's. It may have seven joints and other moving joints, and frame
-            angles count as the multiple of 15 degrees that they round (:data:`ANGLE_ROUNDING_RAD`).
+        user_file: Whether the file is the user's. It may have seven joints in the chain and moving joints
+            beside it. Frame angles close to a multiple of 15 degrees count as this multiple
+            (:data:`ANGLE_ROUNDING_RAD`).
 
     Raises:
-        ValueError: The text is not XML, has no such chain, not six revolute joints, other moving joints, or
-            invalid numbers.
+        ValueError: The text is not a URDF, has no such chain, another number of revolute joints, other moving
+            joints, or invalid numbers. The message continues "the URDF ...".
     """
     try:
         root = ET.fromstring(text)
@@ -67,12 +68,13 @@ def read_chain(text: str, base: str = BASE_LINK, tip: str = TIP_LINK, user_file:
     if user_file:
         moving = [joint for joint in chain_joints if joint.get("type") != "fixed"]
     if len(revolute) != len(moving) or len(revolute) not in ((6, 7) if user_file else (6,)):
-        what = f"has {len(moving)} moving joints, {len(revolute)} of them revolute in the chain"
-        raise ValueError(f"{what} from {base} to {tip}; required: six, and no others")
+        counts = f"has {len(moving)} moving joints, {len(revolute)} of them revolute in the chain"
+        raise ValueError(f"{counts} from {base} to {tip}; required: six, and no others")
     return _build_chain(chain_joints, user_file)
 
 
 def _chain_joints(parent_joints: dict[str, ET.Element], base: str, tip: str) -> list[ET.Element]:
+    """Return the joints from link ``base`` to link ``tip``, in order."""
     joints: list[ET.Element] = []
     link = tip
     while link != base:
@@ -84,16 +86,18 @@ def _chain_joints(parent_joints: dict[str, ET.Element], base: str, tip: str) -> 
 
 
 def _build_chain(joints: list[ET.Element], user_file: bool) -> SerialChain:
-    links, zero, axes, limits, steps, lays = [], [], [], [], [], []
+    """Return the chain of joints, which are in order from the base to the tip."""
+    links, zero, axes, limits, steps, alignments = [], [], [], [], [], []
+    # The pose in the base, and that in the previous joint frame with its axis along z.
     pose, step = np.eye(4), np.eye(4)
     for joint in joints:
         origin = joint.find("origin")
-        moved = np.eye(4)
+        origin_pose = np.eye(4)
         if origin is not None:
             rpy = _numbers(joint, origin, "rpy", "0 0 0")
-            moved[:3, :3] = _rotation(_unrounded(rpy) if user_file else rpy)
-            moved[:3, 3] = _numbers(joint, origin, "xyz", "0 0 0")
-        pose, step = pose @ moved, step @ moved
+            origin_pose[:3, :3] = _rotation(_unrounded(rpy) if user_file else rpy)
+            origin_pose[:3, 3] = _numbers(joint, origin, "xyz", "0 0 0")
+        pose, step = pose @ origin_pose, step @ origin_pose
         if joint.get("type") == "fixed":
             continue
         if joint.find("mimic") is not None:
@@ -103,15 +107,15 @@ def _build_chain(joints: list[ET.Element], user_file: bool) -> SerialChain:
         if not np.linalg.norm(axis) > 1e-3:
             raise ValueError(f"has a joint {joint.get('name')} with the invalid axis {axis.tolist()}")
         axis = axis / np.linalg.norm(axis)
-        lay = np.eye(4)
-        lay[:3, :3] = _frame_with_z(axis)
+        alignment = np.eye(4)
+        alignment[:3, :3] = _frame_with_z(axis)
         links.append(_link(joint, "child"))
         zero.append(pose)
         axes.append(pose[:3, :3] @ axis)
         limits.append(_limits(joint))
-        steps.append(step @ lay)
-        lays.append(lay[:3, :3])
-        step = lay.T
+        steps.append(step @ alignment)
+        alignments.append(alignment[:3, :3])
+        step = alignment.T  # its inverse, as it is a rotation alone
     lower, upper, velocity = np.array(limits).T
     return SerialChain(
         links=(*links, _link(joints[-1], "child")),
@@ -121,7 +125,7 @@ def _build_chain(joints: list[ET.Element], user_file: bool) -> SerialChain:
         upper=upper,
         velocity=velocity,
         step=np.array([*steps, step]),
-        axis_alignment=np.array(lays),
+        axis_alignment=np.array(alignments),
     )
 
 
@@ -138,15 +142,13 @@ ANGLE_ROUNDING_RAD: Final = 2e-4
 
 
 def _unrounded(angles: FloatArray) -> FloatArray:
-    twelfths = np.rint(angles * 12.0 / np.pi) * np.pi / 12.0
-    return np.where(np.abs(angles - twelfths) <= ANGLE_ROUNDING_RAD, twelfths, angles)
+    """Return angles, with those that round a multiple of 15 degrees replaced by this multiple."""
+    multiples = np.rint(angles * 12.0 / np.pi) * np.pi / 12.0
+    return np.where(np.abs(angles - multiples) <= ANGLE_ROUNDING_RAD, multiples, angles)
 
 
 def _rotation(rpy: FloatArray) -> FloatArray:
-    """Return the rotation (3, 3) by roll, pitch, yaw [rad].
-
-    They are about the fixed axes x, y, z in this order, as in URDF.
-    """
+    """Return the rotation (3, 3) by roll, pitch, yaw [rad] about the fixed axes x, y, z, as in URDF."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
     roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
     pitch = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
@@ -155,6 +157,7 @@ def _rotation(rpy: FloatArray) -> FloatArray:
 
 
 def _limits(joint: ET.Element) -> list[float]:
+    """Return lower limit, upper limit and speed of a joint [rad, rad/s], NaN where none is stated."""
     limit = joint.find("limit")
     if limit is None:
         return [np.nan] * 3
@@ -162,6 +165,7 @@ def _limits(joint: ET.Element) -> list[float]:
 
 
 def _link(joint: ET.Element, role: str) -> str:
+    """Return the name of the ``parent`` or ``child`` link of a joint."""
     element = joint.find(role)
     name = None if element is None else element.get("link")
     if not name:
@@ -170,20 +174,23 @@ def _link(joint: ET.Element, role: str) -> str:
 
 
 def _numbers(joint: ET.Element, element: ET.Element, key: str, default: str) -> FloatArray:
-    """Return the numbers of an attribute, as many as its default has. NaN is allowed only by default."""
+    """Return the numbers of attribute ``key`` of an element in a joint.
+
+    There must be as many as in ``default``. Numbers that are stated must be finite; the default may be NaN.
+    """
     text, count = element.get(key), len(default.split())
     try:
         values = np.array([float(word) for word in (text or default).split()])
     except ValueError:
         values = np.zeros(0)
     if len(values) != count or (text is not None and not np.isfinite(values).all()):
-        what = f"<{element.tag} {key}={text!r}> in joint {joint.get('name')}"
-        raise ValueError(f"has {what}; required: {count} finite numbers")
+        attribute = f"<{element.tag} {key}={text!r}> in joint {joint.get('name')}"
+        raise ValueError(f"has {attribute}; required: {count} finite numbers")
     return values
 
 
 AXIS_TOLERANCE: Final = 1e-9
-"""Tolerance [m] for axes that meet, and [rad] for parallel or square axes, because files round."""
+"""Tolerance [m] for axes that meet, and [rad] for parallel or perpendicular axes, because files round."""
 
 _LENGTH_DECIMALS: Final = 11
 """Number of decimals of lengths [m], so that sums of a file's decimals get no noise."""
@@ -217,15 +224,15 @@ class ArmShape:
 
 
 def shape_of(chain: SerialChain, user_file: bool = False) -> ArmShape:
-    """Return the dimensions of a chain.
+    """Return the dimensions of a chain with a spherical wrist.
 
     Args:
         chain: The chain.
         user_file: Whether the chain is from a user's file. Its base and tip may have any pose relative to
-            the form's.
+            those of the closed form (:class:`ArmShape`).
 
     Raises:
-        ValueError: Axes are not as the form has them.
+        ValueError: The axes are not arranged as in the closed form.
     """
     if not user_file:
         return _shape_of(chain)
@@ -235,24 +242,25 @@ def shape_of(chain: SerialChain, user_file: bool = False) -> ArmShape:
     right = _form_tip(chain)
     zero = np.concatenate([chain.zero[:6], chain.zero[6:] @ inverse(right)])
     shape = _shape_of(dataclasses.replace(chain, zero=zero))
-    if np.abs(right - np.eye(4)).max() > AXIS_TOLERANCE:  # the tip does not define axis 6
-        by = shape.offsets[5]
-        turn = np.eye(4)
-        turn[:2, :2] = [[np.cos(by), np.sin(by)], [-np.sin(by), np.cos(by)]]
-        right = turn @ right
+    if np.abs(right - np.eye(4)).max() > AXIS_TOLERANCE:
+        # The tip does not define the zero of axis 6, so the offset of axis 6 becomes part of the tip.
+        offset = shape.offsets[5]
+        rotation = np.eye(4)
+        rotation[:2, :2] = [[np.cos(offset), np.sin(offset)], [-np.sin(offset), np.cos(offset)]]
+        right = rotation @ right
         shape = dataclasses.replace(shape, offsets=np.array([*shape.offsets[:5], 0.0]))
     return dataclasses.replace(shape, left=left, right=right)
 
 
 MIN_AXIS_DISTANCE_M: Final = 3e-3
-"""Distance [m] from an axis below which a point does not define where an arm is or faces."""
+"""Distance [m] from an axis below which a point does not define the direction of an arm's base frame."""
 
 
 def _form_base(chain: SerialChain) -> FloatArray:
-    """Return the form's base (4, 4) in that of the chain.
+    """Return the base frame (4, 4) of the closed form in that of the chain.
 
-    z is along axis 1 to where axis 2 lies from the base, else up. y is along axis 2, so that x points to
-    where axis 2 is off axis 1, else to the wrist, else ahead.
+    z is along axis 1, toward axis 2 as seen from the base; if both are at one height, z points up. y is along
+    axis 2 with the sign that lets x point from axis 1 toward axis 2, else toward the wrist, else ahead.
     """
     w, point = chain.axis, chain.zero[:6, :3, 3]
     rise = float(point[1] @ w[0])
@@ -261,6 +269,7 @@ def _form_base(chain: SerialChain) -> FloatArray:
     wrist = _nearest_point(point[3], w[3], point[4], w[4])
     ahead = np.cross(w[1], up)
     distances = [float(offset @ ahead) for offset in (point[1] - origin, wrist - origin)]
+    # Without any such distance, an arbitrary direction that is not along an axis decides the sign.
     distances = [distance for distance in distances if abs(distance) > MIN_AXIS_DISTANCE_M] or [
         float(np.array([1.0, 0.5, 0.25]) @ ahead)
     ]
@@ -272,7 +281,11 @@ def _form_base(chain: SerialChain) -> FloatArray:
 
 
 def _form_tip(chain: SerialChain) -> FloatArray:
-    """Return the chain's tip (4, 4) in a flange on axis 6 with z out of the wrist."""
+    """Return the chain's tip (4, 4) in the flange of the closed form.
+
+    The flange of the closed form lies on axis 6, with z along this axis, out of the wrist.
+    The result is the identity if the tip is such a flange itself.
+    """
     w, point, tip = chain.axis, chain.zero[:6, :3, 3], chain.zero[6]
     wrist = _nearest_point(point[3], w[3], point[4], w[4])
     reach = float((tip[:3, 3] - wrist) @ w[5])
@@ -280,7 +293,7 @@ def _form_tip(chain: SerialChain) -> FloatArray:
     origin = wrist + abs(reach) * out
     if tip[:3, 2] @ out > 1.0 - 1e-6 and np.linalg.norm(tip[:3, 3] - origin) <= MODEL_TOLERANCE:
         return np.eye(4)
-    x = w[4]  # square to axis 6; any frame on it is valid
+    x = w[4]  # perpendicular to axis 6; any such direction is valid
     flange = np.eye(4)
     flange[:3, :3] = np.stack([x, np.cross(out, x), out], axis=1)
     flange[:3, 3] = origin
@@ -288,6 +301,10 @@ def _form_tip(chain: SerialChain) -> FloatArray:
 
 
 def _shape_of(chain: SerialChain) -> ArmShape:
+    """Return the dimensions of a chain whose base and tip are those of the closed form.
+
+    The axes at zero give the angles theta of the form at zero joints, so that offsets = -theta.
+    """
     w, point = chain.axis, chain.zero[:6, :3, 3]
     flange = chain.zero[6]
     up = np.array([0.0, 0.0, 1.0])
@@ -309,9 +326,9 @@ def _shape_of(chain: SerialChain) -> ArmShape:
     front = np.cross(side, up)
     plane = np.stack([front, side, up])  # rows of the frame that turns with axis 1
     shoulder, elbow, centre = (plane @ position for position in (point[1], point[2], wrist))
-    upper, rest = elbow - shoulder, centre - elbow
+    upper, elbow_to_wrist = elbow - shoulder, centre - elbow
     lengthwise = plane @ w[3]
-    sign4 = 1.0 if rest @ lengthwise > 0.0 else -1.0
+    sign4 = 1.0 if elbow_to_wrist @ lengthwise > 0.0 else -1.0
     lengthwise = sign4 * lengthwise
     across = np.array(
         [lengthwise[2], 0.0, -lengthwise[0]]
@@ -327,11 +344,11 @@ def _shape_of(chain: SerialChain) -> ArmShape:
     theta = np.array([np.arctan2(-side[0], side[1]), t2, t3, t4, t5, t6])
     shape = ArmShape(
         a1=_metres(shoulder[0]),
-        a2=_metres(rest @ across),
+        a2=_metres(elbow_to_wrist @ across),
         b=_metres(centre[1]),
         c1=_metres(shoulder[2]),
         c2=_metres(np.hypot(upper[0], upper[2])),
-        c3=_metres(rest @ lengthwise),
+        c3=_metres(elbow_to_wrist @ lengthwise),
         c4=_metres(wrist_to_flange @ flange[:3, 2]),
         offsets=-theta,
         signs=np.array(
@@ -346,6 +363,7 @@ def _shape_of(chain: SerialChain) -> ArmShape:
 
 
 def _metres(value: float) -> float:
+    """Round a length [m] to the decimals of files, without a negative zero."""
     return round(float(value), _LENGTH_DECIMALS) + 0.0
 
 
@@ -356,10 +374,9 @@ def _aligned(axis: FloatArray, reference: FloatArray) -> tuple[FloatArray, float
 
 
 def _nearest_point(a: FloatArray, u: FloatArray, b: FloatArray, v: FloatArray) -> FloatArray:
-    """Return the point of one line that is nearest to another line.
+    """Return the point of one line that is nearest to a second line, which is perpendicular to it.
 
-    The first line is through ``a`` along ``u``, the second one through ``b`` along ``v``, which is square to
-    ``u``.
+    The first line passes through ``a`` along ``u``, the second one through ``b`` along ``v``.
     """
     return np.asarray(a + ((b - a) @ u) * u)
 
@@ -402,10 +419,10 @@ _LINK_LENGTHS: Final = ("a1", "a2", "b", "c1", "c2", "c3", "c4")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RobotMachine:
-    """One robot.
+    """One robot as the proof uses it.
 
     Attributes:
-        data: Catalogue data, used for limits, speeds, coupling and home alone.
+        data: Catalogue data, used only for limits, speeds, coupling and home.
         chain: Joint chain of its URDF.
         spherical_shape: Dimensions from its URDF, None for arms with three parallel axes, an offset wrist or
             seven axes.
@@ -417,9 +434,10 @@ class RobotMachine:
 
     @property
     def is_followed(self) -> bool:
-        """Whether no text names its postures.
+        """Whether the arm has an offset wrist, whose branches no program text names.
 
-        Straight moves then continue from the joints before them (:mod:`planner.proof.kinematics.offset_arm`).
+        Its straight moves continue from the joints before them
+        (:mod:`planner.proof.kinematics.offset_arm`).
         """
         return isinstance(self.data.form, OffsetParameters)
 
@@ -428,7 +446,7 @@ class RobotMachine:
         """The DH table of a UR arm.
 
         Raises:
-            TandemError: Another arm with parallel axes, whose programs are not read
+            TandemError: The arm has parallel axes, but does not follow UR's convention
                 (``verify.robot_model``).
         """
         chain = self.chain
@@ -441,7 +459,7 @@ class RobotMachine:
 
     @property
     def shape(self) -> ArmShape:
-        """Its dimensions, as readers of RAPID and KRL need them.
+        """Dimensions of the arm, with whose closed form RAPID and KRL targets are solved.
 
         Raises:
             TandemError: The arm has no spherical wrist (``verify.robot_model``).
@@ -457,19 +475,22 @@ class RobotMachine:
 
 
 def robot_machine(data: RobotData) -> RobotMachine:
-    """Return the robot according to its URDF, that of the catalogue or the user's.
+    """Return a robot according to its URDF, which is that of the catalogue or the user's.
 
     Raises:
-        TandemError: The file cannot be read, or is not of a supported arm (``verify.robot_model``), or as in
-            :func:`planner.catalogue.robots.urdf_path`.
+        TandemError: The file cannot be read, or describes an unsupported arm (``verify.robot_model``). Also
+            the errors of :func:`planner.catalogue.robots.urdf_path`.
     """
     path = urdf_path(data.name) if data.file is None else None
-    wrist = isinstance(data.form, OpwParameters)
+    has_spherical_wrist = isinstance(data.form, OpwParameters)
     try:
         if path is not None:
-            chain, shape = _read_robot(path.read_text(encoding="utf-8"), BASE_LINK, TIP_LINK, False, wrist)
+            text = path.read_text(encoding="utf-8")
+            chain, shape = _read_robot(text, BASE_LINK, TIP_LINK, user_file=False, wrist=has_spherical_wrist)
         elif data.file is not None:
-            chain, shape = _read_robot(data.file.text, data.file.base, data.file.tip, True, wrist)
+            chain, shape = _read_robot(
+                data.file.text, data.file.base, data.file.tip, user_file=True, wrist=has_spherical_wrist
+            )
     except (OSError, ValueError) as error:
         message = f"the robot {data.name}: its URDF {error}"
         file = None if path is None else str(path)
@@ -481,6 +502,7 @@ def robot_machine(data: RobotData) -> RobotMachine:
 def _read_robot(
     text: str, base: str, tip: str, user_file: bool, wrist: bool
 ) -> tuple[SerialChain, ArmShape | None]:
+    """Return chain and dimensions from the text of a URDF, the dimensions for a spherical wrist only."""
     chain = read_chain(text, base, tip, user_file)
     return chain, shape_of(chain, user_file) if wrist else None
 
@@ -491,7 +513,11 @@ def robot_hint(data: RobotData) -> str:
 
 
 def compare_with_problem(stated: Mapping[str, Any], data: RobotData) -> list[str]:
-    """Compare the robot file with which programs were planned with the problem. Its URDF is read again."""
+    """Return differences of the robot's file from the one with which programs were planned.
+
+    The URDF is read again for this. ``stated`` is what the problem states: ``urdf``, ``base`` and ``tip``. A
+    robot of the catalogue has no differences.
+    """
     file, out = data.file, []
     if file is None:
         return []
@@ -518,7 +544,10 @@ def _link_names(text: str) -> set[str]:
 
 
 def compare_with_catalogue(machine: RobotMachine) -> list[str]:
-    """Compare the catalogue's dimensions and limits, with which programs are planned, with the URDF."""
+    """Return the differences between the URDF and the catalogue, with whose data programs are planned.
+
+    Compared are dimensions, joint limits and joint speeds.
+    """
     chain, data = machine.chain, machine.data
     if isinstance(data.form, ParallelParameters):
         out = list(parallel_arm.compare_with_plan(data.form, chain, MODEL_TOLERANCE))
@@ -543,7 +572,7 @@ def compare_with_catalogue(machine: RobotMachine) -> list[str]:
 
 
 def _compare_spherical(shape: ArmShape, planned: OpwParameters) -> list[str]:
-    """Compare lengths, offsets, base, tip and signs with the URDF."""
+    """Return the differences between the dimensions of the URDF (``shape``) and those of the catalogue."""
     out = []
     for key in _LINK_LENGTHS:
         in_urdf, in_catalogue = getattr(shape, key), getattr(planned, key)
@@ -552,15 +581,18 @@ def _compare_spherical(shape: ArmShape, planned: OpwParameters) -> list[str]:
                 f"{key} is {1e3 * in_urdf:.6f} mm by the axes of the URDF, {1e3 * in_catalogue:.6f} in the "
                 "catalogue"
             )
-    turn = np.abs((shape.offsets - planned.offsets + np.pi) % (2.0 * np.pi) - np.pi)
-    for i in np.flatnonzero(~(turn <= MODEL_TOLERANCE)):
+    offset_deviation = np.abs((shape.offsets - planned.offsets + np.pi) % (2.0 * np.pi) - np.pi)
+    for i in np.flatnonzero(~(offset_deviation <= MODEL_TOLERANCE)):
         in_urdf, in_catalogue = np.rad2deg([shape.offsets[i], planned.offsets[i]])
         out.append(
             f"the offset of axis {i + 1} is {in_urdf:.6f} deg in the URDF, {in_catalogue:.6f} in the "
             "catalogue"
         )
-    for word, mine, planners in (("base", shape.left, planned.left), ("tip", shape.right, planned.right)):
-        deviation = np.abs(mine - (np.eye(4) if planners is None else planners)).max()
+    for word, urdf_pose, catalogue_pose in (
+        ("base", shape.left, planned.left),
+        ("tip", shape.right, planned.right),
+    ):
+        deviation = np.abs(urdf_pose - (np.eye(4) if catalogue_pose is None else catalogue_pose)).max()
         if not deviation <= MODEL_TOLERANCE:
             out.append(f"the {word} differs from that by the axes of the URDF by {deviation:.3g} [m, -]")
     opposite = np.flatnonzero(shape.signs != planned.signs)

@@ -50,20 +50,27 @@ class SerialChain:
         return self._compute_frames(q, tip_only=False)
 
     def _compute_frames(self, q: FloatArray, tip_only: bool) -> FloatArray:
+        """Compute poses (..., J + 1 or 1, 4, 4) at joint angles (..., J) [rad], in batches of postures."""
         count = len(self.axis)
-        rows = np.asarray(q, dtype=np.float64).reshape(-1, count)
-        out = np.zeros((len(rows), 1 if tip_only else count + 1, 4, 4))
+        postures = np.asarray(q, dtype=np.float64).reshape(-1, count)
+        out = np.zeros((len(postures), 1 if tip_only else count + 1, 4, 4))
         out[..., 3, 3] = 1.0
-        for first in range(0, len(rows), POSTURES_PER_BATCH):
+        for first in range(0, len(postures), POSTURES_PER_BATCH):
             batch = slice(first, first + POSTURES_PER_BATCH)
-            self._fill_frames(rows[batch], out[batch], tip_only)
+            self._fill_frames(postures[batch], out[batch], tip_only)
         return out.reshape(*np.shape(q)[:-1], *out.shape[1:])
 
     def _fill_frames(self, q: FloatArray, out: FloatArray, tip_only: bool) -> None:
         """Fill ``out`` (B, J + 1 or 1, 4, 4) with poses.
 
-        Axes and positions are stored as rows, (3, 3 B) and (3 B,). A rotation about z then combines two rows,
-        and a step is one product with a constant matrix.
+        The x, y and z axes of all frames are the rows of an array (3, 3 B), with the first coordinates of all
+        B postures first. Positions (3 B,) have the same order. A rotation about z then combines two rows, and
+        a step to the next joint is one product with a constant matrix.
+
+        Args:
+            q: Joint angles (B, J) [rad].
+            out: Poses to be filled. Their last row is set already.
+            tip_only: Whether only the pose of the tip is written.
         """
         count = len(q)
         cos, sin = (np.tile(f(q.T), 3) for f in (np.cos, np.sin))

@@ -14,7 +14,7 @@ from planner.problem import STOCK_AXIS, TILT_AXIS, Arm, Cell, Turntable
 from planner.programs.steps import MoveStep
 
 AXIS_VALUE_TOLERANCE = 1e-6
-"""Tolerance [m, rad] within which axis values are the same station."""
+"""Tolerance [m, rad] within which two values of an axis count as equal."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,7 +25,7 @@ class TaskAxis:
         station_name: Name of its value among stations: that of an arm's axis, :data:`STOCK_AXIS` or
             :data:`TILT_AXIS`.
         mechanical_unit: Name of its mechanical unit.
-        label: Mechanical unit of that name, or one of its axes.
+        label: Name in messages: that of the mechanical unit, or of one of its axes.
         column: Index of its value among the external axes of targets.
         scale: Factor from the values of targets to m or rad.
         unit_symbol: Unit of values in texts.
@@ -71,8 +71,8 @@ class TaskAxis:
 def task_axes(arm: Arm, table: Turntable | None) -> tuple[TaskAxis, ...]:
     """Return the external axes that the task of an arm moves.
 
-    They are those under the arm from the floor up, then the turntable or the turn axis of a positioner,
-    then its tilt axis.
+    Axes that carry the arm come first, from the floor up. The turntable, or turn axis and tilt axis of the
+    positioner, follow if this task moves them.
     """
     out = []
     for name, rail in arm.axes_by_name.items():
@@ -88,27 +88,31 @@ def task_axes(arm: Arm, table: Turntable | None) -> tuple[TaskAxis, ...]:
 
 
 def motion_order(axes: Sequence[TaskAxis], axis: TaskAxis, start: float, end: float) -> tuple[int, int]:
-    """Return the sort key of an axis motion among those of a task, which run one after the other.
+    """Return a sort key for the motion of an external axis.
 
-    Axes under an arm that come nearer to home move first, from the arm down, then the others, from the
-    floor up. Under the block the turn axis moves before the tilt axis.
+    A task moves its axes one after the other, in ascending order of this key. Axes that carry an arm and move
+    toward home come first, from the uppermost axis down. All other motions follow in the order of ``axes``:
+    from the floor up, then the turn axis and then the tilt axis of a positioner.
 
     Args:
-        axes: Axes of the task.
+        axes: Axes of the task, in the order of :func:`task_axes`.
         axis: Axis that moves.
-        start: Its value [m, rad] before.
-        end: Its value [m, rad] after.
+        start: Value [m, rad] of the axis before the motion.
+        end: Value [m, rad] of the axis after the motion.
     """
     rank = axes.index(axis)
-    nearer = abs(start - axis.home) - abs(end - axis.home) > AXIS_VALUE_TOLERANCE
-    return (0, -rank) if axis.arm is not None and nearer else (1, rank)
+    toward_home = abs(start - axis.home) - abs(end - axis.home) > AXIS_VALUE_TOLERANCE
+    return (0, -rank) if axis.arm is not None and toward_home else (1, rank)
 
 
 def axis_translation(arm: Arm, values: Mapping[str, float], last: str | None = None) -> FloatArray:
-    """Return the translation (3,) [m] of what stands on the axes under an arm.
+    """Return the translation (3,) [m] in the world by the linear axes that carry an arm.
 
-    That is its base, or what stands on the axis ``last``. ``values`` [m] are by axis name, 0 for axes that
-    are not named.
+    Args:
+        arm: The arm.
+        values: Axis values [m] by name, 0 for axes that are not named.
+        last: Name of the last axis that counts, from the floor up. By default all axes count, so that the
+            result is the translation of the arm's base.
     """
     out = np.zeros(3)
     for name, rail in arm.axes_by_name.items():
@@ -121,7 +125,10 @@ def axis_translation(arm: Arm, values: Mapping[str, float], last: str | None = N
 def carried_motions(
     cell: Cell, end: Mapping[str, float], start: Mapping[str, float]
 ) -> dict[str, FloatArray]:
-    """Return the motions (4, 4) of what stands on axes under arms, by axis name, between axis values [m]."""
+    """Return the motions (4, 4) in the world of bodies that stand on axes that carry arms, by axis name.
+
+    They lead from the axis values ``start`` to ``end`` [m], by axis name.
+    """
     out = {}
     for arm in cell.arms:
         for name, rail in arm.axes_by_name.items():
@@ -132,14 +139,15 @@ def carried_motions(
 
 
 def axis_values(arm: Arm, external: FloatArray) -> dict[str, float]:
-    """Return the values [m] of the axes under an arm by name, from the external axes (6,) of a target."""
+    """Return the values [m] of the axes that carry an arm, by name, from a target's external axes (6,)."""
     return {axis.station_name: axis.scale * float(external[axis.column]) for axis in task_axes(arm, None)}
 
 
 def floor_height(cell: Cell) -> float:
     """Return the height [m] of the floor.
 
-    It is 0, or the foot of the lowest upright arm with the axes under it at 0.
+    It is 0, or the height of the lowest foot of an upright arm, with its external axes at 0, if that is
+    lower.
     """
     foot_heights = [
         arm.base[2, 3] - axis_translation(arm, arm.axis_values)[2]

@@ -1,10 +1,10 @@
 """Joint angles of a tool pose in closed form, and the solution that a controller selects among them.
 
-Derived here from the form in :class:`planner.proof.kinematics.arm_model.ArmShape`, whose figures are those
-of the URDF's axes, by intersecting two circles in the plane of axis 1. It shares no code with the planner's
-solver. Each solution is put through the chain of the URDF and counts only if that leads back to its pose. A
-branch is the number 4 * (wrist centre behind axis 1) + 2 * (wrist centre behind the lower arm) + (axis 5
-negative), ABB's cfx of serial arms.
+The solution is derived here from the closed form in :class:`planner.proof.kinematics.arm_model.ArmShape`,
+whose dimensions are those of the URDF's axes, by intersecting two circles in the plane of axis 1. It shares
+no code with the planner's solver. Each solution is put through the chain of the URDF and counts only if that
+leads back to its pose. A branch is the number 4 * (wrist centre behind axis 1) + 2 * (wrist centre behind the
+lower arm) + (axis 5 negative), ABB's cfx of serial arms.
 
 ABB's confdata select the branch by cfx and the quadrants of axes 1, 4 and 6. Quadrant n covers n * 90 to (n
 + 1) * 90 degrees (ABB, Technical reference manual RAPID, confdata), so a value also fixes the whole turns
@@ -33,7 +33,8 @@ POSE_TOLERANCE = 1e-9
 def solve(machine: RobotMachine, flange: FloatArray, branch: IntArray) -> FloatArray:
     """Return serial joint angles of flange poses on given branches.
 
-    Axes 1, 4 and 6 are in (-pi, pi] of the OPW angle. The caller adds whole turns (:func:`nearest_turns`).
+    Axes 1, 4 and 6 have the turn in which the angles theta of the closed form are within (-pi, pi]. The
+    caller adds whole turns (:func:`nearest_turns`).
     Arms with three parallel axes have branches of their own (:mod:`planner.proof.kinematics.parallel_arm`).
 
     Args:
@@ -42,9 +43,8 @@ def solve(machine: RobotMachine, flange: FloatArray, branch: IntArray) -> FloatA
         branch: Branches (B,).
 
     Returns:
-        Angles (B, 6) [rad]. NaN out of reach, if the URDF's chain does not lead to the pose, and for arms
-            with an offset
-        wrist, whose branches no text names.
+        Angles (B, 6) [rad]. They are NaN if the pose is out of reach, if the URDF's chain does not lead to
+        the pose, and for arms with an offset wrist, whose branches no text names.
     """
     if machine.is_followed:
         return np.full((len(flange), 6), np.nan)
@@ -84,16 +84,16 @@ def solve(machine: RobotMachine, flange: FloatArray, branch: IntArray) -> FloatA
     theta = np.stack([t1, t2, t3, t4, t5, t6], axis=-1)
     theta[:, [1, 2, 4]] = wrapped(theta[:, [1, 2, 4]] + p.offsets[[1, 2, 4]]) - p.offsets[[1, 2, 4]]
     q = p.signs * (theta + p.offsets)
-    # Axis 3 of some arms reaches below -180 degrees, so take the turn within its limits.
+    # Axis 3 of some arms reaches below -180 degrees, so axes 2 and 3 take the turn next to their middle.
     middle = 0.5 * (machine.data.lower + machine.data.upper)
     q[:, 1:3] = middle[1:3] + wrapped(q[:, 1:3] - middle[1:3])
     return _verified(machine, q, flange)
 
 
 def _verified(machine: RobotMachine, q: FloatArray, flange: FloatArray) -> FloatArray:
-    """Return joints ``q`` (B, 6), NaN where they do not fit.
+    """Return joints ``q`` (B, 6), NaN where the URDF's chain does not lead to the poses ``flange`` (B, 4, 4).
 
-    They fit if the URDF's chain leads to the poses ``flange`` (B, 4, 4).
+    ``q`` is changed in place.
     """
     deviation = np.abs(machine.flange(q) - flange).max(axis=(1, 2), initial=0.0)
     q[~(deviation <= POSE_TOLERANCE)] = np.nan
@@ -117,10 +117,7 @@ def branch_of(machine: RobotMachine, q: FloatArray) -> IntArray:
 
 
 def nearest_turns(q: FloatArray, reference: FloatArray) -> FloatArray:
-    """Return ``q`` (..., 6) with whole turns added to axes 1, 4 and 6.
-
-    The turns are those with which they are nearest to ``reference``.
-    """
+    """Return ``q`` (..., 6) with the whole turns of axes 1, 4 and 6 that are nearest to ``reference``."""
     out = np.array(q)
     for axis in (0, 3, 5):
         out[..., axis] += FULL_TURN_RAD * np.round((reference[..., axis] - q[..., axis]) / FULL_TURN_RAD)
@@ -128,9 +125,10 @@ def nearest_turns(q: FloatArray, reference: FloatArray) -> FloatArray:
 
 
 def unwrapped_path(machine: RobotMachine, q: FloatArray, start: FloatArray) -> FloatArray:
-    """Return angles (B, 6) along a path, unwrapped from row to row from the turns of ``start`` (6,) on.
+    """Return the joint angles (B, 6) along a path without jumps by whole turns.
 
-    Unwrapped are axes 1, 4 and 6, and all axes of an arm without a spherical wrist.
+    The first posture takes the turns nearest to ``start`` (6,), each other one those nearest to the posture
+    before it. This concerns axes 1, 4 and 6, and all axes of an arm without a spherical wrist.
     """
     out = np.array(q)
     for axis in range(6) if machine.spherical_shape is None else (0, 3, 5):
@@ -149,9 +147,10 @@ def wrapped(angle: FloatArray) -> FloatArray:
 def singularity_distance(machine: RobotMachine, q: FloatArray) -> FloatArray:
     """Return the angle (...,) [rad] of serial angles (..., 6) to the nearest singularity.
 
-    Singularities are the wrist (|axis 5|), the stretched elbow (bend between lower arm and forearm) and the
-    wrist above axis 1 (angle at which the wrist centre is seen off axis 1 from the shoulder's height). Arms
-    with three parallel axes, an offset wrist or seven axes (..., 7) have their own.
+    It is the smallest of three angles: of axis 5 from 0 or 180 degrees (wrist), of the bend between lower arm
+    and forearm from 0 or 180 degrees (elbow), and the angle whose tangent is the distance of the wrist centre
+    from axis 1 divided by the length of the forearm (shoulder). Arms with three parallel axes, an offset
+    wrist or seven axes (..., 7) have measures of their own.
     """
     if machine.spherical_shape is None:
         if machine.is_followed:
@@ -183,15 +182,15 @@ QUADRANT_ANGLE_RAD = 0.5 * np.pi
 _CONF_AXES = (0, 3, 5)
 """Axes 1, 4 and 6, whose quadrants confdata name."""
 QUADRANT_TOLERANCE_RAD = np.deg2rad(0.01)
-"""Tolerance [rad] at a quadrant's border.
-Rounded targets put an axis at exactly 90 degrees on either side.
+"""Tolerance [rad] at a quadrant's border. Rounding of a target may put an axis at exactly 90 degrees on
+either side of the border.
 """
 
 
 def select_by_confdata(machine: RobotMachine, flange: FloatArray, conf: IntArray) -> FloatArray:
-    """Return the joint angles (B, 6) that confdata (B, 4) select, NaN for none.
+    """Return the joint angles (B, 6) [rad] that confdata (B, 4) select, NaN where no solution fits.
 
-    The flange poses (B, 4, 4) are in the base.
+    Flange poses (B, 4, 4) are in the base. Confdata are quadrants of axes 1, 4 and 6, and the branch.
     """
     q = solve(machine, flange, conf[:, 3])
     for column, axis in enumerate(_CONF_AXES):
@@ -204,10 +203,7 @@ def select_by_confdata(machine: RobotMachine, flange: FloatArray, conf: IntArray
 
 
 def fits_confdata(machine: RobotMachine, q: FloatArray, conf: IntArray) -> BoolArray:
-    """Return whether confdata (B, 4) are those of joint angles (B, 6).
-
-    There is a tolerance at quadrant borders.
-    """
+    """Return whether (B,) confdata (B, 4) are those of joint angles (B, 6), with a tolerance at borders."""
     middle = (conf[:, :3] + 0.5) * QUADRANT_ANGLE_RAD
     quadrant = np.all(
         np.abs(q[:, _CONF_AXES] - middle) <= 0.5 * QUADRANT_ANGLE_RAD + QUADRANT_TOLERANCE_RAD, axis=-1
@@ -216,9 +212,9 @@ def fits_confdata(machine: RobotMachine, q: FloatArray, conf: IntArray) -> BoolA
 
 
 NEAR_ZERO_ANGLE_RAD = np.deg2rad(2.0)
-"""Angle [rad] from zero below which a controller may ignore the turn bit of an axis."""
+"""Angle [rad] from zero below which a controller may ignore the bit of an axis in Turn."""
 _ZERO_TOLERANCE_RAD = np.deg2rad(1e-4)
-"""Tolerance [rad] of the sign of an axis against its turn bit, because poses are rounded."""
+"""Tolerance [rad] of the sign of an axis against its bit in Turn, because poses are rounded."""
 _SOLUTION_TOLERANCE_RAD = np.deg2rad(1e-3)
 """Joint difference [rad] up to which solutions are equal."""
 
@@ -244,7 +240,7 @@ def straight_elbow(machine: RobotMachine) -> float:
 
 
 def status_of(machine: RobotMachine, q: FloatArray) -> IntArray:
-    """Return the Status bits 0 to 2 (...,) of serial joint angles (..., 6)."""
+    """Return KUKA's Status (...,), bits 0 to 2, of serial joint angles (..., 6)."""
     p = machine.shape
     theta = p.signs * q - p.offsets
     forearm = np.hypot(p.a2, p.c3)
@@ -257,19 +253,23 @@ def status_of(machine: RobotMachine, q: FloatArray) -> IntArray:
 
 
 def select_by_status(machine: RobotMachine, flange: FloatArray, status: int, turn: int) -> StatusSolutions:
-    """Return all solutions within the limits that have this Status and Turn.
+    """Return all solutions of a flange pose (4, 4) within the limits that have KUKA's Status and Turn.
 
-    The flange pose (4, 4) is in the base. Solutions of all eight branches are tried, with all whole turns of
-    all axes that the limits allow.
+    The pose is in the base. Solutions of all eight branches are tried, with all whole turns of all axes that
+    the limits allow. The bits of both numbers are those of the module's description.
     """
-    eight = solve(machine, np.tile(flange, (8, 1, 1)), np.arange(8))
-    eight = eight[np.isfinite(eight).all(axis=1)]
+    branch_solutions = solve(machine, np.tile(flange, (8, 1, 1)), np.arange(8))
+    branch_solutions = branch_solutions[np.isfinite(branch_solutions).all(axis=1)]
     solutions: list[FloatArray] = []
-    for q in eight[status_of(machine, eight) == status] if len(eight) else eight:
-        turns = [
+    for q in (
+        branch_solutions[status_of(machine, branch_solutions) == status]
+        if len(branch_solutions)
+        else branch_solutions
+    ):
+        values_by_axis = [
             _turns_in_limits(q[axis], machine.data.lower[axis], machine.data.upper[axis]) for axis in range(6)
         ]
-        for candidate in itertools.product(*turns):
+        for candidate in itertools.product(*values_by_axis):
             values = np.array(candidate)
             negative = np.array([bool(turn >> axis & 1) for axis in range(6)])
             fits = np.where(negative, values < _ZERO_TOLERANCE_RAD, values >= -_ZERO_TOLERANCE_RAD)
@@ -287,8 +287,6 @@ def select_by_status(machine: RobotMachine, flange: FloatArray, status: int, tur
 
 def _turns_in_limits(angle: float, lower: float, upper: float) -> list[float]:
     """Return the angle with all whole turns that lie within the limits, with a small tolerance."""
-    low, high = (
-        np.ceil((lower - _ZERO_TOLERANCE_RAD - angle) / FULL_TURN_RAD),
-        np.floor((upper + _ZERO_TOLERANCE_RAD - angle) / FULL_TURN_RAD),
-    )
+    low = np.ceil((lower - _ZERO_TOLERANCE_RAD - angle) / FULL_TURN_RAD)
+    high = np.floor((upper + _ZERO_TOLERANCE_RAD - angle) / FULL_TURN_RAD)
     return [angle + FULL_TURN_RAD * k for k in range(int(low), int(high) + 1)]

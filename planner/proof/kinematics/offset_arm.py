@@ -25,17 +25,17 @@ POSE_TOLERANCE: Final = 1e-10
 SOLUTION_TOLERANCE_RAD: Final = 1e-7
 """Joint difference [rad] up to which solutions are equal."""
 STRIDE: Final = 16
-"""Number of samples between those that are followed one by one.
-The others are solved together and checked.
+"""Every so many samples one is followed from the one before. The samples between them are solved together,
+from interpolated joints, and checked.
 """
 _MAX_ITERATIONS: Final = 8
 """Maximum number of Newton iterations."""
 _ROTATION_AXES: Final = (2, 1, 1, 2, 1, 2)
-"""Axes of the links, by number, about which the joints turn."""
+"""Axis of each joint's frame about which the joint turns: 0 for x, 1 for y, 2 for z."""
 
 
 def compare_with_plan(planned: OffsetParameters, chain: SerialChain, tolerance: float) -> Iterator[str]:
-    """Yield where axes and tip of a chain are not as planned, like :func:`parallel_arm.compare_lines`."""
+    """Yield the differences of axes and tip from the planned ones, as :func:`parallel_arm.compare_lines`."""
     p = planned
     steps = (
         (0.0, 0.0, 0.0),
@@ -50,10 +50,10 @@ def compare_with_plan(planned: OffsetParameters, chain: SerialChain, tolerance: 
 
 
 def follow(chain: SerialChain, flange: FloatArray, start: FloatArray) -> FloatArray:
-    """Return the joints (S, 6) [rad] of flange poses that continue from given joints.
+    """Return the joints (S, 6) [rad] along flange poses (S, 4, 4) in the base, from joints ``start`` on.
 
-    The poses (S, 4, 4) are in the base. The first row continues from joints ``start`` (6,), each other row
-    from the one before. Rows are NaN from where none does.
+    Each pose continues from the joints of the pose before. Joints are NaN from the first pose on at which
+    none continue them.
     """
     out = np.full((len(flange), 6), np.nan)
     if not len(flange) or not np.isfinite(start).all():
@@ -61,16 +61,19 @@ def follow(chain: SerialChain, flange: FloatArray, start: FloatArray) -> FloatAr
     marks = np.unique(np.append(np.arange(STRIDE - 1, len(flange), STRIDE), len(flange) - 1))
     coarse = _follow_stepwise(chain, flange[marks], start)
     if np.isfinite(coarse).all():
-        at, rows = np.append(-1, marks), np.concatenate([start[None], coarse])
-        guess = np.stack([np.interp(np.arange(len(flange)), at, joint) for joint in rows.T], axis=1)
+        knots = np.append(-1, marks)
+        knot_joints = np.concatenate([start[None], coarse])
+        guess = np.stack([np.interp(np.arange(len(flange)), knots, joint) for joint in knot_joints.T], axis=1)
         q = _newton(chain, guess, flange)
-        again = _newton(chain, np.concatenate([start[None], q[:-1]]), flange)
-        if np.isfinite(again).all() and np.abs(again - q).max() <= SOLUTION_TOLERANCE_RAD:
-            return again
+        # The solutions are valid if each one also follows from the one before it.
+        followed = _newton(chain, np.concatenate([start[None], q[:-1]]), flange)
+        if np.isfinite(followed).all() and np.abs(followed - q).max() <= SOLUTION_TOLERANCE_RAD:
+            return followed
     return _follow_stepwise(chain, flange, start)
 
 
 def _follow_stepwise(chain: SerialChain, flange: FloatArray, start: FloatArray) -> FloatArray:
+    """Return the joints along poses as in :func:`follow`, with each one solved from the one before."""
     out, joints = np.full((len(flange), 6), np.nan), start
     for k in range(len(flange)):
         joints = _newton(chain, joints[None], flange[k : k + 1])[0]
@@ -81,27 +84,28 @@ def _follow_stepwise(chain: SerialChain, flange: FloatArray, start: FloatArray) 
 
 
 def _newton(chain: SerialChain, guess: FloatArray, flange: FloatArray) -> FloatArray:
-    """Return the joints (S, 6) of poses (S, 4, 4) next to ``guess`` (S, 6) (Newton's method).
+    """Return the joints (S, 6) of poses (S, 4, 4) next to ``guess`` (S, 6), by Newton's method.
 
-    NaN if there are none within a step on the same side of the singular postures.
+    Joints are NaN if the iteration does not converge within ``MAX_JOINT_STEP_RAD``, or if the determinant of
+    the Jacobian changes its sign, as it does across singular postures.
     """
     q = np.array(guess)
     residual = np.full(len(q), np.inf)
     side = np.zeros(len(q))
     for count in range(_MAX_ITERATIONS):
         lines, points, tip = _axes(chain, q)
-        turn = np.einsum(
+        rotation_error = np.einsum(
             "sij,sj->si", tip[:, :3, :3], log_rotation(np.swapaxes(tip[:, :3, :3], 1, 2) @ flange[:, :3, :3])
         )
-        twist = np.concatenate([turn, flange[:, :3, 3] - tip[:, :3, 3]], axis=1)
+        twist = np.concatenate([rotation_error, flange[:, :3, 3] - tip[:, :3, 3]], axis=1)
         residual = np.abs(twist).max(axis=1)
         matrix = _jacobian(lines, points, tip)
-        size = np.linalg.det(matrix)
-        side = np.sign(size) if count == 0 else np.where(np.sign(size) == side, side, np.nan)
+        determinant = np.linalg.det(matrix)
+        side = np.sign(determinant) if count == 0 else np.where(np.sign(determinant) == side, side, np.nan)
         if (residual <= POSE_TOLERANCE).all():
             break
-        good = np.abs(size) > 1e-12
-        q[good] += np.linalg.solve(matrix[good], twist[good, :, None])[..., 0]
+        regular = np.abs(determinant) > 1e-12
+        q[regular] += np.linalg.solve(matrix[regular], twist[regular, :, None])[..., 0]
     lost: BoolArray = ~(
         (residual <= POSE_TOLERANCE) & (np.abs(q - guess).max(axis=1, initial=0.0) <= MAX_JOINT_STEP_RAD)
     )
@@ -112,14 +116,15 @@ def _newton(chain: SerialChain, guess: FloatArray, flange: FloatArray) -> FloatA
 def singularity_distance(chain: SerialChain, q: FloatArray) -> FloatArray:
     """Return the angle (...,) [rad] of joints (..., 6) to the nearest singular posture.
 
-    Postures that count as singular are included. The angle is the smallest of three: the elbow's bend; the
-    angle under which the stretched arm sees the distance of W, where axes 4 and 5 meet, from axis 1; and the
-    angle whose sine is the determinant of the Jacobian divided by these factors.
+    It is the smallest of three angles: the bend of the elbow from the stretched or folded arm; the angle
+    whose sine is the distance of the wrist point (where axes 4 and 5 meet) from axis 1, seen ahead, divided
+    by the length of the stretched arm; and the angle whose sine is the determinant of the Jacobian divided by
+    both link lengths, the sine of the bend and that distance.
     """
-    rows = q.reshape(-1, 6)
-    lines, points, tip = _axes(chain, rows)
+    postures = q.reshape(-1, 6)
+    lines, points, tip = _axes(chain, postures)
     foot = chain.zero[:, :3, 3]
-    # W on axis 4, nearest to axis 5, by its distance along axis 4 at zero
+    # The wrist point on axis 4, nearest to axis 5, by its distance along axis 4 at zero joints.
     along, other, gap = chain.axis[3], chain.axis[4], foot[4] - foot[3]
     slant = float(along @ other)
     distance_along = (gap @ along - slant * (gap @ other)) / (1.0 - slant * slant)
@@ -131,17 +136,18 @@ def singularity_distance(chain: SerialChain, q: FloatArray) -> FloatArray:
     )
     upper_length, fore_length = (np.linalg.norm(v, axis=1) for v in (upper, fore))
     sine = np.linalg.norm(np.cross(upper, fore), axis=1) / (upper_length * fore_length)
-    out = np.abs(np.einsum("si,si->s", wrist - points[:, 0], ahead))
-    size = np.abs(np.linalg.det(_jacobian(lines, points, tip)))
-    rest = size / np.maximum(upper_length * fore_length * sine * out, 1e-300)
-    min_sine = np.minimum(np.minimum(sine, rest), out / (upper_length + fore_length))
+    wrist_distance = np.abs(np.einsum("si,si->s", wrist - points[:, 0], ahead))
+    determinant = np.abs(np.linalg.det(_jacobian(lines, points, tip)))
+    remaining_sine = determinant / np.maximum(upper_length * fore_length * sine * wrist_distance, 1e-300)
+    min_sine = np.minimum(np.minimum(sine, remaining_sine), wrist_distance / (upper_length + fore_length))
     return np.asarray(np.arcsin(np.minimum(min_sine, 1.0)).reshape(q.shape[:-1]))
 
 
 def max_axis_distances(chain: SerialChain, tool: float) -> FloatArray:
-    """Return the maximum distance (J,) [m] of any point of an arm from each axis.
+    """Return upper bounds (J,) [m] of the distance of any point of an arm from each axis.
 
-    It is the path over all joints after the axis. ``tool`` [m] is the reach beyond the flange.
+    The bound is the sum of the distances from joint to joint after the axis, up to the flange, plus the reach
+    ``tool`` [m] beyond the flange.
     """
     steps = np.linalg.norm(np.diff(chain.zero[:, :3, 3], axis=0), axis=1)
     return np.asarray(np.cumsum(steps[::-1])[::-1] + tool)
@@ -164,4 +170,5 @@ def _jacobian(lines: FloatArray, points: FloatArray, tip: FloatArray) -> FloatAr
 
 
 def _component_across(v: FloatArray, side: FloatArray) -> FloatArray:
+    """Return the components (S, 3) of vectors (S, 3) perpendicular to unit vectors ``side`` (S, 3)."""
     return np.asarray(v - np.einsum("si,si->s", v, side)[:, None] * side)

@@ -19,11 +19,11 @@ from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.proof.kinematics.chain import SerialChain
 
 _ROTATION_AXES: Final = (2, 1, 1, 1, 2, 1)
-"""Axes of the links, by number, about which the joints turn."""
+"""Axis of each joint's frame about which the joint turns: 0 for x, 1 for y, 2 for z."""
 
 
 def compare_with_plan(planned: ParallelParameters, chain: SerialChain, tolerance: float) -> Iterator[str]:
-    """Yield where axes and tip of a chain are not as planned, like :func:`compare_lines`."""
+    """Yield the differences of axes and tip from the planned ones, as :func:`compare_lines` does."""
     p = planned
     steps = ((0.0, 0.0), (0.0, p.c1), (0.0, p.c2), (0.0, p.c3), (p.b, p.c4), (0.0, 0.0))
     tip = translation(0.0, p.c5, 0.0) @ _rotation_about(0, -0.5 * np.pi)
@@ -38,12 +38,12 @@ def compare_lines(
     chain: SerialChain,
     tolerance: float,
 ) -> Iterator[str]:
-    """Yield where axes and tip of a chain are not as planned.
+    """Yield the differences of axes and tip of a chain from the planned ones, as texts.
 
     Args:
         planned: Planned form of the arm.
-        axes: Axes of the links, by number, about which the joints turn.
-        steps: Planned steps [m] from each joint to the next.
+        axes: Axis of each joint's frame about which the joint turns: 0 for x, 1 for y, 2 for z.
+        steps: Planned translations [m] from each joint to the next, in the frame of the former.
         tip: Planned tip (4, 4) on the last joint.
         chain: Chain of J joints.
         tolerance: Allowed deviation [m] and [rad].
@@ -73,7 +73,7 @@ def translation(ahead: float, aside: float, up: float) -> FloatArray:
 
 
 def _rotation_about(about: int, angle: float) -> FloatArray:
-    """Return a rotation (4, 4) about x, y or z, by number."""
+    """Return a rotation (4, 4) by ``angle`` [rad] about x (0), y (1) or z (2)."""
     pose = np.eye(4)
     first, second = (about + 1) % 3, (about + 2) % 3
     pose[first, first] = pose[second, second] = np.cos(angle)
@@ -91,7 +91,9 @@ _TEST_POSTURES: Final = np.array(
         [1.9, 2.3, 0.4, -1.7, 2.6, 1.2],
     ]
 )
-"""Postures [rad] at which they are compared. No two joints turn alike."""
+"""Postures [rad] at which table and chain are compared. In each but the first, all joints have other
+values.
+"""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -129,15 +131,15 @@ _TWISTS: Final = np.deg2rad([90.0, 0.0, 0.0, 90.0, -90.0, 0.0])
 
 
 def dh_table(zero: FloatArray, axis: FloatArray, tip: Callable[[FloatArray], FloatArray]) -> DhTable:
-    """Return the DH table of a chain.
+    """Return the Denavit-Hartenberg table of a chain.
 
     Args:
-        zero: Frames (7, 4, 4) of the chain at zero.
-        axis: Axes (6, 3) through the first six frames.
-        tip: Tip poses at joints.
+        zero: Frames (7, 4, 4) of the chain in its base at zero joints.
+        axis: Unit vectors (6, 3) of the joint axes through the first six frames.
+        tip: Function for the tip poses (B, 4, 4) at joints (B, 6) [rad].
 
     Raises:
-        ValueError: The chain deviates from any such table.
+        ValueError: No table in UR's convention describes the chain.
     """
     up, along, point = axis[0], axis[1], zero[:6, :3, 3]
     link = point[2] - point[1]
@@ -149,20 +151,20 @@ def dh_table(zero: FloatArray, axis: FloatArray, tip: Callable[[FloatArray], Flo
     base[:3, 0], base[:3, 2] = -link / length, up
     base[:3, 1] = np.cross(up, base[:3, 0])
     base[:3, 3] = point[0] - (point[0] @ up) * up
-    turn = base[:3, :3]
-    if np.abs(turn.T @ turn - np.eye(3)).max() > TABLE_TOLERANCE:
+    rotation = base[:3, :3]
+    if np.abs(rotation.T @ rotation - np.eye(3)).max() > TABLE_TOLERANCE:
         raise ValueError("has an upper arm that is not horizontal at zero, as UR's convention requires")
     back = inverse(base)
-    seen = point @ back[:3, :3].T + back[:3, 3]
+    points = point @ back[:3, :3].T + back[:3, 3]
     flange = back[:3, :3] @ zero[6, :3, 3] + back[:3, 3]
     # At zero axis 5 points down through axis 4. Axis 6 and the parallel axes point to -y.
     table = DhTable(
-        d1=float(seen[1, 2]),
+        d1=float(points[1, 2]),
         a2=-length,
-        a3=float(seen[3, 0] - seen[2, 0]),
-        d4=-float(seen[4, 1]),
-        d5=float(seen[1, 2] - seen[5, 2]),
-        d6=float(seen[4, 1] - flange[1]),
+        a3=float(points[3, 0] - points[2, 0]),
+        d4=-float(points[4, 1]),
+        d5=float(points[1, 2] - points[5, 2]),
+        d6=float(points[4, 1] - flange[1]),
         base=base,
     )
     deviation = float(np.abs(base @ table.flange(_TEST_POSTURES) - tip(_TEST_POSTURES)).max())
@@ -177,10 +179,12 @@ def dh_table(zero: FloatArray, axis: FloatArray, tip: Callable[[FloatArray], Flo
 def solve(table: DhTable, flange: FloatArray, branch: IntArray) -> FloatArray:
     """Return the joints (B, 6) [rad] of flange poses on branches (B,), NaN out of reach.
 
-    The flange poses (B, 4, 4) are in the URDF's base. The caller adds whole turns. Let n be the direction of
-    axes 2 to 4, x0 that in which the wrist leans from axis 1, z up. The point where axes 5 and 6 meet lies d4
-    along n; n has the components (s5 c6, -s5 s6, c5) in the flange. Then axis 5 and the frame of axis 4 are
-    known in the flange, and axes 2 and 3 are two links in a plane.
+    The flange poses (B, 4, 4) are in the URDF's base. Joints are in [-pi, pi); the caller adds whole turns.
+
+    Let n be the direction of axes 2 to 4, which axis 1 turns. The point where axes 5 and 6 meet has the
+    coordinate d4 along n, which gives axis 1. n has the components (s5 c6, -s5 s6, c5) in the flange, which
+    gives axes 5 and 6. Then the direction of axis 5 (``fifth``) and the x axis of frame 4 (``fourth``) are
+    known, and axes 2 and 3 are those of two links in a plane.
     """
     t = table
     pose = inverse(t.base) @ flange
@@ -195,8 +199,8 @@ def solve(table: DhTable, flange: FloatArray, branch: IntArray) -> FloatArray:
         + 0.5 * np.pi
         + np.where(behind_axis_1, shoulder_angle, -shoulder_angle)
     )
-    c1, s1, none = np.cos(q1), np.sin(q1), np.zeros(len(q1))
-    n, ahead = np.stack([s1, -c1, none], axis=1), np.stack([c1, s1, none], axis=1)
+    c1, s1, zeros = np.cos(q1), np.sin(q1), np.zeros(len(q1))
+    n, ahead = np.stack([s1, -c1, zeros], axis=1), np.stack([c1, s1, zeros], axis=1)
     nx, ny, nz = (np.einsum("bi,bi->b", n, flange_axis) for flange_axis in (x, y, z))
     sign = np.where(negative, -1.0, 1.0)
     q5 = sign * np.arctan2(np.hypot(nx, ny), nz)
@@ -210,8 +214,8 @@ def solve(table: DhTable, flange: FloatArray, branch: IntArray) -> FloatArray:
         q3 = np.arccos(_clipped_cosine((u * u + w * w - t.a2**2 - t.a3**2) / (2.0 * t.a2 * t.a3)))
     q3 = np.where(bent, -q3, q3)
     q2 = np.arctan2(w, u) - np.arctan2(t.a3 * np.sin(q3), t.a2 + t.a3 * np.cos(q3))
-    whole = np.arctan2(fourth[:, 2], np.einsum("bi,bi->b", fourth, ahead))
-    q = np.stack([q1, q2, q3, whole - q2 - q3, q5, q6], axis=1)
+    sum_of_angles = np.arctan2(fourth[:, 2], np.einsum("bi,bi->b", fourth, ahead))
+    q = np.stack([q1, q2, q3, sum_of_angles - q2 - q3, q5, q6], axis=1)
     return np.asarray((q + np.pi) % (2.0 * np.pi) - np.pi)
 
 
@@ -224,8 +228,9 @@ def branch_of(table: DhTable, q: FloatArray) -> IntArray:
 def singularity_distance(table: DhTable, q: FloatArray) -> FloatArray:
     """Return the angle (...,) [rad] of joints (..., 6) to the nearest singular posture.
 
-    These are axes 4 and 6 in line, the arm stretched or folded, and the point where axes 5 and 6 meet
-    beside axis 1, seen along the stretched arm.
+    Postures are singular if axes 4 and 6 are parallel, if the arm is stretched or folded, and if the point
+    where axes 5 and 6 meet is beside axis 1. For the latter, the sine of the angle is the distance of this
+    point ahead of axis 1, divided by the length of the stretched arm.
     """
     lined, stretched = (np.arcsin(np.abs(np.sin(q[..., i]))) for i in (4, 2))
     reach = abs(table.a2) + abs(table.a3) + abs(table.d5)
@@ -234,7 +239,7 @@ def singularity_distance(table: DhTable, q: FloatArray) -> FloatArray:
 
 
 def max_axis_distances(table: DhTable, tool: float) -> FloatArray:
-    """Return the maximum distance (6,) [m] of any point of the arm from each axis.
+    """Return upper bounds (6,) [m] of the distance of any point of the arm from each axis.
 
     Points up to ``tool`` [m] from its flange are included.
     """

@@ -2,9 +2,9 @@
 
 Nothing here is shared with the readers and the geometry of the planner.
 
-This file has what all readers use: the user's numbers as the problem's source states them, converted to SI
-with defaults, points that are spread evenly and reproducibly over surfaces, and `UnreadError`, which states
-what is wrong with a part file.
+This file has what all readers use: conversion of the numbers in the problem's source to SI units, points that
+are spread evenly and reproducibly over surfaces, and `UnreadError`, which states what is wrong with a part
+file.
 """
 
 import dataclasses
@@ -34,17 +34,17 @@ def radians(value: Any) -> float:
 
 
 def points_in_metres(values: Any) -> FloatArray:
-    """Convert a row of points (N, D) from mm to m."""
+    """Convert a list of points (N, D) from mm to m."""
     return np.array([[float(v) for v in point] for point in values], dtype=np.float64) / 1000.0
 
 
 def file_of(entry: Entry) -> Path:
-    """Return the named file."""
+    """Return the path of the file that an entry names."""
     return Path(str(entry["file"]))
 
 
 def pose_of(entry: Entry) -> FloatArray:
-    """Return the pose (4, 4) of ``xyz_mm`` and ``rpy_deg``, rotations about fixed x, then y, then z."""
+    """Return the pose (4, 4) [m] that an entry states as ``xyz_mm``, and ``rpy_deg`` about fixed x, y, z."""
     a, b, c = (radians(v) for v in entry.get("rpy_deg") or (0.0, 0.0, 0.0))
     about_x = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
     about_y = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
@@ -71,9 +71,9 @@ class Samples:
 
     Attributes:
         points: Points (N, 3) [m].
-        normals: Normals (N, 3), away from the part.
-        row: Number (N,) of the facet or ruling of each point, from 1.
-        area: Area [m^2] of the surface.
+        normals: Unit normals (N, 3), away from the part.
+        row: Number (N,) of the facet of each point, or of the pair of rulings around it, from 1.
+        area: Area [m^2] of the whole surface.
     """
 
     points: FloatArray
@@ -83,23 +83,24 @@ class Samples:
 
     def moved(self, pose: FloatArray) -> "Samples":
         """Return the points moved by ``pose`` (4, 4)."""
-        turn = pose[:3, :3].T
-        points, normals = self.points @ turn + pose[:3, 3], self.normals @ turn
+        transposed_rotation = pose[:3, :3].T
+        points, normals = self.points @ transposed_rotation + pose[:3, 3], self.normals @ transposed_rotation
         return Samples(points, normals, self.row, self.area)
 
     def subset(self, chosen: BoolArray) -> "Samples":
-        """Return the chosen (N,) points."""
+        """Return the points for which ``chosen`` (N,) is set. The area stays that of the whole surface."""
         return Samples(self.points[chosen], self.normals[chosen], self.row[chosen], self.area)
 
 
 def on_triangles(corners: FloatArray, row: IntArray, count: int) -> Samples:
-    """Return ``count`` points on triangles (F, 3, 3) with numbers ``row`` (F,).
+    """Return ``count`` points spread evenly over triangles (F, 3, 3) with the numbers ``row`` (F,).
 
-    The triangles are anticlockwise from outside.
+    The triangles are anticlockwise seen from outside.
     """
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.linalg.norm(cross, axis=1)
     which, a, b = _distribute(size, count)
+    # Points of the unit square beyond its diagonal are mirrored into the triangle.
     outside = a + b > 1.0
     a, b = np.where(outside, 1.0 - a, a)[:, None], np.where(outside, 1.0 - b, b)[:, None]
     chosen_corners = corners[which]
@@ -112,15 +113,16 @@ def on_triangles(corners: FloatArray, row: IntArray, count: int) -> Samples:
 
 
 def on_rulings(start: FloatArray, end: FloatArray, count: int, guides_alone: bool = False) -> Samples:
-    """Return ``count`` points between successive rulings.
+    """Return ``count`` points that are spread evenly over a ruled surface.
 
-    The side away from the part is the direction of ``start`` x the rulings.
+    Between two rulings the surface is bilinear. Its side away from the part is that of the cross product of
+    the direction of ``start`` and the rulings.
 
     Args:
         start: Starts (M, 3) [m] of the rulings.
         end: Ends (M, 3) [m] of the rulings.
         count: Number of points.
-        guides_alone: Whether the points are only on the guides.
+        guides_alone: Whether the points lie only on the two guides, along ``start`` and ``end``.
     """
     along = np.diff(start, axis=0) + np.diff(end, axis=0)
     across = (end - start)[1:] + (end - start)[:-1]
@@ -140,9 +142,10 @@ def on_rulings(start: FloatArray, end: FloatArray, count: int, guides_alone: boo
 
 
 def _distribute(size: FloatArray, count: int) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Distribute ``count`` points evenly over areas (K,).
+    """Distribute ``count`` points evenly over K cells, of areas ``size`` (K,).
 
-    Returns the area of each point, and its coordinates in the unit square.
+    Returns:
+        Index (count,) of the cell of each point, and its two coordinates (count,) in the unit square.
     """
     total = np.cumsum(size)
     which = np.searchsorted(total, (np.arange(count) + 0.5) / count * total[-1], side="right")

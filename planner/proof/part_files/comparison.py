@@ -1,9 +1,10 @@
-"""Alignment of a part as read with what programs make, and deviations between both.
+"""Alignment of a part file with the part that programs produce, and distances to facets and edges.
 
-If the problem leaves the pose of a part open, a rigid motion, without mirror or scale, brings the surfaces
-of the file onto what is cut, with the part in the middle of the block. Only its existence matters, so how
-it was found needs no proof: centres and axes of inertia of both, then iterative closest points with planes.
-At points of a surface that the proof has read itself, the deviation of the simulated part is then computed.
+If the problem leaves the pose of a part open, a rigid motion, without mirror or scale, must bring the
+surfaces of the file onto the surfaces that are cut, with the part in the middle of the block. Only its
+existence matters, so how it is found needs no proof: centres and axes of inertia of both give initial poses,
+which iterative closest points with tangent planes improve. The deviation of the simulated part is then
+computed at points of a surface that the proof has read itself.
 
 Source: Chen and Medioni (1992), Object modelling by registration of multiple range images.
 """
@@ -21,25 +22,27 @@ from planner.proof.part_files import Samples, on_triangles
 from planner.proof.part_files.produced import ProducedSurface
 
 _EQUAL_MOMENT_FACTOR: Final = 1.3
-"""Factor up to which square roots of moments of inertia may differ and still be equal."""
+"""Ratio of the square roots of two moments of inertia up to which the moments count as equal."""
 _NORMAL_ROTATIONS: Final = 12
 """Number of rotations about a normal that are tried."""
 _NORMAL_WEIGHT: Final = 0.1
-"""Weight of the angle between normals against distance, relative to the part's size."""
+"""Weight of the difference of two unit normals against distances, relative to the part's size."""
 _OTHER_SURFACE_DISTANCE: Final = 10.0
-"""Distance to another surface, relative to the part's size, so that the equal back of a panel is not
-matched with its front.
+"""Distance that is added between different surfaces, relative to the part's size, so that the equal back of a
+panel is not matched with its front.
 """
 _SLIDE_WEIGHT: Final = 0.03
-"""Weight of distances along the surface, which keeps steps from sliding."""
+"""Weight of distances along the axes against distances to tangent planes, so that steps do not slide along
+the surface.
+"""
 _SEED_POINTS: Final = 240
-"""Number of source points at which initial poses are judged."""
+"""Number of source points by which initial poses are compared."""
 _START_POINTS: Final = 32
-"""Number of target points at which a piece of a surface is tried."""
+"""Number of target points at which a piece of a surface is placed initially."""
 _FIRST_STEPS: Final = 6
-"""Number of steps of each pose before the best is chosen."""
+"""Number of alignment steps of each initial pose before the best pose is chosen."""
 _MAX_STEPS: Final = 30
-"""Maximum number of steps of the best pose."""
+"""Maximum number of alignment steps of the best pose."""
 _LEAF_SIZE: Final = 128
 """Points in a leaf of the tree. In seven dimensions this is twice as fast as the usual 16."""
 _FLAT_MEAN: Final = 0.8
@@ -55,11 +58,11 @@ _ORIENTATIONS: Final = 400
 
 
 PointCloud = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-"""Points and normals (N, 3) with weights and surface numbers (N,)."""
+"""Points and normals (N, 3) with weights (N,), whose sum is 1, and surface numbers (N,)."""
 
 
 class _Target:
-    """Points of surfaces with normals, and a search for the nearest of both."""
+    """Points of surfaces with normals, and a search for the point with the nearest position and normal."""
 
     def __init__(self, parts: list[Samples], size: float) -> None:
         self.points, self.normals, self.weight, number = _merged(parts)
@@ -67,15 +70,17 @@ class _Target:
         self._tree = cKDTree(self._features(self.points, self.normals, number), leafsize=_LEAF_SIZE)
 
     def _features(self, points: FloatArray, normals: FloatArray, number: FloatArray) -> FloatArray:
+        """Return vectors (N, 7) [m] whose distances combine position, normal and surface number."""
         surface_offset = _OTHER_SURFACE_DISTANCE * self.size * number[:, None]
         return np.concatenate([points, _NORMAL_WEIGHT * self.size * normals, surface_offset], axis=1)
 
     def nearest(
         self, points: FloatArray, normals: FloatArray, number: FloatArray
     ) -> tuple[IntArray, FloatArray]:
-        """Return the nearest points (N,) of the same surface, and their bounded distance [m].
+        """Return the index (N,) of the nearest point of the same surface, and the distance (N,) [m].
 
-        The query is points with normals (N, 3).
+        Points and unit normals are (N, 3), ``number`` (N,) are their surfaces. The distance counts the
+        difference of normals, too. It is bounded, so that outliers have less weight.
         """
         distances, indices = self._tree.query(self._features(points, normals, number))
         return np.asarray(indices), np.minimum(np.asarray(distances), 0.3 * self.size)
@@ -90,17 +95,18 @@ def aligned_pose(
 ) -> FloatArray:
     """Return the pose (4, 4) at which ``source`` is nearest to ``target``.
 
-    The box around ``bound`` is at ``centre``.
+    Only poses at which the bounding box of the part has its centre at ``centre`` are considered.
 
     Args:
         source: Surfaces of the part, each weighted by its area.
         target: The same surfaces as they are made, in the same order.
         bound: Points (K, 3) [m] that bound the part.
-        centre: Centre (3,) [m] of their box in the block.
-        all_around: Whether to start from all orientations, in case the axes of inertia lead to another pose,
-            or differ from those of what is made because ``source`` has only the guides.
+        centre: Centre (3,) [m] of the bounding box of these points in the block.
+        all_around: Whether to start from all orientations. This helps if the axes of inertia lead to another
+            pose, or if ``source`` has only the guides, whose axes of inertia differ from those of ``target``.
     """
-    cloud = points, normals, weight, number = _merged(source)
+    cloud = _merged(source)
+    points, normals, weight, number = cloud
     size = float(np.sqrt(weight @ np.sum((points - weight @ points) ** 2, axis=1)))
     goal = _Target(target, size)
     seed_rows = np.unique(np.linspace(0, len(points) - 1, _SEED_POINTS).astype(np.int64))
@@ -131,10 +137,11 @@ def aligned_pose(
 def _straighten(
     pose: FloatArray, cloud: PointCloud, goal: _Target, bound: FloatArray, centre: FloatArray
 ) -> FloatArray:
-    """Return the pose rotated about the mean normal so that least lies beyond the borders.
+    """Return the pose of a nearly flat surface, rotated about its mean normal so that the borders coincide.
 
-    On distances to planes alone, a nearly flat surface rotates freely in its plane. These still count far
-    more, because points are apart along the surface wherever it lies.
+    Distances to tangent planes leave this rotation free, so distances along the surface count as well. Their
+    weight is small, because sample points are apart along the surface even in the right pose. Other surfaces
+    keep their pose.
     """
     axis = cloud[2] @ (cloud[1] @ pose[:3, :3].T)
     size = float(np.linalg.norm(axis))
@@ -143,18 +150,19 @@ def _straighten(
     best, spread = pose, _FAN_RANGE_RAD
 
     def squared_distance(candidate: FloatArray) -> float:
+        """Return the weighted mean square of the distances at a pose."""
         moved_points = _transformed(candidate, cloud[0])
-        at, _ = goal.nearest(moved_points, cloud[1] @ candidate[:3, :3].T, cloud[3])
-        difference = moved_points - goal.points[at]
-        across = np.einsum("ij,ij->i", difference, goal.normals[at])
+        nearest, _ = goal.nearest(moved_points, cloud[1] @ candidate[:3, :3].T, cloud[3])
+        difference = moved_points - goal.points[nearest]
+        across = np.einsum("ij,ij->i", difference, goal.normals[nearest])
         return float(cloud[2] @ (across**2 + _SLIDE_WEIGHT**2 * np.sum(difference**2, axis=1)))
 
     while spread > _MIN_FAN_RANGE_RAD:
         candidates = []
         for angle in np.linspace(-spread, spread, 2 * _FAN_STEPS + 1):
-            turn = np.eye(4)
-            turn[:3, :3] = _rotation(angle * axis / size)
-            moved = turn @ best
+            rotation = np.eye(4)
+            rotation[:3, :3] = _rotation(angle * axis / size)
+            moved = rotation @ best
             moved_bound = _transformed(moved, bound)
             moved[:3, 3] += centre - 0.5 * (moved_bound.min(axis=0) + moved_bound.max(axis=0))
             candidates.append((squared_distance(moved), abs(float(angle)), moved))
@@ -164,20 +172,21 @@ def _straighten(
 
 
 def piece_pose(piece: Samples, whole: Samples) -> FloatArray:
-    """Return the pose (4, 4) at which a part of ``whole`` is nearest to ``piece``."""
-    cloud = points, normals, weight, _ = _merged([piece])
+    """Return the pose (4, 4) of ``whole`` at which one region of it is nearest to ``piece``."""
+    cloud = _merged([piece])
+    points, normals, weight, _ = cloud
     size = float(np.sqrt(weight @ np.sum((points - weight @ points) ** 2, axis=1)))
     goal = _Target([whole], size)
     seed_rows = np.unique(np.linspace(0, len(points) - 1, _SEED_POINTS // 3).astype(np.int64))
     spots = np.unique(np.linspace(0, len(whole.points) - 1, _START_POINTS).astype(np.int64))
     piece_frame, seeds = _frame_with_z(normals.mean(axis=0)), []
-    for spot, turn in itertools.product(
+    for spot, angle in itertools.product(
         spots.tolist(), 2.0 * np.pi * np.arange(_NORMAL_ROTATIONS) / _NORMAL_ROTATIONS
     ):
-        c, s = np.cos(turn), np.sin(turn)
-        around = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        c, s = np.cos(angle), np.sin(angle)
+        about_z = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         pose = np.eye(4)
-        pose[:3, :3] = _frame_with_z(whole.normals[spot]) @ around @ piece_frame.T
+        pose[:3, :3] = _frame_with_z(whole.normals[spot]) @ about_z @ piece_frame.T
         pose[:3, 3] = whole.points[spot] - pose[:3, :3] @ points.mean(axis=0)
         seeds.append(pose)
     best = _best_pose(seeds, cloud, goal, seed_rows, 3)
@@ -189,7 +198,10 @@ def piece_pose(piece: Samples, whole: Samples) -> FloatArray:
 def _best_pose(
     seeds: list[FloatArray], cloud: PointCloud, goal: _Target, rows: IntArray, steps: int = _FIRST_STEPS
 ) -> FloatArray:
-    """Return the best of some poses after a few steps each."""
+    """Return the best of the initial poses ``seeds``, after some alignment steps from each.
+
+    ``rows`` are the indices of the points of the cloud that are used.
+    """
     candidates = []
     for seed in seeds:
         pose = seed
@@ -203,6 +215,7 @@ def _best_pose(
 
 
 def _icp_step(pose: FloatArray, cloud: PointCloud, goal: _Target, rows: IntArray) -> FloatArray:
+    """Return a pose after one step of iterative closest points, with the source points ``rows``."""
     moved_points = _transformed(pose, cloud[0][rows])
     nearest, _ = goal.nearest(moved_points, cloud[1][rows] @ pose[:3, :3].T, cloud[3][rows])
     return np.asarray(
@@ -224,6 +237,7 @@ def _frame_with_z(normal: FloatArray) -> FloatArray:
 
 
 def _merged(parts: list[Samples]) -> PointCloud:
+    """Return the points of all surfaces, each surface weighted by its area and numbered from 0."""
     points = np.concatenate([part.points for part in parts])
     normals = np.concatenate([part.normals for part in parts])
     weight = np.concatenate([np.full(len(part.points), part.area / len(part.points)) for part in parts])
@@ -234,37 +248,42 @@ def _merged(parts: list[Samples]) -> PointCloud:
 def _inertia_poses(
     source: tuple[FloatArray, FloatArray], target: tuple[FloatArray, FloatArray]
 ) -> list[FloatArray]:
-    """Return poses that bring centres and axes of inertia together, rotated further if axes are ambiguous."""
+    """Return initial poses at which centres and axes of inertia of the source coincide with the target's.
+
+    Both are points (N, 3) and weights (N,). There is a pose for each choice of the signs of the axes. If two
+    moments are about equal, their axes are ambiguous. Then there are further poses, rotated about the third
+    axis.
+    """
     frames = []
     for points, weight in (source, target):
-        middle = weight @ points
-        centred = points - middle
+        centre = weight @ points
+        centred = points - centre
         moments, axes = np.linalg.eigh((centred * weight[:, None]).T @ centred)
-        frames.append((middle, axes, np.sqrt(np.maximum(moments, 1e-30))))
+        frames.append((centre, axes, np.sqrt(np.maximum(moments, 1e-30))))
     (source_centre, source_axes, _), (target_centre, target_axes, sizes) = frames
     are_equal = [sizes[k + 1] < _EQUAL_MOMENT_FACTOR * sizes[k] for k in range(2)]
-    extra = [np.eye(3)]
-    for k, same in enumerate(are_equal):  # rotations about the axis that differs from both
+    extra_rotations = [np.eye(3)]
+    for k, same in enumerate(are_equal):  # rotations in the plane of the two axes with equal moments
         if same:
             first, second = k, k + 1
             angles = 2.0 * np.pi * np.arange(1, _NORMAL_ROTATIONS) / _NORMAL_ROTATIONS
             for angle in angles:
-                turn = np.eye(3)
-                turn[[first, first, second, second], [first, second, first, second]] = [
+                extra_rotation = np.eye(3)
+                extra_rotation[[first, first, second, second], [first, second, first, second]] = [
                     np.cos(angle),
                     -np.sin(angle),
                     np.sin(angle),
                     np.cos(angle),
                 ]
-                extra.append(turn)
+                extra_rotations.append(extra_rotation)
     out = []
     for signs in itertools.product((1.0, -1.0), repeat=3):
         rotation = target_axes @ np.diag(signs) @ source_axes.T
         if np.linalg.det(rotation) < 0.0:
             continue
-        for turn in extra:
+        for extra_rotation in extra_rotations:
             pose = np.eye(4)
-            pose[:3, :3] = target_axes @ turn @ target_axes.T @ rotation
+            pose[:3, :3] = target_axes @ extra_rotation @ target_axes.T @ rotation
             pose[:3, 3] = target_centre - pose[:3, :3] @ source_centre
             out.append(pose)
     return out
@@ -273,9 +292,9 @@ def _inertia_poses(
 def _all_around(bound: FloatArray, centre: FloatArray) -> list[FloatArray]:
     """Return poses in all orientations, reproducibly, with the box around ``bound`` at ``centre``."""
     out = []
-    for turn in Rotation.random(_ORIENTATIONS, random_state=0).as_matrix():
+    for rotation in Rotation.random(_ORIENTATIONS, random_state=0).as_matrix():
         pose = np.eye(4)
-        pose[:3, :3] = turn
+        pose[:3, :3] = rotation
         moved_bound = _transformed(pose, bound)
         pose[:3, 3] = centre - 0.5 * (moved_bound.min(axis=0) + moved_bound.max(axis=0))
         out.append(pose)
@@ -285,26 +304,28 @@ def _all_around(bound: FloatArray, centre: FloatArray) -> list[FloatArray]:
 def _point_to_plane_motion(
     points: FloatArray, goal: FloatArray, normal: FloatArray, weight: FloatArray
 ) -> FloatArray:
-    """Return the small motion (4, 4) that brings ``points`` (N, 3) onto planes.
+    """Return the small rigid motion (4, 4) that brings points p (N, 3) closest to planes.
 
-    The planes are through ``goal`` with normals ``normal``. Least squares over (w, t):
-    n_i . (g_i - p_i - w x r_i - t), plus weakly weighted distances along all axes.
+    The planes have points g in ``goal`` and unit normals n, (N, 3) each. Minimised is the weighted sum of
+    squares of n_i . (g_i - p_i - w x r_i - t) over the rotation vector w about the centroid and the
+    translation t, where r_i is p_i minus the centroid. Distances along all axes are added with a small
+    weight.
     """
     centroid = points.mean(axis=0)
     arm = points - centroid
     difference = goal - points
-    rows = [np.concatenate([np.cross(arm, normal), normal], axis=1)]
+    coefficients = [np.concatenate([np.cross(arm, normal), normal], axis=1)]
     values = [np.einsum("ij,ij->i", difference, normal)]
     scale = [np.sqrt(weight)]
     for axis in np.eye(3):
         flat = np.broadcast_to(axis, arm.shape)
-        rows.append(np.concatenate([np.cross(arm, flat), flat], axis=1))
+        coefficients.append(np.concatenate([np.cross(arm, flat), flat], axis=1))
         values.append(difference @ axis)
         scale.append(_SLIDE_WEIGHT * np.sqrt(weight))
     factor = np.concatenate(scale)
-    solution = np.linalg.lstsq(np.concatenate(rows) * factor[:, None], np.concatenate(values) * factor, 1e-9)[
-        0
-    ]
+    solution = np.linalg.lstsq(
+        np.concatenate(coefficients) * factor[:, None], np.concatenate(values) * factor, 1e-9
+    )[0]
     pose = np.eye(4)
     pose[:3, :3] = _rotation(solution[:3])
     pose[:3, 3] = solution[3:] + centroid - pose[:3, :3] @ centroid
@@ -314,33 +335,33 @@ def _point_to_plane_motion(
 def _point_to_plane_rotation(
     points: FloatArray, goal: FloatArray, normal: FloatArray, weight: FloatArray, centre: FloatArray
 ) -> FloatArray:
-    """Return the small rotation (4, 4) about ``centre`` that brings ``points`` (N, 3) toward planes.
+    """Return the small rotation (4, 4) about ``centre`` that brings points closest to tangent planes.
 
-    The planes are through ``goal``.
+    The other arguments are those of :func:`_point_to_plane_motion`.
     """
-    rows = np.cross(points - centre, normal)
+    coefficients = np.cross(points - centre, normal)
     distances = np.einsum("ij,ij->i", goal - points, normal)
     factor = np.sqrt(weight)
     pose = np.eye(4)
-    pose[:3, :3] = _rotation(np.linalg.lstsq(rows * factor[:, None], distances * factor, 1e-6)[0])
+    pose[:3, :3] = _rotation(np.linalg.lstsq(coefficients * factor[:, None], distances * factor, 1e-6)[0])
     pose[:3, 3] = centre - pose[:3, :3] @ centre
     return pose
 
 
-def _rotation(turn: FloatArray) -> FloatArray:
+def _rotation(rotation_vector: FloatArray) -> FloatArray:
     """Return the rotation matrix (3, 3) of a rotation vector [rad] (Rodrigues' formula)."""
-    angle = float(np.linalg.norm(turn))
+    angle = float(np.linalg.norm(rotation_vector))
     if angle == 0.0:
         return np.eye(3)
-    x, y, z = turn / angle
+    x, y, z = rotation_vector / angle
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
 
 
 OUTLINES: Final = frozenset({"outline", "hole"})
-"""Names of outlines of a plate, before the letters that distinguish them."""
+"""Names of a plate's contours, without the letters that distinguish several of one kind."""
 ON_FACE: Final = 1e-4
-"""Distance [m] up to which a claimed face is the face that is read from the part file."""
+"""Distance [m] up to which a claimed face counts as the face that is read from the part file."""
 
 
 def claimed_points(produced: ProducedSurface, count: int) -> Samples:
@@ -350,7 +371,10 @@ def claimed_points(produced: ProducedSurface, count: int) -> Samples:
 
 
 def distance_to_facets(points: FloatArray, facets: FloatArray) -> FloatArray:
-    """Return the distance (N,) [m] of points (N, 3) to the nearest of many small triangles (F, 3, 3)."""
+    """Return the distance (N,) [m] of points (N, 3) to the nearest of many small triangles (F, 3, 3).
+
+    Only the 12 triangles with the nearest centroids are examined for each point.
+    """
     candidates = np.asarray(cKDTree(facets.mean(axis=1)).query(points, k=min(12, len(facets)))[1])
     candidates = candidates.reshape(len(points), -1)
     best = np.full(len(points), np.inf)
@@ -364,7 +388,7 @@ def distance_to_facets(points: FloatArray, facets: FloatArray) -> FloatArray:
 def distance_to_edges(points: FloatArray, rim: FloatArray) -> FloatArray:
     """Return the distance (N,) [m] of points (N, 3) to the nearest of the edges ``rim`` (E, 2, 3).
 
-    Points and edges are seen along z.
+    Points and edges are projected along z. The distance is infinite without edges.
     """
     start, edges = rim[:, 0, :2], rim[:, 1, :2] - rim[:, 0, :2]
     offsets = points[:, None, :2] - start

@@ -5,10 +5,10 @@ Reference (2018), entities and "Arbitrary Axis Algorithm"; Bezier curves by de C
 clamped cubic B-splines by Cox and de Boor's, and lofts of them: G. Farin, Curves and Surfaces for CAGD
 (2002), 4.2 and 8.2.
 
-The problem's words state which points of two guides are joined. Corners, and the ends of open guides, are
+The problem states which points of two guides are joined by rulings. Corners, and the ends of open guides, are
 joined with each other. Between them, points at equal fractions of the length, or of the parameter, are
-joined. If two guides can be joined in several ways, the shortest rulings count, and all ways that are
-equally short.
+joined. If two guides can be joined in several ways, the way with the shortest rulings counts, and all ways
+that are equally short.
 """
 
 import dataclasses
@@ -24,7 +24,7 @@ from planner.proof.part_files import UnreadError
 
 
 def bezier(control: FloatArray, t: FloatArray) -> FloatArray:
-    """Evaluate a Bezier curve (de Casteljau).
+    """Return points (N, D) of a Bezier curve (de Casteljau).
 
     Args:
         control: Control points (C, D), or one set of them for each parameter (N, C, D).
@@ -38,11 +38,11 @@ def bezier(control: FloatArray, t: FloatArray) -> FloatArray:
 
 
 def bspline(control: FloatArray, t: FloatArray) -> FloatArray:
-    """Evaluate a clamped uniform B-spline.
+    """Return points (N, D) of a clamped uniform B-spline.
 
     Args:
-        control: Control points (C, D) or (N, C, D). They are cubic, or of the degree that their number
-            allows.
+        control: Control points (C, D), or one set of them for each parameter (N, C, D). The degree is 3, or C
+        - 1 if that is less.
         t: Parameters (N,) in [0, 1].
     """
     count = control.shape[-2]
@@ -55,10 +55,10 @@ def bspline(control: FloatArray, t: FloatArray) -> FloatArray:
 def nurbs(
     control: FloatArray, weight: FloatArray, knots: FloatArray, degree: int, t: FloatArray
 ) -> FloatArray:
-    """Evaluate a rational B-spline (Cox and de Boor).
+    """Return points (N, D) of a rational B-spline (Cox and de Boor).
 
     Args:
-        control: Control points (C, D) or (N, C, D).
+        control: Control points (C, D), or one set of them for each parameter (N, C, D).
         weight: Weights (C,).
         knots: Knots (C + degree + 1,).
         degree: Degree.
@@ -66,10 +66,10 @@ def nurbs(
     """
     count = control.shape[-2]
     span = np.clip(np.searchsorted(knots, t, side="right") - 1, degree, count - 1)
-    whole = np.broadcast_to(control, (len(t), *control.shape[-2:]))
+    control_sets = np.broadcast_to(control, (len(t), *control.shape[-2:]))
     rows = np.arange(len(t))[:, None]
     indices = span[:, None] - degree + np.arange(degree + 1)
-    point = whole[rows, indices] * weight[indices][..., None]
+    point = control_sets[rows, indices] * weight[indices][..., None]
     point = np.concatenate([point, weight[indices][..., None]], axis=2)
     for level in range(1, degree + 1):
         low = knots[indices[:, level:]]
@@ -99,7 +99,7 @@ def interpolate_control(at: FloatArray, control: FloatArray, u: FloatArray) -> F
 
 
 JOIN_DISTANCE_M: Final = 1e-5
-"""Distance [m] up to which ends of pieces are joined."""
+"""Distance [m] up to which two ends of pieces of a curve are joined."""
 CHORD_TOLERANCE_M: Final = 1e-6
 """Maximum deviation [m] of chords from arcs and splines."""
 MIN_CHORDS: Final = 48
@@ -122,10 +122,15 @@ class DrawingCurve:
 
 
 def read_curves(path: Path, unit: float, layer: str | None) -> list[DrawingCurve]:
-    """Read the visible curves of the model space, of one layer or all.
+    """Read the visible curves in the model space of a DXF file.
+
+    Args:
+        path: Path of the file.
+        unit: Metres per unit of the drawing.
+        layer: Layer to read, None for all layers.
 
     Raises:
-        UnreadError: The file cannot be read.
+        UnreadError: The file cannot be read, or ezdxf is not installed.
     """
     try:
         from ezdxf.filemanagement import readfile
@@ -152,14 +157,17 @@ def read_curves(path: Path, unit: float, layer: str | None) -> list[DrawingCurve
 
 
 def _points(entity: Any, unit: float) -> FloatArray | None:
-    """Return points (N, 3) of a curve in the drawing's units, or None for other entities."""
+    """Return points (N, 3) of an entity in the drawing's units, or None if it is not a curve.
+
+    ``unit`` [m] is the drawing's unit, by which the number of chords of an arc is chosen.
+    """
     kind, dxf = entity.dxftype(), entity.dxf
     if kind == "LINE":
         return np.array([tuple(dxf.start), tuple(dxf.end)], dtype=np.float64)
     if kind in ("ARC", "CIRCLE"):
         first, last = (dxf.start_angle, dxf.end_angle) if kind == "ARC" else (0.0, 360.0)
-        turn = (last - first) % 360.0 or 360.0
-        angle = np.deg2rad(first + turn * _arc_fractions(dxf.radius * unit, np.deg2rad(turn)))
+        sweep = (last - first) % 360.0 or 360.0
+        angle = np.deg2rad(first + sweep * _arc_fractions(dxf.radius * unit, np.deg2rad(sweep)))
         centre = np.array(tuple(dxf.center), dtype=np.float64)
         flat = dxf.radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
         return _to_world(centre + flat, dxf.extrusion)
@@ -167,17 +175,21 @@ def _points(entity: Any, unit: float) -> FloatArray | None:
         major = np.array(tuple(dxf.major_axis), dtype=np.float64)
         up = np.array(tuple(dxf.extrusion), dtype=np.float64)
         minor = dxf.ratio * np.cross(up / np.linalg.norm(up), major)
-        turn = (dxf.end_param - dxf.start_param) % (2.0 * np.pi)
-        turn = turn if turn > 1e-12 else 2.0 * np.pi
-        count = 4 * len(_arc_fractions(float(np.linalg.norm(major)) * unit, turn))
-        angle = (dxf.start_param + turn * np.linspace(0.0, 1.0, count))[:, None]
+        sweep = (dxf.end_param - dxf.start_param) % (2.0 * np.pi)
+        sweep = sweep if sweep > 1e-12 else 2.0 * np.pi
+        count = 4 * len(_arc_fractions(float(np.linalg.norm(major)) * unit, sweep))
+        angle = (dxf.start_param + sweep * np.linspace(0.0, 1.0, count))[:, None]
         return np.asarray(np.array(tuple(dxf.center)) + np.cos(angle) * major + np.sin(angle) * minor)
     if kind == "SPLINE":
         return _spline(entity)
     if kind == "LWPOLYLINE":
-        rows = np.array([(x, y, bulge) for x, y, bulge in entity.get_points("xyb")], dtype=np.float64)
+        corners_with_bulge = np.array(
+            [(x, y, bulge) for x, y, bulge in entity.get_points("xyb")], dtype=np.float64
+        )
         height = float(dxf.get("elevation", 0.0))
-        return _to_world(_polyline_with_bulges(rows, height, bool(entity.closed), unit), dxf.extrusion)
+        return _to_world(
+            _polyline_with_bulges(corners_with_bulge, height, bool(entity.closed), unit), dxf.extrusion
+        )
     if kind == "POLYLINE":
         corners = [vertex.dxf for vertex in entity.vertices]
         locations = np.array([tuple(vertex.location) for vertex in corners], dtype=np.float64).reshape(-1, 3)
@@ -187,20 +199,29 @@ def _points(entity: Any, unit: float) -> FloatArray | None:
             return None
         bulge = np.array([float(vertex.get("bulge", 0.0)) for vertex in corners])
         height = float(tuple(dxf.get("elevation", (0.0, 0.0, 0.0)))[2])
-        rows = np.column_stack([locations[:, :2], bulge])
-        return _to_world(_polyline_with_bulges(rows, height, bool(entity.is_closed), unit), dxf.extrusion)
+        corners_with_bulge = np.column_stack([locations[:, :2], bulge])
+        return _to_world(
+            _polyline_with_bulges(corners_with_bulge, height, bool(entity.is_closed), unit), dxf.extrusion
+        )
     return None
 
 
-def _arc_fractions(radius: float, turn: float) -> FloatArray:
-    """Return positions from 0 to 1 along an arc of ``radius`` [m] and ``turn`` [rad]."""
+def _arc_fractions(radius: float, sweep: float) -> FloatArray:
+    """Return fractions from 0 to 1 of an arc of ``radius`` [m] and ``sweep`` [rad].
+
+    They are so close that the chords between them keep ``CHORD_TOLERANCE_M`` and ``MIN_CHORDS``.
+    """
+    # The sagitta of a chord over the angle s is radius * (1 - cos(s / 2)).
     step = 2.0 * np.arccos(max(0.0, 1.0 - CHORD_TOLERANCE_M / max(radius, CHORD_TOLERANCE_M)))
-    count = max(int(np.ceil(turn / step)), int(np.ceil(MIN_CHORDS * turn / (2.0 * np.pi))), 2)
+    count = max(int(np.ceil(sweep / step)), int(np.ceil(MIN_CHORDS * sweep / (2.0 * np.pi))), 2)
     return np.linspace(0.0, 1.0, count + 1)
 
 
 def _to_world(points: FloatArray, extrusion: Any) -> FloatArray:
-    """Transform points from an entity's frame, whose z is ``extrusion``, to that of the drawing."""
+    """Transform points (N, 3) from an entity's frame, whose z axis is ``extrusion``, to that of the drawing.
+
+    The x axis follows from z by DXF's "Arbitrary Axis Algorithm".
+    """
     z = np.array(tuple(extrusion), dtype=np.float64)
     z = z / np.linalg.norm(z)
     x = np.cross([0.0, 1.0, 0.0] if max(abs(z[0]), abs(z[1])) < 1.0 / 64.0 else [0.0, 0.0, 1.0], z)
@@ -208,25 +229,28 @@ def _to_world(points: FloatArray, extrusion: Any) -> FloatArray:
     return np.asarray(points @ np.array([x, np.cross(z, x), z]))
 
 
-def _polyline_with_bulges(rows: FloatArray, height: float, closed: bool, unit: float) -> FloatArray:
-    """Return points of a polyline (K, 3) of x, y and bulge.
+def _polyline_with_bulges(corners: FloatArray, height: float, closed: bool, unit: float) -> FloatArray:
+    """Return points (N, 3) of a polyline whose segments are lines or arcs.
 
-    The bulge is the tangent of a quarter of the arc to the next point.
+    ``corners`` (K, 3) are x, y and the bulge of the segment to the next corner: the tangent of a quarter of
+    the angle of its arc. ``height`` is z of all points, ``unit`` the metres per unit of the drawing.
     """
-    out = [rows[:1, :2]]
-    after = np.roll(rows, -1, axis=0)
-    for start, end in zip(rows[: None if closed else -1], after[: None if closed else -1], strict=True):
+    out = [corners[:1, :2]]
+    next_corners = np.roll(corners, -1, axis=0)
+    for start, end in zip(
+        corners[: None if closed else -1], next_corners[: None if closed else -1], strict=True
+    ):
         chord, bulge = end[:2] - start[:2], float(start[2])
-        size = float(np.hypot(*chord))
-        if abs(bulge) < 1e-12 or size == 0.0:
+        chord_length = float(np.hypot(*chord))
+        if abs(bulge) < 1e-12 or chord_length == 0.0:
             out.append(end[None, :2])
             continue
         # A positive bulge puts the arc on the right of its chord. Bulge = tan(angle / 4).
-        turn = 4.0 * np.arctan(bulge)
-        radius = 0.5 * size / abs(np.sin(0.5 * turn))
+        sweep = 4.0 * np.arctan(bulge)
+        radius = 0.5 * chord_length / abs(np.sin(0.5 * sweep))
         left = np.array([-chord[1], chord[0]])
         centre = start[:2] + 0.5 * chord + 0.25 * left * (1.0 - bulge**2) / bulge
-        angle = turn * _arc_fractions(radius * unit, abs(turn))[1:, None]
+        angle = sweep * _arc_fractions(radius * unit, abs(sweep))[1:, None]
         arm = start[:2] - centre
         out.append(centre + np.cos(angle) * arm + np.sin(angle) * np.array([-arm[1], arm[0]]))
     flat = np.concatenate(out)
@@ -234,9 +258,10 @@ def _polyline_with_bulges(rows: FloatArray, height: float, closed: bool, unit: f
 
 
 def _spline(entity: Any) -> FloatArray | None:
+    """Return points (N, 3) of a spline in the drawing's units, close together in each span of its knots."""
     control = np.array([tuple(point) for point in entity.control_points], dtype=np.float64).reshape(-1, 3)
     if not len(control):
-        # A spline through fit points alone is defined by the program that drew it.
+        # DXF does not define a spline that has only fit points, so ezdxf's interpretation is used.
         tool = entity.construction_tool()
         return np.array([tuple(point) for point in tool.approximate(400)], dtype=np.float64)
     degree = int(entity.dxf.degree)
@@ -250,39 +275,44 @@ def _spline(entity: Any) -> FloatArray | None:
 
 
 def join_pieces(pieces: list[FloatArray]) -> list[DrawingCurve]:
-    """Join pieces with common ends into curves. Closed pieces stay as they are.
+    """Join pieces (N, 3) [m] with common ends into curves. Closed pieces stay as they are.
 
-    Each curve runs in the direction of its first piece, and starts with it if it is closed.
+    Each curve runs in the direction of its first piece. A closed curve also starts with its first piece.
     """
     out: list[DrawingCurve] = []
-    left = list(range(len(pieces)))
+    remaining = list(range(len(pieces)))
     all_ends = np.array([piece[[0, -1]] for piece in pieces]).reshape(-1, 2, 3)
     all_open = np.array([not _is_closed(piece) for piece in pieces], dtype=bool)
-    while left:
-        chain, count, prepended = pieces[left.pop(0)], 1, 0
-        while left and not _is_closed(chain):
-            ends, open_ = all_ends[left], all_open[left]
+    while remaining:
+        chain, count, prepended = pieces[remaining.pop(0)], 1, 0
+        while remaining and not _is_closed(chain):
+            ends, is_open = all_ends[remaining], all_open[remaining]
             gap = np.linalg.norm(ends[:, :, None] - chain[[0, -1]][None, None], axis=3)
-            gap[~open_] = np.inf
+            gap[~is_open] = np.inf
             which, end, chain_end = np.unravel_index(int(np.argmin(gap)), gap.shape)
             if gap[which, end, chain_end] > JOIN_DISTANCE_M:
                 break
-            piece = pieces[left.pop(int(which))]
+            piece = pieces[remaining.pop(int(which))]
             piece = piece if end == 0 else piece[::-1]  # leads away from the chain
             chain = np.concatenate([chain, piece[1:]] if chain_end else [piece[:0:-1], chain])
             prepended += 0 if chain_end else len(piece) - 1
             count += 1
-        shut = _is_closed(chain)
-        out.append(DrawingCurve(np.roll(chain[:-1], -prepended, axis=0) if shut else chain, shut, count))
+        is_closed = _is_closed(chain)
+        out.append(
+            DrawingCurve(np.roll(chain[:-1], -prepended, axis=0) if is_closed else chain, is_closed, count)
+        )
     return out
 
 
 def _is_closed(points: FloatArray) -> bool:
+    """Return whether a polyline of more than three points ends where it starts."""
     return len(points) > 3 and bool(np.linalg.norm(points[0] - points[-1]) <= JOIN_DISTANCE_M)
 
 
 EQUAL_LENGTH_TOLERANCE: Final = 1e-3
-"""Relative tolerance of the rulings' mean square within which two ways to join guides are equally short."""
+"""Relative tolerance of the mean square length of the rulings, within which two ways to join guides are
+equally short.
+"""
 POINT_TOLERANCE_M: Final = 1e-9
 """Distance [m] up to which points of a polyline are equal."""
 START_POINTS: Final = 720
@@ -296,9 +326,10 @@ class GuideCurve:
     Attributes:
         points: Points (N, 3) [m], the first not repeated in a closed guide.
         parameter: Ascending parameters (N,) in [0, 1).
-        anchor: Which points (N,) are corners, or are joined with each other for another reason.
+        anchor: Flags (N,) of the points that are joined with anchors of the other guide: corners, ends of an
+            open guide, and points that are chosen otherwise.
         closed: Whether the guide is closed.
-        either: Whether the direction of the guide is undefined.
+        either: Whether the direction of the guide is undefined, so that both directions are tried.
     """
 
     points: FloatArray
@@ -322,7 +353,10 @@ class GuideRulings:
 
 
 def polyline_guide(points: FloatArray, closed: bool, angle: float, either: bool = False) -> GuideCurve:
-    """Return a polyline as a guide, with corners where it turns by more than ``angle`` [rad]."""
+    """Return a polyline (N, 3) as a guide, with anchors at corners of more than ``angle`` [rad].
+
+    Points that repeat the one before are removed. ``either``: the direction of the guide is undefined.
+    """
     distinct = np.append(True, np.linalg.norm(np.diff(points, axis=0), axis=1) > POINT_TOLERANCE_M)
     distinct_points = points[distinct]
     if (
@@ -344,7 +378,7 @@ def polyline_guide(points: FloatArray, closed: bool, angle: float, either: bool 
 
 
 def with_corners_at(curve: GuideCurve, at: FloatArray) -> GuideCurve:
-    """Return the curve with corners only where it is nearest to ``at`` (C, 3)."""
+    """Return the curve with anchors only where it is nearest to points ``at`` (C, 3), and at open ends."""
     anchor = np.zeros(len(curve.points), dtype=np.bool_)
     if len(at):
         anchor[np.linalg.norm(curve.points[:, None] - at[None], axis=2).argmin(axis=0)] = True
@@ -354,10 +388,11 @@ def with_corners_at(curve: GuideCurve, at: FloatArray) -> GuideCurve:
 
 
 def join_guides(start: GuideCurve, end: GuideCurve, match: str) -> list[GuideRulings]:
-    """Return the surfaces that the words on two guides allow.
+    """Return the ruled surfaces between two guides that have the shortest rulings.
 
-    There are several if the guides fit equally well in several ways, and none if their numbers of corners
-    differ.
+    There are several if several ways to join the guides are equally short, and none if the guides have
+    different numbers of anchors. ``match`` is ``parameter`` to join points at equal parameters between
+    anchors, else points at equal lengths are joined.
     """
     candidates: list[tuple[float, GuideRulings]] = []
     for start_guide in (start, reverse_curve(start)) if start.either and not start.closed else (start,):
@@ -374,7 +409,7 @@ def join_guides(start: GuideCurve, end: GuideCurve, match: str) -> list[GuideRul
 
 
 def match_guides(start: GuideCurve, end: GuideCurve, match: str) -> GuideRulings:
-    """Return the surface between two guides that start together and run in the same direction."""
+    """Return the ruled surface between two guides that start together and run in the same direction."""
     return _rule(start, end, match)[1]
 
 
@@ -404,7 +439,11 @@ def start_at(curve: GuideCurve, first: int) -> GuideCurve:
 
 
 def _rulings_in_direction(start: GuideCurve, end: GuideCurve, match: str) -> list[tuple[float, GuideRulings]]:
-    """Return surfaces, with the mean square of the rulings' lengths, for one direction of both guides."""
+    """Return ruled surfaces for given directions of both guides, each with its mean square ruling length.
+
+    Closed guides are joined from their anchors on. Without anchors, the start point of the second guide is
+    the one with the smallest mean square.
+    """
     if int(start.anchor.sum()) != int(end.anchor.sum()):
         return []
     if not start.closed:
@@ -427,28 +466,33 @@ def _rulings_in_direction(start: GuideCurve, end: GuideCurve, match: str) -> lis
 
 
 def _rule(start: GuideCurve, end: GuideCurve, match: str) -> tuple[float, GuideRulings]:
-    rows: list[FloatArray] = []
-    others: list[FloatArray] = []
-    total, weight = 0.0, 0
+    """Return the rulings between the pieces of two guides, which are joined in order from anchor to anchor.
+
+    Returned first is the mean square [m^2] of the distances of points at equal fractions of each piece's
+    length.
+    """
+    starts: list[FloatArray] = []
+    ends: list[FloatArray] = []
+    total, count = 0.0, 0
     for (a, at_a), (b, at_b) in zip(_pieces(start), _pieces(end), strict=True):
-        share_a, share_b = (
+        fractions_a, fractions_b = (
             (at_a, at_b) if match == "parameter" else (_length_fractions(a), _length_fractions(b))
         )
-        fractions = np.union1d(share_a, share_b)
+        fractions = np.union1d(fractions_a, fractions_b)
         fractions = fractions[np.append(True, np.diff(fractions) > POINT_TOLERANCE_M)]
         fractions[-1] = 1.0
         checkpoints = np.linspace(0.0, 1.0, 33)
         difference = _interpolate(a, _length_fractions(a), checkpoints) - _interpolate(
             b, _length_fractions(b), checkpoints
         )
-        total, weight = total + float(np.sum(difference**2)), weight + len(checkpoints)
-        rows.append(_interpolate(a, share_a, fractions)[slice(1 if rows else 0, None)])
-        others.append(_interpolate(b, share_b, fractions)[slice(1 if others else 0, None)])
-    return total / max(weight, 1), GuideRulings(np.concatenate(rows), np.concatenate(others))
+        total, count = total + float(np.sum(difference**2)), count + len(checkpoints)
+        starts.append(_interpolate(a, fractions_a, fractions)[slice(1 if starts else 0, None)])
+        ends.append(_interpolate(b, fractions_b, fractions)[slice(1 if ends else 0, None)])
+    return total / max(count, 1), GuideRulings(np.concatenate(starts), np.concatenate(ends))
 
 
 def _pieces(curve: GuideCurve) -> list[tuple[FloatArray, FloatArray]]:
-    """Return points and parameters from 0 to 1 of the pieces between anchors."""
+    """Return the pieces of a guide between its anchors: points (N, 3), and parameters (N,) from 0 to 1."""
     points, parameter = curve.points, curve.parameter
     cut = np.flatnonzero(curve.anchor)
     if curve.closed:
@@ -481,5 +525,6 @@ def _interpolate(points: FloatArray, fractions: FloatArray, queries: FloatArray)
 
 
 def _points_along(curve: GuideCurve, fractions: FloatArray) -> FloatArray:
+    """Return points (N, 3) at fractions (N,) of the length of a closed guide."""
     ring = np.concatenate([curve.points, curve.points[:1]])
     return _interpolate(ring, _length_fractions(ring), fractions)

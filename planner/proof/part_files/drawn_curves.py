@@ -20,19 +20,18 @@ POINT_TOLERANCE_M = 1e-9
 
 
 class CurveReadError(ValueError):
-    """A curve that cannot be projected onto the face."""
+    """A curve that cannot be read from its file, or a file without exactly one curve."""
 
 
 def curve_points(drawn: DrawnCurve) -> tuple[FloatArray, bool]:
-    """Return the points of a curve: its own for a polyline, many for a spline.
+    """Return the points of a curve: the stated points of a polyline, many points of a spline.
 
     Returns:
-        Points (N, 3) [m], and whether the curve may be run in the other direction as well, because a
-            drawing does not
-        define the direction of a curve in pieces.
+        Points (N, 3) [m], and whether the curve may run in the other direction as well. This is so for a
+        curve of several pieces of a drawing, whose direction the drawing does not define.
 
     Raises:
-        NotThereError: The file does not have exactly one curve, or cannot be read.
+        CurveReadError: The file does not have exactly one curve, or cannot be read.
     """
     if drawn.file is not None:
         return _only_curve(drawn, drawn.file)
@@ -48,7 +47,10 @@ def curve_points(drawn: DrawnCurve) -> tuple[FloatArray, bool]:
 
 
 def _only_curve(drawn: DrawnCurve, file: Path) -> tuple[FloatArray, bool]:
-    """Return the only curve of a drawing. A closed one ends where it starts."""
+    """Return the only curve of a drawing as :func:`curve_points` does.
+
+    The first point of a closed curve is repeated at its end. ``z_mm``, if stated, replaces the heights.
+    """
     try:
         file_curves = curves_of(drawn)
     except UnreadError as error:
@@ -85,10 +87,10 @@ def curves_of(drawn: DrawnCurve) -> list[curves.DrawingCurve]:
 
 
 def split_curves(drawn: tuple[DrawnCurve, ...]) -> tuple[DrawnCurve, ...]:
-    """Return curves, those of drawings one by one as polylines.
+    """Return curves, with each entry that names layers replaced by the curves of its file as polylines.
 
     Raises:
-        NotThereError: A file cannot be read.
+        CurveReadError: A file cannot be read.
     """
     out: list[DrawnCurve] = []
     for entry in drawn:
@@ -99,6 +101,6 @@ def split_curves(drawn: tuple[DrawnCurve, ...]) -> tuple[DrawnCurve, ...]:
             file_curves = curves_of(entry)
         except UnreadError as error:
             raise CurveReadError(f"{entry.file}: {error}") from error
-        rows = [(_closed_points(curve) / MILLIMETRE_M).tolist() for curve in file_curves]
-        out += [DrawnCurve("polyline", tuple(map(tuple, points))) for points in rows]
+        polylines_mm = [(_closed_points(curve) / MILLIMETRE_M).tolist() for curve in file_curves]
+        out += [DrawnCurve("polyline", tuple(map(tuple, points))) for points in polylines_mm]
     return tuple(out)

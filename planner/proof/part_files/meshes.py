@@ -1,6 +1,7 @@
-"""Triangles of OBJ, STL, PLY, GLB and 3MF files, read from their bytes, and faces as meshes of vertices.
+"""Triangles of OBJ, STL, PLY, GLB and 3MF files, read from their bytes, and faces as indexed meshes.
 
-Faces come from files and from lofts. They are offset inwards, and their edges are joined.
+Faces come from files and from lofts. They are offset inwards by a thickness, and the rims of both faces are
+joined by ruled edges.
 """
 
 import dataclasses
@@ -31,7 +32,7 @@ from planner.proof.part_files.curves import (
 )
 
 _STL: Final = np.dtype([("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("more", "<u2")])
-"""One triangle of a binary STL file."""
+"""Data type of one triangle of a binary STL file."""
 _STL_HEAD: Final = 84
 """Bytes before the first triangle: 80 of text and the count."""
 _PLY_TYPES: Final = {
@@ -63,8 +64,8 @@ class Facets:
 
     Attributes:
         corners: Corners (F, 3, 3) in the file's units, anticlockwise seen from outside.
-        row: Number (F,) of the file's face of each triangle, from 1.
-        unit: Metres per unit, if the file states it.
+        row: Number (F,) of the face in the file to which each triangle belongs, from 1.
+        unit: Metres per unit of the file, None if the file does not state it.
     """
 
     corners: FloatArray
@@ -73,7 +74,7 @@ class Facets:
 
 
 def read_facets(path: Path) -> Facets:
-    """Read the triangles of a file by its suffix. Polygons become fans.
+    """Read the triangles of a file in the format of its suffix. Polygons are split into fans of triangles.
 
     Raises:
         UnreadError: The file cannot be read.
@@ -120,13 +121,13 @@ def read_points(path: Path) -> FloatArray:
         if kind not in (".obj", ".xyz", ".txt"):
             raise UnreadError(f"scan files {path.suffix or 'without suffix'} are not supported")
         lines = _lines(data)
-        rows = [line.replace(",", " ").replace(";", " ").split() for line in lines]
+        words = [line.replace(",", " ").replace(";", " ").split() for line in lines]
         if kind == ".obj":
-            rows = [row[1:] for row in rows if row and row[0] == "v"]
-        rows = [row for row in rows if row and not row[0].startswith(("#", "//"))]
-        if kind != ".obj" and rows and (len(rows[0]) == 1 or not _is_number(rows[0][0])):
-            del rows[0]  # the number of points, or column names
-        return np.array([[float(word) for word in row[:3]] for row in rows]).reshape(-1, 3)
+            words = [line[1:] for line in words if line and line[0] == "v"]
+        words = [line for line in words if line and not line[0].startswith(("#", "//"))]
+        if kind != ".obj" and words and (len(words[0]) == 1 or not _is_number(words[0][0])):
+            del words[0]  # the number of points, or column names
+        return np.array([[float(word) for word in line[:3]] for line in words]).reshape(-1, 3)
     except (ValueError, IndexError, KeyError, OverflowError) as error:
         raise UnreadError(str(error) or type(error).__name__) from error
 
@@ -140,14 +141,17 @@ def _is_number(word: str) -> bool:
 
 
 def _lines(data: bytes) -> list[str]:
-    """Return the lines of a text of numbers. Other words in it may be in any encoding."""
+    """Return the lines of a text of numbers, in UTF-16, or in any encoding that extends ASCII."""
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data.decode("utf-16").splitlines()
     return data.removeprefix(b"\xef\xbb\xbf").decode("latin-1").splitlines()
 
 
 def _obj(text: str) -> Facets:
-    """Read lines ``v`` and ``f``. A negative index counts back from the last vertex above the line."""
+    """Read the lines ``v`` and ``f`` of an OBJ file.
+
+    A negative index counts back from the last vertex above its line.
+    """
     vertices: list[list[float]] = []
     polygons: list[list[int]] = []
     for line in text.replace("\\\r\n", " ").replace("\\\n", " ").splitlines():
@@ -157,31 +161,33 @@ def _obj(text: str) -> Facets:
         if words[0] == "v":
             vertices.append([float(word) for word in words[1:4]])
         elif words[0] == "f" and len(words) > 3:
-            named = [int(word.split("/", 1)[0]) for word in words[1:]]
-            polygons.append([i - 1 if i > 0 else len(vertices) + i for i in named])
+            indices = [int(word.split("/", 1)[0]) for word in words[1:]]
+            polygons.append([i - 1 if i > 0 else len(vertices) + i for i in indices])
     return _fans(np.array(vertices, dtype=np.float64).reshape(-1, 3), polygons)
 
 
 def _fans(vertices: FloatArray, polygons: Sequence[Sequence[int]] | IntArray) -> Facets:
-    """Return the triangles of polygons, as fans about the first corner of each, in their order."""
+    """Return polygons as triangles: a fan about the first corner of each, in the order of the polygons."""
     lengths = np.array([len(polygon) for polygon in polygons], dtype=np.int64)
-    index, row = [np.zeros((0, 3), dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    triangles, numbers = [np.zeros((0, 3), dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
     for length in np.unique(lengths[lengths > 2]).tolist():
         rows = np.flatnonzero(lengths == length)
-        whole = len(rows) == len(polygons)
-        polygon_rows = np.asarray(polygons if whole else [polygons[i] for i in rows.tolist()], dtype=np.int64)
+        all_equal = len(rows) == len(polygons)
+        polygon_rows = np.asarray(
+            polygons if all_equal else [polygons[i] for i in rows.tolist()], dtype=np.int64
+        )
         fan = [polygon_rows[:, [0, k, k + 1]] for k in range(1, length - 1)]
-        index.append(np.stack(fan, axis=1).reshape(-1, 3))
-        row.append(np.repeat(rows + 1, length - 2))
-    order = np.argsort(np.concatenate(row), kind="stable")
-    named = np.concatenate(index)[order]
-    if len(named) and (named.min() < 0 or named.max() >= len(vertices)):
+        triangles.append(np.stack(fan, axis=1).reshape(-1, 3))
+        numbers.append(np.repeat(rows + 1, length - 2))
+    order = np.argsort(np.concatenate(numbers), kind="stable")
+    ordered_triangles = np.concatenate(triangles)[order]
+    if len(ordered_triangles) and (ordered_triangles.min() < 0 or ordered_triangles.max() >= len(vertices)):
         raise UnreadError("a face refers to a missing vertex")
-    return Facets(vertices[named], np.concatenate(row)[order])
+    return Facets(vertices[ordered_triangles], np.concatenate(numbers)[order])
 
 
 def _stl(data: bytes) -> Facets:
-    """Read a binary STL if its triangle count matches its size, else a text STL of one or several solids."""
+    """Read an STL file: binary if its size matches its triangle count, else text with one or more solids."""
     if len(data) >= _STL_HEAD:
         count = int.from_bytes(data[80:84], "little")
         if len(data) == _STL_HEAD + count * _STL.itemsize:
@@ -191,20 +197,20 @@ def _stl(data: bytes) -> Facets:
     if "endsolid" not in words:
         raise UnreadError("it is neither a binary STL of the right length nor a text STL")
     last = len(words) - 1 - words[::-1].index("endsolid")
-    at = np.flatnonzero(np.array(words[:last]) == "vertex")
-    numbers = [[float(word) for word in words[i + 1 : i + 4]] for i in at]
+    positions = np.flatnonzero(np.array(words[:last]) == "vertex")
+    numbers = [[float(word) for word in words[i + 1 : i + 4]] for i in positions]
     corners = np.array(numbers, dtype=np.float64).reshape(-1, 3, 3)
     return Facets(corners, np.arange(1, len(corners) + 1))
 
 
 @dataclasses.dataclass
 class _PlyElement:
-    """An element of a PLY file.
+    """An element of a PLY file: a table such as that of vertices or of faces.
 
     Attributes:
-        name: Its name.
-        count: Number of rows.
-        properties: Name, type, and type of the count if the property is a list.
+        name: Name of the element.
+        count: Number of its rows.
+        properties: Name and type of each column, with the type of the count if it is a list, else None.
     """
 
     name: str
@@ -213,20 +219,22 @@ class _PlyElement:
 
 
 def _ply(data: bytes) -> Facets:
+    """Read the triangles of a PLY file."""
     columns = _ply_columns(data)
     vertices, polygons = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
     if "vertex" in columns:
         vertices = np.array([columns["vertex"][axis] for axis in "xyz"], dtype=np.float64).T
     if "face" in columns:
         face_columns = columns["face"]
-        named = next((name for name in _PLY_FACES if name in face_columns), None) or _first_list(data)
-        if named is None:
+        list_name = next((name for name in _PLY_FACES if name in face_columns), None) or _first_list(data)
+        if list_name is None:
             raise UnreadError("its faces have no list of vertices")
-        polygons = face_columns[named]
+        polygons = face_columns[list_name]
     return _fans(vertices, polygons)
 
 
 def _first_list(data: bytes) -> str | None:
+    """Return the name of the first list property of faces, None without any."""
     faces = [element for element in _ply_elements(_ply_head(data)[0]) if element.name == "face"]
     return next(
         (name for face_element in faces for name, _, count in face_element.properties if count is not None),
@@ -235,6 +243,7 @@ def _first_list(data: bytes) -> str | None:
 
 
 def _ply_columns(data: bytes) -> dict[str, Mapping[str, Any]]:
+    """Return the columns of a PLY file: {name of the element: {name of the property: values}}."""
     head, body = _ply_head(data)
     form = next((line[1] for line in head if line[0] == "format"), "")
     order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}.get(form)
@@ -254,7 +263,7 @@ def _ply_columns(data: bytes) -> dict[str, Mapping[str, Any]]:
 
 
 def _ply_head(data: bytes) -> tuple[list[list[str]], bytes]:
-    """Return the words of the lines of the head, and the data after it."""
+    """Return the words of each line of the header, and the data after it."""
     end = data.find(b"end_header")
     if not data[:3].lower() == b"ply" or end < 0:
         raise UnreadError("it has no PLY header")
@@ -264,6 +273,7 @@ def _ply_head(data: bytes) -> tuple[list[list[str]], bytes]:
 
 
 def _ply_elements(head: list[list[str]]) -> list[_PlyElement]:
+    """Return the elements that the header states, in the order of their data."""
     out: list[_PlyElement] = []
     for words in head:
         if words[0] == "element":
@@ -276,43 +286,47 @@ def _ply_elements(head: list[list[str]]) -> list[_PlyElement]:
 
 
 def _ply_text(element: _PlyElement, numbers: FloatArray, offset: int) -> tuple[dict[str, Any], int]:
-    """Return the columns of an element whose numbers start at ``offset``, and where the next one starts."""
-    lengths, at = [], offset
+    """Return the columns of an element whose numbers start at ``offset``, and where the next one starts.
+
+    Lists of equal length, which is the usual case, are read in one step.
+    """
+    lengths, position = [], offset
     for _, _, count in element.properties:
-        lengths.append(int(numbers[at]) if count is not None and element.count else 0)
-        at += 1 + lengths[-1] if count is not None else 1
-    width = at - offset
+        lengths.append(int(numbers[position]) if count is not None and element.count else 0)
+        position += 1 + lengths[-1] if count is not None else 1
+    width = position - offset
     if element.count and offset + width * element.count <= len(numbers):
         table = numbers[offset : offset + width * element.count].reshape(element.count, width)
         columns: dict[str, Any] = {}
-        column, even = 0, True
+        column, are_equal = 0, True
         for (name, _, count), length in zip(element.properties, lengths, strict=True):
             if count is None:
                 columns[name] = table[:, column]
                 column += 1
             else:
-                even &= bool((table[:, column] == length).all())
+                are_equal &= bool((table[:, column] == length).all())
                 columns[name] = table[:, column + 1 : column + 1 + length].astype(np.int64)
                 column += 1 + length
-        if even:
+        if are_equal:
             return columns, offset + width * element.count
     out: dict[str, Any] = {name: [] for name, _, _ in element.properties}
     for _ in range(element.count):
         for name, _, count in element.properties:
-            many = int(numbers[offset]) if count is not None else 1
+            length = int(numbers[offset]) if count is not None else 1
             offset += count is not None
-            values = numbers[offset : offset + many]
-            if len(values) < many:
+            values = numbers[offset : offset + length]
+            if len(values) < length:
                 raise UnreadError("it is truncated")
             out[name].append(values.astype(np.int64) if count is not None else values[0])
-            offset += many
+            offset += length
     return out, offset
 
 
 def _ply_binary(element: _PlyElement, body: bytes, offset: int, order: str) -> tuple[dict[str, Any], int]:
-    """Return the columns of an element, and where the next one starts.
+    """Return the columns of an element whose bytes start at ``offset``, and where the next one starts.
 
-    Lists of equal length, which is the usual case, are read in one step.
+    Lists of equal length, which is the usual case, are read in one step. ``order`` is the byte order, "<" or
+    ">".
     """
     lengths = _first_lengths(element, body, offset, order)
     fields: list[Any] = []
@@ -324,36 +338,36 @@ def _ply_binary(element: _PlyElement, body: bytes, offset: int, order: str) -> t
     row = np.dtype(fields)
     if offset + row.itemsize * element.count <= len(body):
         table = np.frombuffer(body, row, element.count, offset)
-        even = all(
+        are_equal = all(
             (table[f"count {name}"] == length).all()
             for (name, _, count), length in zip(element.properties, lengths, strict=True)
             if count is not None
         )
-        if even:
+        if are_equal:
             return {name: table[name] for name, _, _ in element.properties}, offset + table.nbytes
     out: dict[str, Any] = {name: [] for name, _, _ in element.properties}
     for _ in range(element.count):
         for name, kind, count in element.properties:
-            many = 1
+            length = 1
             if count is not None:
-                many = int(np.frombuffer(body, order + count, 1, offset)[0])
+                length = int(np.frombuffer(body, order + count, 1, offset)[0])
                 offset += np.dtype(count).itemsize
-            values = np.frombuffer(body, order + kind, many, offset)
+            values = np.frombuffer(body, order + kind, length, offset)
             offset += values.nbytes
             out[name].append(values if count is not None else values[0])
     return out, offset
 
 
 def _first_lengths(element: _PlyElement, body: bytes, offset: int, order: str) -> list[int]:
-    """Return the lengths of the lists of the first row, 0 for scalar properties."""
+    """Return the lengths of the lists in the first row of an element, 0 for scalar properties."""
     out = []
     for _, kind, count in element.properties:
-        many = 0
+        length = 0
         if count is not None and element.count:
-            many = int(np.frombuffer(body, order + count, 1, offset)[0])
+            length = int(np.frombuffer(body, order + count, 1, offset)[0])
             offset += np.dtype(count).itemsize
-        out.append(many)
-        offset += np.dtype(kind).itemsize * (many if count is not None else 1)
+        out.append(length)
+        offset += np.dtype(kind).itemsize * (length if count is not None else 1)
     return out
 
 
@@ -362,13 +376,13 @@ LOFT_CELLS: Final = (40, 400)
 LOFT_TOLERANCE_M: Final = 1e-5
 """Maximum deviation [m] of cells from the loft, if the maximum number of cells suffices."""
 _NORMAL_STEP: Final = 1e-5
-"""Step for a surface's normals, relative to the range of its parameters."""
+"""Step of the differences that give a surface's normals, relative to the range of its parameters."""
 _RULINGS: Final = 2000
-"""Number of rulings of a face."""
+"""Number of rulings into which a ruled face is divided."""
 STRAIGHT_TOLERANCE_M: Final = 1e-8
 """Maximum deviation [m] of a straight line from its chord."""
 _POSITIONS: Final = np.linspace(0.0, 1.0, 41)
-"""Positions along and across a face at which it is examined."""
+"""Fractions of both parameter ranges of a face at which its lines are examined."""
 _VERTEX_TOLERANCE: Final = 1e-9
 """Distance up to which vertices are equal, relative to the mesh's extent."""
 _CORNER_ANGLE_RAD: Final = 20.0 * np.pi / 180.0
@@ -377,13 +391,13 @@ _CORNER_ANGLE_RAD: Final = 20.0 * np.pi / 180.0
 
 @dataclasses.dataclass(frozen=True)
 class MeshFace:
-    """A face as a mesh.
+    """A face of a part as an indexed mesh.
 
     Attributes:
         vertices: Vertices (V, 3) [m].
-        up: Unit normals (V, 3).
-        faces: Triangles (F, 3).
-        number: Number (F,) of each triangle in its file, from 1.
+        up: Unit normals (V, 3) at the vertices, away from the part.
+        faces: Indices (F, 3) of the vertices of each triangle.
+        number: Number (F,) from 1 of each triangle, or of the face in the file to which it belongs.
     """
 
     vertices: FloatArray
@@ -410,7 +424,12 @@ def mesh_face(entry: Entry) -> MeshFace:
 
 
 def face_of(corners: FloatArray, number: IntArray, flip: bool) -> MeshFace:
-    """Return the face of triangles (F, 3, 3) [m] with numbers (F,), flipped if requested.
+    """Return triangles as a face. Equal corners become one vertex, and triangles without area are left out.
+
+    Args:
+        corners: Corners (F, 3, 3) [m] of the triangles.
+        number: Number (F,) of each triangle.
+        flip: Whether the order of the corners, and with it the normals, are reversed.
 
     Raises:
         UnreadError: No triangle has an area.
@@ -422,15 +441,15 @@ def face_of(corners: FloatArray, number: IntArray, flip: bool) -> MeshFace:
     _, first, index = np.unique(grid, axis=0, return_index=True, return_inverse=True)
     vertices, faces = corners.reshape(-1, 3)[first], index.reshape(-1, 3).astype(np.int64)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    kept = np.linalg.norm(cross, axis=1) > step * step
-    faces, number = faces[kept], number[kept]
+    has_area = np.linalg.norm(cross, axis=1) > step * step
+    faces, number = faces[has_area], number[has_area]
     if not len(faces):
         raise UnreadError("all its faces have no area")
     return MeshFace(vertices, _normals(vertices, faces), faces, number)
 
 
 def loft_face(entry: Entry) -> MeshFace:
-    """Return the face of a loft on a grid of exact points with exact normals."""
+    """Return the face of a loft, or of the stated region of it, on a grid of exact points."""
     region = entry.get("region") or {}
     u0, u1 = (float(v) for v in region.get("u") or (0.0, 1.0))
     v0, v1 = (float(v) for v in region.get("v") or (0.0, 1.0))
@@ -448,22 +467,24 @@ def grid_face(
     flip: bool,
     kinks: tuple[FloatArray, FloatArray] = (np.zeros(0), np.zeros(0)),
 ) -> MeshFace:
-    """Return the face of a surface on a grid of exact points with exact normals.
+    """Return the face of a surface as triangles on a grid of exact points.
+
+    Normals come from central differences with a small step.
 
     Args:
-        at: The surface.
+        at: The surface S(u, v).
         u: Range of its parameter u.
         v: Range of its parameter v.
-        flip: Whether the side away from the part is against dS/du x dS/dv.
-        kinks: Parameters along u and v that are on lines of the grid.
+        flip: Whether the normal away from the part is -dS/du x dS/dv.
+        kinks: Parameters along u, and along v, of kinks, which must be on lines of the grid.
     """
     cells = _cell_count(at, u, v)
     grid_lines = [np.linspace(*ends, cells + 1) for ends in (u, v)]
     for k, (low, high) in enumerate((u, v)):
         inner = kinks[k][(kinks[k] > low) & (kinks[k] < high)]
-        every = np.union1d(grid_lines[k], inner)
+        all_lines = np.union1d(grid_lines[k], inner)
         tolerance = _VERTEX_TOLERANCE * (high - low)
-        grid_lines[k] = every[np.append(True, np.diff(every) > tolerance)]
+        grid_lines[k] = all_lines[np.append(True, np.diff(all_lines) > tolerance)]
     grid = np.meshgrid(*grid_lines, indexing="ij")
     uu, vv = (part.ravel() for part in grid)
     points = at(uu, vv)
@@ -485,9 +506,9 @@ Region = tuple[tuple[float, float], tuple[float, float]]
 
 
 def straight_parameters(at: SurfaceFunction, region: Region) -> list[int]:
-    """Return the parameters along which all lines of a surface are straight: u (0), v (1).
+    """Return the parameters along which a surface is straight: u (0), v (1), both or none.
 
-    The lines are at evenly spaced positions.
+    Lines at evenly spaced values of the other parameter are examined.
     """
     grid = [low + _POSITIONS * (high - low) for low, high in region]
     u, v = (part.ravel() for part in np.meshgrid(*grid, indexing="ij"))
@@ -496,6 +517,7 @@ def straight_parameters(at: SurfaceFunction, region: Region) -> list[int]:
 
 
 def _all_straight(lines: FloatArray) -> bool:
+    """Return whether all lines (L, N, 3) of points are straight. A line that is only a point is not."""
     chords = lines[:, -1] - lines[:, 0]
     length = np.linalg.norm(chords, axis=1)
     if length.min() < STRAIGHT_TOLERANCE_M:
@@ -512,11 +534,12 @@ def rulings(
     Args:
         at: The surface.
         region: Ranges of its parameters.
-        kinks: Parameters along u and v that are among the rulings.
-        direction: Parameter along which the surface is straight, None for the only one.
+        kinks: Parameters along u, and along v, of kinks, at each of which there must be a ruling.
+        direction: Parameter along which the rulings run, ``u`` or ``v``. None if the surface is straight
+            along one only.
 
     Returns:
-        The parameter, u (0) or v (1), and starts and ends (M, 3) of the rulings.
+        Parameter along which the rulings run, u (0) or v (1), and their starts and ends (M, 3).
 
     Raises:
         UnreadError: The surface is straight along no parameter, or along both.
@@ -534,24 +557,25 @@ def rulings(
 
 
 def _cell_count(surface: SurfaceFunction, u: tuple[float, float], v: tuple[float, float]) -> int:
-    """Return the number of cells within `LOFT_TOLERANCE_M`.
+    """Return the number of cells along each parameter with which their deviation is ``LOFT_TOLERANCE_M``.
 
-    Their deviation falls with the square of their size.
+    The deviation is measured at the midpoints of the coarsest grid's double cells. It falls with the square
+    of the cell size, so that n = n0 / 2 * sqrt(deviation / tolerance) for double cells of n0 / 2.
     """
     min_cells, max_cells = LOFT_CELLS
     grid = np.meshgrid(np.linspace(*u, min_cells + 1), np.linspace(*v, min_cells + 1), indexing="ij")
-    at = surface(grid[0].ravel(), grid[1].ravel()).reshape(min_cells + 1, min_cells + 1, 3)
+    points = surface(grid[0].ravel(), grid[1].ravel()).reshape(min_cells + 1, min_cells + 1, 3)
     deviations = [
-        at[1:-1:2] - 0.5 * (at[:-1:2] + at[2::2]),
-        at[:, 1:-1:2] - 0.5 * (at[:, :-1:2] + at[:, 2::2]),
+        points[1:-1:2] - 0.5 * (points[:-1:2] + points[2::2]),
+        points[:, 1:-1:2] - 0.5 * (points[:, :-1:2] + points[:, 2::2]),
     ]
-    deviations.append(at[1:-1:2, 1:-1:2] - 0.5 * (at[:-1:2, :-1:2] + at[2::2, 2::2]))
+    deviations.append(points[1:-1:2, 1:-1:2] - 0.5 * (points[:-1:2, :-1:2] + points[2::2, 2::2]))
     max_deviation = max(float(np.linalg.norm(values, axis=2).max()) for values in deviations)
     return int(np.clip(0.5 * min_cells * np.sqrt(max_deviation / LOFT_TOLERANCE_M), min_cells, max_cells))
 
 
 def loft_points(entry: Entry, u: FloatArray, v: FloatArray) -> FloatArray:
-    """Return points (N, 3) [m] of a loft at u (N,) along its row of curves and v (N,) along each curve."""
+    """Return points (N, 3) [m] of a loft, at u (N,) from curve to curve and v (N,) along each curve."""
     rail = entry.get("rail")
     curves = entry.get("sections") if rail is None else entry.get("profiles")
     kind = "bezier_mm" if curves[0].get("bezier_mm") is not None else "bspline_mm"  # type: ignore[index]
@@ -572,16 +596,20 @@ def offset_inwards(front: MeshFace, depth: float) -> MeshFace:
 
 
 def boundary_edges(face: MeshFace) -> IntArray:
-    """Return edges (E, 2) of one triangle only, with the face on their left."""
+    """Return the edges (E, 2) that belong to one triangle only, as indices of vertices.
+
+    Each edge runs in the direction in which the face is on its left.
+    """
     edges = np.concatenate([face.faces[:, [i, (i + 1) % 3]] for i in range(3)])
     _, first, count = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
     return np.asarray(edges[np.sort(first[count == 1])])
 
 
 def ruled_edges(front: MeshFace, back: MeshFace, moved: bool) -> list[GuideRulings]:
-    """Return the ruled edges between the rims of both faces, empty if a face does not have exactly one rim.
+    """Return the ruled edges between the rims of two faces, empty if a face does not have exactly one rim.
 
-    Points are joined one to one if the back is the front ``moved``, else by length along both rims.
+    If the back has the vertices of the front, ``moved``, equal vertices are joined, else points at equal
+    lengths along both rims. All equally short ways to join the rims are returned.
     """
     loops = [_closed_loop(boundary_edges(face)) for face in (front, back)]
     if loops[0] is None or loops[1] is None:
@@ -591,28 +619,26 @@ def ruled_edges(front: MeshFace, back: MeshFace, moved: bool) -> list[GuideRulin
     if moved:
         ring = np.append(first, first[0])
         return [GuideRulings(front.vertices[ring], back.vertices[ring])]
-    front_rim, back_rim = (
-        polyline_guide(start, True, _CORNER_ANGLE_RAD),
-        polyline_guide(back.vertices[loops[1]], True, _CORNER_ANGLE_RAD),
-    )
+    front_rim = polyline_guide(start, closed=True, angle=_CORNER_ANGLE_RAD)
+    back_rim = polyline_guide(back.vertices[loops[1]], closed=True, angle=_CORNER_ANGLE_RAD)
     return join_guides(front_rim, back_rim, "arc_length")
 
 
 def _closed_loop(edges: IntArray) -> IntArray | None:
-    """Return the vertices of one closed line of edges in order, or None if there are several."""
-    onward = dict(edges.tolist())
-    if not len(edges) or len(onward) != len(edges):
+    """Return the vertices, in order, if directed edges (E, 2) are exactly one closed loop, else None."""
+    next_of = dict(edges.tolist())
+    if not len(edges) or len(next_of) != len(edges):
         return None
     out = [int(edges[0, 0])]
     while (
-        (next_vertex := onward.get(out[-1])) is not None and next_vertex != out[0] and len(out) <= len(edges)
+        (next_vertex := next_of.get(out[-1])) is not None and next_vertex != out[0] and len(out) <= len(edges)
     ):
         out.append(next_vertex)
     return np.array(out, dtype=np.int64) if len(out) == len(edges) else None
 
 
 def _normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Return unit normals (V, 3), each triangle's weighted by its angle at the vertex."""
+    """Return unit normals (V, 3) at vertices: means of the normals of triangles, by their angles there."""
     out = np.zeros_like(vertices)
     for k in range(3):
         corner, next_corner, previous_corner = (vertices[faces[:, (k + i) % 3]] for i in range(3))

@@ -1,7 +1,7 @@
 """Triangles of GLB and 3MF files, read independently from their bytes, with the unit that each states.
 
-GLB: glTF 2.0 (ISO/IEC 12113): chunks of JSON and numbers, nodes with poses, metres, y up. 3MF: core
-specification 1.3: XML in a ZIP, objects placed by components and items.
+A GLB file (glTF 2.0, ISO/IEC 12113) has chunks of JSON and of numbers, nodes with poses, metres, and y up. A
+3MF file (core specification 1.3) is XML in a ZIP archive, with objects that components and items place.
 """
 
 import json
@@ -39,19 +39,24 @@ _MAX_BYTES: Final = 400_000_000
 
 
 def read_glb(data: bytes) -> tuple[FloatArray, float]:
-    """Return triangles (F, 3, 3) of a GLB file in its units, z up, and the metres per unit."""
+    """Return the triangles (F, 3, 3) of a GLB file in its units, with z up, and the metres per unit.
+
+    Raises:
+        UnreadError: The data are not a GLB file, or too large. Damaged files raise other errors of parsing.
+    """
     if data[:4] != b"glTF":
         raise UnreadError("it is not a GLB file")
     chunks: dict[bytes, bytes] = {}
-    at = 12
-    while at + 8 <= len(data):
-        size, kind = struct.unpack_from("<I4s", data, at)
-        chunks.setdefault(kind.rstrip(b"\0 "), data[at + 8 : at + 8 + size])
-        at += 8 + size
+    offset = 12
+    while offset + 8 <= len(data):
+        size, kind = struct.unpack_from("<I4s", data, offset)
+        chunks.setdefault(kind.rstrip(b"\0 "), data[offset + 8 : offset + 8 + size])
+        offset += 8 + size
     document, numbers = json.loads(chunks[b"JSON"]), chunks.get(b"BIN", b"")
     triangles, placements = [np.zeros((0, 3, 3))], 0
 
     def walk(index: int, parent_pose: FloatArray, depth: int) -> None:
+        """Append the triangles of a node and of its children."""
         nonlocal placements
         placements += 1
         if depth > _MAX_DEPTH or placements > _MAX_PLACEMENTS:
@@ -62,6 +67,7 @@ def read_glb(data: bytes) -> tuple[FloatArray, float]:
             for primitive in document["meshes"][node["mesh"]]["primitives"]:
                 corners = _primitive_triangles(document, numbers, primitive)
                 corners = corners @ node_pose[:3, :3].T + node_pose[:3, 3]
+                # A mirrored node reverses the orientation of its triangles.
                 triangles.append(corners[:, ::-1] if np.linalg.det(node_pose[:3, :3]) < 0.0 else corners)
         for child in node.get("children", ()):
             walk(child, node_pose, depth + 1)
@@ -73,10 +79,11 @@ def read_glb(data: bytes) -> tuple[FloatArray, float]:
 
 
 def _node_pose(node: dict[str, Any]) -> FloatArray:
+    """Return the transform (4, 4) of a node, with its scale, in its parent."""
     if "matrix" in node:
         return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
     x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
-    turn = np.array(
+    rotation = np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
             [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
@@ -84,13 +91,13 @@ def _node_pose(node: dict[str, Any]) -> FloatArray:
         ]
     )
     out = np.eye(4)
-    out[:3, :3] = turn * np.array(node.get("scale", (1.0, 1.0, 1.0)))
+    out[:3, :3] = rotation * np.array(node.get("scale", (1.0, 1.0, 1.0)))
     out[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
     return out
 
 
 def _primitive_triangles(document: dict[str, Any], numbers: bytes, primitive: dict[str, Any]) -> FloatArray:
-    """Return triangles (F, 3, 3) of a list, strip or fan, none for points and lines."""
+    """Return the triangles (F, 3, 3) of a list (mode 4), strip (5) or fan (6), none for points and lines."""
     mode = primitive.get("mode", 4)
     if mode < 4:
         return np.zeros((0, 3, 3))
@@ -99,16 +106,17 @@ def _primitive_triangles(document: dict[str, Any], numbers: bytes, primitive: di
     if "indices" in primitive:
         order = _read_accessor(document, numbers, primitive["indices"])[:, 0].astype(np.int64)
     if mode == 4:
-        three = order[: len(order) // 3 * 3].reshape(-1, 3)
+        indices = order[: len(order) // 3 * 3].reshape(-1, 3)
     elif mode == 5:
-        three = np.stack([order[:-2], order[1:-1], order[2:]], axis=1)
-        three[1::2] = three[1::2][:, [1, 0, 2]]
+        indices = np.stack([order[:-2], order[1:-1], order[2:]], axis=1)
+        indices[1::2] = indices[1::2][:, [1, 0, 2]]
     else:
-        three = np.stack([np.full(len(order) - 2, order[0]), order[1:-1], order[2:]], axis=1)
-    return np.asarray(vertices[three])
+        indices = np.stack([np.full(len(order) - 2, order[0]), order[1:-1], order[2:]], axis=1)
+    return np.asarray(vertices[indices])
 
 
 def _read_accessor(document: dict[str, Any], numbers: bytes, index: int) -> Any:
+    """Return the array (N, 1 to 4) that an accessor describes."""
     accessor = document["accessors"][index]
     if "sparse" in accessor or "bufferView" not in accessor:
         raise UnreadError("its numbers are not stored as a plain array")
@@ -123,27 +131,31 @@ def _read_accessor(document: dict[str, Any], numbers: bytes, index: int) -> Any:
 
 
 def read_3mf(path: Path) -> tuple[FloatArray, float]:
-    """Return triangles (F, 3, 3) of a 3MF file in its units, and the metres per unit."""
+    """Return the triangles (F, 3, 3) of a 3MF file in its units, and the metres per unit.
+
+    Raises:
+        UnreadError: The file cannot be read, or is too large.
+    """
     try:
         with zipfile.ZipFile(path) as pack:
-            if sum(placed.file_size for placed in pack.infolist()) > _MAX_BYTES:
+            if sum(member.file_size for member in pack.infolist()) > _MAX_BYTES:
                 raise UnreadError("it is too large when it is unpacked")
             links = expatbuilder.parseString(pack.read("_rels/.rels"))
             root = next(
-                placed.getAttribute("Target")
-                for placed in links.getElementsByTagNameNS("*", "Relationship")
-                if placed.getAttribute("Type").endswith("/3dmodel")
+                link.getAttribute("Target")
+                for link in links.getElementsByTagNameNS("*", "Relationship")
+                if link.getAttribute("Type").endswith("/3dmodel")
             )
             parts: dict[str, dict[str, _Object3mf]] = {}
             size, items = _read_part(pack, root.lstrip("/"), parts)
-            corners, triangles = [np.zeros((0, 3, 3))], 0
+            corners, triangle_count = [np.zeros((0, 3, 3))], 0
             for part, number, pose in items:
                 for placed in _placed_triangles(
                     lambda name: _read_part(pack, name, parts), parts, part, number, pose, 0
                 ):
                     corners.append(placed)
-                    triangles += len(placed)
-                    if len(corners) > _MAX_PLACEMENTS or triangles > _MAX_TRIANGLES:
+                    triangle_count += len(placed)
+                    if len(corners) > _MAX_PLACEMENTS or triangle_count > _MAX_TRIANGLES:
                         raise UnreadError("its components are placed too often")
     except (zipfile.BadZipFile, StopIteration, KeyError, SyntaxError) as error:
         raise UnreadError(f"it is not a readable 3MF file ({error or 'no model'})") from error
@@ -151,7 +163,9 @@ def read_3mf(path: Path) -> tuple[FloatArray, float]:
 
 
 _Object3mf = tuple[str, FloatArray, list[tuple[str, str, FloatArray]]]
-"""An object: its kind, its triangles (F, 3, 3), and its components."""
+"""An object: its kind, its triangles (F, 3, 3), and its components. A component is an object that is placed
+in this one: file in the archive, number of the object, and pose (4, 4).
+"""
 
 
 def _placed_triangles(
@@ -162,7 +176,11 @@ def _placed_triangles(
     pose: FloatArray,
     depth: int,
 ) -> Iterator[FloatArray]:
-    """Yield the triangles of an object and of all its components, placed by ``pose`` (4, 4)."""
+    """Yield the triangles of an object and of all its components, placed by ``pose`` (4, 4).
+
+    The object has the number ``number`` in the file ``part`` of the archive. ``read`` reads a file of the
+    archive into ``parts``; ``depth`` is the nesting depth.
+    """
     if depth > _MAX_DEPTH:
         raise UnreadError("its components are nested too deep")
     if part not in parts:
@@ -179,7 +197,11 @@ def _placed_triangles(
 def _read_part(
     pack: zipfile.ZipFile, name: str, parts: dict[str, dict[str, _Object3mf]]
 ) -> tuple[float, list[tuple[str, str, FloatArray]]]:
-    """Read the objects of one part into ``parts``, and return its unit [m] and its items."""
+    """Read the objects of a file of the archive into ``parts``.
+
+    Returns:
+        Metres per unit, and the items: file, number and pose (4, 4) of each object that is built.
+    """
     objects = parts.setdefault(name, {})
     size = _UNITS_3MF["millimeter"]
     items: list[tuple[str, str, FloatArray]] = []
@@ -199,8 +221,9 @@ def _read_part(
                 number, kind = node.getAttribute("id"), node.getAttribute("type")
                 vertices, faces, components = [], [], []
             elif tag == "object":
-                of = np.array(faces, dtype=np.int64).reshape(-1, 3)
-                objects[number] = (kind, np.array(vertices, dtype=np.float64).reshape(-1, 3)[of], components)
+                indices = np.array(faces, dtype=np.int64).reshape(-1, 3)
+                corners = np.array(vertices, dtype=np.float64).reshape(-1, 3)[indices]
+                objects[number] = (kind, corners, components)
             elif tag == "vertex" and is_start:
                 vertices.append(tuple(float(node.getAttribute(axis)) for axis in "xyz"))
             elif tag == "triangle" and is_start:
@@ -211,6 +234,7 @@ def _read_part(
 
 
 def _placement(node: Any, part: str) -> tuple[str, str, FloatArray]:
+    """Return file, number and pose (4, 4) of the object that a component or item in file ``part`` places."""
     pose = np.eye(4)
     if node.getAttribute("transform"):
         pose[:3] = np.array(node.getAttribute("transform").split(), dtype=np.float64).reshape(4, 3).T

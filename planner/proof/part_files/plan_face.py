@@ -9,11 +9,11 @@ from scipy.sparse import csr_array
 from planner.geometry.arrays import FloatArray, IntArray
 
 CREASE_COSINE = np.cos(np.deg2rad(20.0))
-"""Cosine of the angle (20 degrees) at an edge between triangles from which on the edge is a crease. Normals
-are not smoothed across creases.
+"""Cosine of the angle (20 degrees) between the normals of two triangles above which the edge between them is
+a crease. Normals are not smoothed across creases.
 """
 PLAN_TOLERANCE_M = 1e-6
-"""Distance [m] in plan up to which points are on a triangle."""
+"""Distance [m] in plan up to which a point counts as on a triangle."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,8 +21,8 @@ class PlanFacePoints:
     """N points on a face.
 
     Attributes:
-        point: Points (N, 3), NaN where the face is not.
-        normal: Normals (N, 3), NaN where the face is not.
+        point: Points (N, 3) [m], NaN where there is no face.
+        normal: Unit normals (N, 3), NaN where there is no face.
     """
 
     point: FloatArray
@@ -30,7 +30,10 @@ class PlanFacePoints:
 
 
 class PlanFace:
-    """A face that looks up, as vertices (V, 3) [m] and triangles (F, 3). The highest point counts."""
+    """A face with normals up, as vertices (V, 3) [m] and triangles (F, 3).
+
+    Where triangles lie above each other, the highest point counts.
+    """
 
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
         self.corners = vertices[faces]
@@ -44,32 +47,32 @@ class PlanFace:
         self._twice = np.where(flat, np.inf, twice)
 
     def points_over(self, xy: FloatArray) -> PlanFacePoints:
-        """Return the points over ``xy`` (N, 2) [m]."""
+        """Return the points of the face, with smooth normals, at positions ``xy`` (N, 2) [m] in plan."""
         point, normal = np.full((len(xy), 3), np.nan), np.full((len(xy), 3), np.nan)
-        row, triangle = self._tree.query(shapely.points(xy), predicate="dwithin", distance=PLAN_TOLERANCE_M)
-        rest = xy[row] - self.corners[triangle, 0, :2]
+        query, triangle = self._tree.query(shapely.points(xy), predicate="dwithin", distance=PLAN_TOLERANCE_M)
+        offset = xy[query] - self.corners[triangle, 0, :2]
         a, b = self._edges[0][triangle], self._edges[1][triangle]
-        second = (rest[:, 0] * b[:, 1] - rest[:, 1] * b[:, 0]) / self._twice[triangle]
-        third = (a[:, 0] * rest[:, 1] - a[:, 1] * rest[:, 0]) / self._twice[triangle]
+        second = (offset[:, 0] * b[:, 1] - offset[:, 1] * b[:, 0]) / self._twice[triangle]
+        third = (a[:, 0] * offset[:, 1] - a[:, 1] * offset[:, 0]) / self._twice[triangle]
         weight = np.clip(np.stack([1.0 - second - third, second, third], axis=1), 0.0, 1.0)
         weight /= weight.sum(axis=1, keepdims=True)
         height = np.einsum("nk,nk->n", weight, self.corners[triangle, :, 2])
         order = np.argsort(height, kind="stable")  # the highest is written last
-        row, triangle, weight = row[order], triangle[order], weight[order]
-        point[row] = np.column_stack([xy[row], height[order]])
+        query, triangle, weight = query[order], triangle[order], weight[order]
+        point[query] = np.column_stack([xy[query], height[order]])
         mixed = np.einsum("nk,nkd->nd", weight, self._normals[triangle])
-        normal[row] = mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
+        normal[query] = mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
         return PlanFacePoints(point, normal)
 
 
 def smooth_normals(corners: FloatArray, faces: IntArray) -> FloatArray:
-    """Return unit normals (F, 3, 3) at the corners of triangles (F, 3, 3).
+    """Return unit normals (F, 3, 3) at the corners (F, 3, 3) of triangles with vertex indices (F, 3).
 
-    Each is the mean of the normals around the vertex, weighted by their angles there, without those beyond
-    a crease.
+    Each is the mean of the normals of the triangles around the vertex, weighted by their angles there.
+    Normals that differ from that of the corner's own triangle by more than a crease are left out.
     """
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    flat = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
+    unit_normals = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
     angles = np.empty(faces.shape)
     for k in range(3):
         edge_a, edge_b = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
@@ -81,10 +84,10 @@ def smooth_normals(corners: FloatArray, faces: IntArray) -> FloatArray:
     )
     pair = (incidence @ incidence.T).tocoo()
     corner, other = pair.row, pair.col
-    kept = (flat[corner // 3] * flat[other // 3]).sum(axis=1) > CREASE_COSINE
-    kept |= corner == other
-    corner, other = corner[kept], other[kept]
-    weighed = csr_array((angles.ravel()[other], (corner, other // 3)), shape=(count, len(faces)))
-    out = weighed @ flat
+    is_smooth = (unit_normals[corner // 3] * unit_normals[other // 3]).sum(axis=1) > CREASE_COSINE
+    is_smooth |= corner == other
+    corner, other = corner[is_smooth], other[is_smooth]
+    weights = csr_array((angles.ravel()[other], (corner, other // 3)), shape=(count, len(faces)))
+    out = weights @ unit_normals
     out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-300)
     return np.asarray(out.reshape(-1, 3, 3))

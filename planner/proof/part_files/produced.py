@@ -1,4 +1,7 @@
-"""What the operations of a problem have to make, and what the programs make, as processes state it."""
+"""Surfaces that the operations of a problem have to produce and that the programs do produce.
+
+Processes provide both.
+"""
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
@@ -10,19 +13,19 @@ from planner.proof.part_files import Samples
 from planner.proof.part_files.sheets import FormedSheetFace
 
 ALL_RULED: Final = "*"
-"""In place of a name: all ruled surfaces of the part."""
+"""Name that stands for all ruled surfaces of the part."""
 
 
 @dataclasses.dataclass(frozen=True)
 class RequiredSurface:
-    """A surface of the part that an operation has to make, according to the operation alone.
+    """A surface of the part that an operation has to produce, according to the operation alone.
 
     Attributes:
         name: Name of the surface, or :data:`ALL_RULED`.
-        kind: Kind of the segments that make it.
-        tolerance: Deviation [m] up to which a point is good.
-        fraction: Fraction of the surface that must be good.
-        margin: Width [m] of the strip along its edge that is left out.
+        kind: Kind of the segments that produce it.
+        tolerance: Deviation [m] up to which a point is within tolerance.
+        fraction: Fraction of the surface that must be within tolerance.
+        margin: Width [m] of the strip along the edge of the surface that is not examined.
     """
 
     name: str
@@ -34,17 +37,17 @@ class RequiredSurface:
 
 @dataclasses.dataclass(frozen=True)
 class ProducedSurface:
-    """A surface that the programs make.
+    """A surface that the programs produce.
 
     Attributes:
         name: Name of the surface in the part.
-        segment: Segment that makes it.
-        required: What is required of it.
+        segment: Segment that produces it.
+        required: Requirements on it.
         vertices: Vertices (V, 3) [m] of the claimed surface, in the block's frame.
         faces: Triangles (F, 3) of the claimed surface.
-        deviation: Function for the deviation (N,) [m] of what is made at points, positive outside of the
-            part, NaN where nothing is made.
-        along_strips: Whether what is made lies along strips of the surface, too.
+        deviation: Function for the deviation (N,) [m] of the produced surface at points of the required one,
+            positive outside of the part, NaN where nothing is produced.
+        along_strips: Whether the produced surface lies along strips of the required one, too.
     """
 
     name: str
@@ -58,12 +61,12 @@ class ProducedSurface:
 
 @dataclasses.dataclass(frozen=True)
 class SurfaceProducer:
-    """Surfaces that a process makes of blocks.
+    """Functions for the surfaces that a process produces from blocks.
 
     Attributes:
-        required: The surfaces that an operation has to make. None for operations of other processes.
-        produced: What the programs make of one required surface, whose name is given.
-        names: Names of all cut surfaces of a plate, whose outlines have no names in the problem.
+        required: Returns the surfaces that an operation has to produce, none for other processes' operations.
+        produced: Returns the surfaces that the programs produce for one required surface, by its name.
+        names: Returns the names of all cut surfaces of a plate, whose outlines have no names in the problem.
     """
 
     required: Callable[[Any], Iterator[RequiredSurface]]
@@ -73,15 +76,15 @@ class SurfaceProducer:
 
 @dataclasses.dataclass(frozen=True)
 class ProducedSheet:
-    """What the programs make of a sheet.
+    """The formed sheet that the programs produce, compared with the part file.
 
     Attributes:
-        sheet: The sheet as the proof reads it.
-        deviation: Deviation (N,) [m] of the walls of what is made from those of the sheet.
+        sheet: The sheet as the proof reads it from the part file.
+        deviation: Deviation (N,) [m] of the produced sheet at the points of the walls of ``sheet``.
         allowed: Allowed deviation (N,) [m] to the outside.
         tolerance: Allowed deviation [m] to the inside.
-        fraction: Fraction of the walls that must be good.
-        segment: Segment that makes it.
+        fraction: Fraction of the walls that must be within tolerance.
+        segment: Segment that produces it.
     """
 
     sheet: FormedSheetFace

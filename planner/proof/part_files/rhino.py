@@ -1,7 +1,7 @@
 """Curves, ruled faces, faces and meshes of Rhino files (3DM), read independently of the planner.
 
-rhino3dm parses the file. Which objects are meant, what their NURBS are and where a face ends is determined
-here.
+rhino3dm parses the file. The selection of objects, the evaluation of their NURBS and the extent of a face are
+computed here.
 
 Source: B-splines by Cox and de Boor's recursion on homogeneous points: L. Piegl, W. Tiller, The NURBS Book
 (1997), 4.2 to 4.4.
@@ -39,17 +39,19 @@ _UNIT_NAMES: Final = {
     "Feet": 3048 / 10_000,
     "Yards": 9144 / 10_000,
 }
-"""Rhino's names of units [m]."""
+"""Length units [m] by their names in Rhino."""
 _CHORDS: Final = 192
 """Number of chords of each span of a curve."""
 _EDGE_POINTS: Final = 17
-"""Maximum number of points of an edge that are examined, including its ends."""
+"""Maximum number of points of an edge of a face that are examined, including its ends."""
 _SEAM_POINTS: Final = 41
-"""Number of points along an end of a surface that are compared with the other end."""
+"""Number of points of a surface's first isoline that are compared with its last one, to find a seam."""
 _CORNER_TOLERANCE_M: Final = 2e-5
 """Maximum distance [m] of a corner of a face from its surface."""
 _END_FRACTION: Final = 1e-3
-"""Fraction of a surface's parameter range within which a point is at its end."""
+"""Distance from an end of a surface's parameter range, as a fraction of the range, up to which a point counts
+as at the end.
+"""
 _FACE_KINDS: Final = ("Brep", "Extrusion", "Surface")
 """Kinds of objects that have faces."""
 
@@ -79,9 +81,9 @@ def read_curves(entry: Entry) -> list[DrawingCurve]:
 
 
 def ruled_face(entry: Entry) -> GuideRulings:
-    """Read the rulings of a ruled face, whose normal is tangent x ruling.
+    """Read the rulings of a ruled face, in the order in which the face's normal is tangent x ruling.
 
-    At the end of a closed one, the first is repeated.
+    At the end of a closed face the first ruling is repeated.
 
     Raises:
         UnreadError: The file cannot be read, or the face is not ruled.
@@ -108,27 +110,27 @@ def face(entry: Entry) -> MeshFace:
         vertices = size * np.array(
             [(p.X, p.Y, p.Z) for p in mesh.Vertices.ToPoint3dArray()], dtype=np.float64
         )
-        rows, corners = [], []
+        numbers, corners = [], []
         for k in range(len(mesh.Faces)):
             a, b, c, d = mesh.Faces[k]
-            for three in ((a, b, c), (a, c, d)) if c != d else ((a, b, c),):
-                rows.append(k + 1)
-                corners.append(vertices[list(three)])
-        return face_of(np.array(corners), np.array(rows), bool(entry.get("flip")))
+            for triangle in ((a, b, c), (a, c, d)) if c != d else ((a, b, c),):
+                numbers.append(k + 1)
+                corners.append(vertices[list(triangle)])
+        return face_of(np.array(corners), np.array(numbers), bool(entry.get("flip")))
     patch = _only_surface(entry)
     return grid_face(patch.at, *patch.region, patch.reversed != bool(entry.get("flip")), patch.knots)
 
 
 @dataclasses.dataclass(frozen=True)
 class _NurbsPatch:
-    """A surface.
+    """A NURBS surface, and the face on it.
 
     Attributes:
         degree: Degrees along u and v.
         knots: Knots along u and v.
         control: Homogeneous control points (C, D, 4) [m].
-        region: Parameter ranges of its face.
-        reversed: Whether the face's normal is reversed.
+        region: Ranges of the parameters u and v that the face covers.
+        reversed: Whether the face's normal is -dS/du x dS/dv.
     """
 
     degree: tuple[int, int]
@@ -140,8 +142,8 @@ class _NurbsPatch:
     def at(self, u: FloatArray, v: FloatArray) -> FloatArray:
         """Return points (N, 3) at u, v (N,)."""
         count, across = self.control.shape[:2]
-        rows = self.control.reshape(count, across * 4)
-        lines = nurbs(rows, np.ones(count), self.knots[0], self.degree[0], u).reshape(-1, across, 4)
+        flat_control = self.control.reshape(count, across * 4)
+        lines = nurbs(flat_control, np.ones(count), self.knots[0], self.degree[0], u).reshape(-1, across, 4)
         return _from_homogeneous(nurbs(lines, np.ones(across), self.knots[1], self.degree[1], v))
 
     def normal(self, fraction: float) -> FloatArray:
@@ -155,6 +157,7 @@ class _NurbsPatch:
 
 
 def _only_surface(entry: Entry) -> _NurbsPatch:
+    """Return the only face that the entry selects; several faces, or a face with holes, are refused."""
     model, size = _read_model(entry)
     candidates = [
         (brep_face, brep)
@@ -185,7 +188,7 @@ def _only_surface(entry: Entry) -> _NurbsPatch:
 
 
 def _face_region(whole: _NurbsPatch, trims: Any, edges: Any, size: float) -> Region:
-    """Return the parameter ranges of a face, from points of its edges."""
+    """Return the parameter ranges of a face, from points of the edges that trim the surface ``whole``."""
     numbers = [trim.EdgeIndex for trim in trims if trim.EdgeIndex >= 0]
     edge_points = []
     for number in set(numbers):
@@ -195,24 +198,27 @@ def _face_region(whole: _NurbsPatch, trims: Any, edges: Any, size: float) -> Reg
         for t in edge_parameters[spread_rows(len(edge_parameters), _EDGE_POINTS)]:
             point = edge_curve.PointAt(float(t))
             edge_points.append((point.X, point.Y, point.Z))
-    where = np.array([_surface_parameters(whole, size * np.array(edge_point)) for edge_point in edge_points])
+    parameters = np.array(
+        [_surface_parameters(whole, size * np.array(edge_point)) for edge_point in edge_points]
+    )
     region = []
     for k, (low, high) in enumerate(whole.region):
         tolerance = _END_FRACTION * (high - low)
-        at = where[:, k]
-        inner = at[(at > low + tolerance) & (at < high - tolerance)]
+        values = parameters[:, k]
+        inner = values[(values > low + tolerance) & (values < high - tolerance)]
         if _is_closed_along(whole, k) and len(inner):
-            # A point on the seam is at either end: both for a face all round, else the one next to the face.
+            # A point on the seam has two parameters, low and high. A face all round, which has one edge
+            # twice, extends to both. Another face extends to the one next to its inner points.
             end = low if inner.min() - low <= high - inner.max() else high
-            both = len(set(numbers)) < len(numbers)
-            at = np.append(inner, (low, high) if both else end)
-        a, b = float(at.min()), float(at.max())
+            is_all_round = len(set(numbers)) < len(numbers)
+            values = np.append(inner, (low, high) if is_all_round else end)
+        a, b = float(values.min()), float(values.max())
         region.append((low if a - low < tolerance else a, high if high - b < tolerance else b))
     return region[0], region[1]
 
 
 def _is_closed_along(patch: _NurbsPatch, along: int) -> bool:
-    """Return whether a whole surface ends along u (0) or v (1) where it starts."""
+    """Return whether a surface is closed along u (0) or v (1): whether it ends where it starts."""
     (low, high), other = patch.region[along], patch.region[1 - along]
     t = np.linspace(*other, _SEAM_POINTS)
     ends = [np.full(len(t), end) for end in (low, high)]
@@ -221,15 +227,15 @@ def _is_closed_along(patch: _NurbsPatch, along: int) -> bool:
 
 
 def _surface_parameters(patch: _NurbsPatch, point: FloatArray) -> FloatArray:
-    """Return the parameters (2,) of a point of a surface."""
+    """Return the parameters (2,) of a point (3,) [m] of a surface: nearest grid point, then least squares."""
     grid = [np.linspace(low, high, 60) for low, high in patch.region]
     u, v = (part.ravel() for part in np.meshgrid(*grid, indexing="ij"))
     first = int(np.linalg.norm(patch.at(u, v) - point, axis=1).argmin())
     low, high = np.array(patch.region).T
     start = np.clip([u[first], v[first]], low + 1e-9 * (high - low), high - 1e-9 * (high - low))
 
-    def residual(where: FloatArray) -> FloatArray:
-        return np.asarray(1e3 * (patch.at(where[:1], where[1:])[0] - point))
+    def residual(parameters: FloatArray) -> FloatArray:
+        return np.asarray(1e3 * (patch.at(parameters[:1], parameters[1:])[0] - point))  # mm
 
     tolerance = 1e-15
     solution = least_squares(
@@ -247,7 +253,7 @@ def _surface_parameters(patch: _NurbsPatch, point: FloatArray) -> FloatArray:
 
 
 def _read_model(entry: Entry) -> tuple[Any, float]:
-    """Return the file's model, and the metres per unit."""
+    """Return the file's model, and the metres per unit: as the file states it, else as the entry does."""
     path: Path = file_of(entry)
     try:
         import rhino3dm
@@ -296,7 +302,7 @@ def _kind(geometry: Any) -> str:
 
 
 def _full_knots(knots: Any) -> FloatArray:
-    """Return all knots. The file omits the outermost ones."""
+    """Return all knots. Rhino omits the first and the last one."""
     return np.array([knots[0], *knots, knots[-1]], dtype=np.float64)
 
 

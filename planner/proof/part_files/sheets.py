@@ -1,8 +1,8 @@
 """The face of a formed sheet, from its mesh file, and the noise of that mesh.
 
-Everything is in the sheet's frame (x, y across, z up). The proof estimates itself how far the vertices of a
-mesh deviate from any smooth face. A face is compared with these vertices singly, and in the mean over
-cells, where noise cancels and a wrong face does not.
+Everything is in the sheet's frame (x and y in its plane, z up). The proof itself estimates how far the
+vertices of a mesh deviate from any smooth face. A face is compared with these vertices one by one, and with
+their mean over cells, where noise cancels and a wrong face does not.
 """
 
 import dataclasses
@@ -18,15 +18,15 @@ from planner.proof.part_files import Entry, Samples, UnreadError, file_of, on_tr
 from planner.proof.part_files.meshes import MeshFace, boundary_edges, mesh_face
 
 NOISE_DEVIATIONS = 3.0
-"""Number of standard deviations within which vertices are around their face."""
+"""Number of standard deviations of the noise within which vertices lie around their face."""
 MIN_NOISE_M = 3e-6
-"""Noise [m] below which a mesh has none, because coordinates are rounded."""
+"""Noise [m] below which a mesh counts as without noise, because coordinates are rounded."""
 QUIET_FRACTION = 0.2
-"""Minimum fraction of vertices that are far from folds of a mesh."""
+"""Minimum fraction of the vertices of a mesh that are far from its folds."""
 _NORMAL_QUANTILE = 0.2533
 """Quantile of the absolute value of a standard normal variable for the fraction :data:`QUIET_FRACTION`."""
 MEAN_CELL_M = 6e-3
-"""Width [m] of the cells over which a mean is taken."""
+"""Width [m] of the cells over which the mean deviation of vertices is taken."""
 MIN_CELL_VERTICES = 12
 """Minimum number of vertices in a cell for its mean to be significant."""
 SLOPE_STEP_M = 2e-4
@@ -34,11 +34,12 @@ SLOPE_STEP_M = 2e-4
 
 
 def mesh_noise(vertices: FloatArray, faces: IntArray) -> float:
-    """Return how far [m] the vertices of a mesh deviate from a smooth face.
+    """Return the distance [m] from a smooth face that all but 0.3 % of the vertices of a mesh keep.
 
-    All but 0.3 % of them deviate by no more; it is 0 without noise. The residual of each vertex from the
-    plane through its neighbours is compared with their residuals, so that curvature, which neighbours share,
-    drops out. This is linear in the vertices, so that its size for unit noise is known exactly.
+    It is 0 for a mesh without noise. The residual of each vertex from the plane through its neighbours is
+    compared with the mean of the neighbours' residuals, so that curvature, which neighbours share, drops out.
+    The difference is linear in the heights of the vertices, so that its size for unit noise is known exactly.
+    A low quantile of it is used, because folds of the face increase it.
 
     Args:
         vertices: Vertices (V, 3) [m].
@@ -52,9 +53,11 @@ def mesh_noise(vertices: FloatArray, faces: IntArray) -> float:
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count)).tocsr()
     graph = csr_array((graph + graph.T) > 0).astype(np.float64)
-    number = graph.sum(axis=1)
+    neighbour_count = graph.sum(axis=1)
     row, column = graph.nonzero()
     x, y = (vertices[column, k] - vertices[row, k] for k in range(2))
+    # Least-squares plane through the neighbours of each vertex. ``height_weights`` are the first row of the
+    # inverse normal matrix, which gives the plane's height at the vertex.
     basis = np.stack([np.ones(len(row)), x, y], axis=1)
     normal = np.zeros((count, 3, 3))
     for a in range(3):
@@ -62,15 +65,21 @@ def mesh_noise(vertices: FloatArray, faces: IntArray) -> float:
             normal[:, a, b] = np.bincount(row, weights=basis[:, a] * basis[:, b], minlength=count)
     scale = np.sqrt(np.maximum(np.einsum("nkk->nk", normal), 1e-300))
     scaled = normal / scale[:, :, None] / scale[:, None, :]
-    good = (number >= 4) & (np.linalg.det(scaled) > 1e-3)
-    if good.sum() < 20:
+    is_valid = (neighbour_count >= 4) & (np.linalg.det(scaled) > 1e-3)
+    if is_valid.sum() < 20:
         return 0.0
-    first = np.zeros((count, 3))
-    first[good] = np.linalg.inv(scaled[good])[:, :, 0] / scale[good] / scale[good, :1]
-    plane_weights = csr_array(((first[row] * basis).sum(axis=1), (row, column)), shape=(count, count))
-    residual = diags_array(good.astype(np.float64)) - plane_weights
+    height_weights = np.zeros((count, 3))
+    height_weights[is_valid] = (
+        np.linalg.inv(scaled[is_valid])[:, :, 0] / scale[is_valid] / scale[is_valid, :1]
+    )
+    plane_weights = csr_array(
+        ((height_weights[row] * basis).sum(axis=1), (row, column)), shape=(count, count)
+    )
+    residual = diags_array(is_valid.astype(np.float64)) - plane_weights
     neighbour_mean = (
-        diags_array(1.0 / np.maximum(graph @ good, 1.0)) @ graph @ diags_array(good.astype(np.float64))
+        diags_array(1.0 / np.maximum(graph @ is_valid, 1.0))
+        @ graph
+        @ diags_array(is_valid.astype(np.float64))
     )
     second = csr_array(residual - neighbour_mean @ residual)
     z = vertices[:, 2]
@@ -80,9 +89,9 @@ def mesh_noise(vertices: FloatArray, faces: IntArray) -> float:
     slope = np.stack(
         [np.bincount(row, weights=basis[:, k + 1] * (z[column] - z[row]), minlength=count) for k in range(2)]
     )
-    size = np.stack([np.maximum(normal[:, k, k], 1e-300) for k in (1, 2)])
-    slope_factor = np.sqrt(1.0 + ((slope / size) ** 2).sum(axis=0))
-    chosen = good & (graph @ good > 0)
+    squared_offsets = np.stack([np.maximum(normal[:, k, k], 1e-300) for k in (1, 2)])
+    slope_factor = np.sqrt(1.0 + ((slope / squared_offsets) ** 2).sum(axis=0))
+    chosen = is_valid & (graph @ is_valid > 0)
     deviation = (
         float(
             np.quantile(second_residual[chosen] / unit_noise[chosen] / slope_factor[chosen], QUIET_FRACTION)
@@ -93,16 +102,17 @@ def mesh_noise(vertices: FloatArray, faces: IntArray) -> float:
 
 
 def _fold_height(corners: FloatArray, faces: IntArray) -> float:
-    """Return how far [m] two adjacent triangles are out of one plane, for the flattest edges of a mesh.
+    """Return how far [m] two adjacent triangles are out of one plane at the flattest edges of a mesh.
 
-    It is 0 for a mesh with flat regions, however few its triangles.
+    The value is scaled to a standard deviation. It is 0 for a mesh with flat regions, however few triangles
+    these have.
     """
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
     order = np.lexsort((ends[:, 0], ends[:, 1]))
-    same = np.flatnonzero((np.diff(ends[order], axis=0) == 0).all(axis=1))
-    if not len(same):
+    is_shared = np.flatnonzero((np.diff(ends[order], axis=0) == 0).all(axis=1))
+    if not len(is_shared):
         return 0.0
-    first, second = order[same] // 3, order[same + 1] // 3
+    first, second = order[is_shared] // 3, order[is_shared + 1] // 3
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.maximum(np.linalg.norm(normal, axis=1), 1e-300)
     normal = normal / size[:, None]
@@ -118,9 +128,9 @@ class Deviations:
 
     Attributes:
         deviation: Deviations (V,) [m], positive above the face.
-        mean: Mean deviation (P,) [m] of cells with enough vertices.
-        number: Number (P,) of vertices of these cells.
-        middle: Centres (P, 2) [m] of these cells' vertices.
+        mean: Mean deviation (P,) [m] in each cell with enough vertices.
+        number: Number (P,) of vertices in each of these cells.
+        middle: Mean position (P, 2) [m] of the vertices in each of these cells.
     """
 
     deviation: FloatArray
@@ -134,8 +144,9 @@ def vertex_deviations(vertices: FloatArray, height: FloatArray, steep: FloatArra
 
     Args:
         vertices: Vertices (V, 3) [m].
-        height: Height (V,) [m] of the face over them.
-        steep: z component (V,) of the face's normal there.
+        height: Height (V,) [m] of the face at the vertices' x and y.
+        steep: z component (V,) of the face's unit normal there. It turns a difference in height into a
+            distance from the face.
     """
     deviation = (vertices[:, 2] - height) * steep
     cell = np.floor(vertices[:, :2] / MEAN_CELL_M).astype(np.int64)
@@ -148,45 +159,49 @@ def vertex_deviations(vertices: FloatArray, height: FloatArray, steep: FloatArra
 
 
 def largest_deviating_group(faces: IntArray, deviation: FloatArray, limit: float) -> IntArray:
-    """Return the largest connected group of vertices that deviate to one side by more than ``limit`` [m].
+    """Return the indices of the largest connected group of vertices that deviate by over ``limit`` one way.
 
-    Vertices are connected by edges of ``faces`` (F, 3). Noise puts few of them beside one another, but a
-    ridge that was smoothed away puts many.
+    The edges of ``faces`` (F, 3) connect vertices. Noise produces only small groups, but a ridge that was
+    smoothed away produces a large one. Deviations and limit are in metres.
     """
     exceeds = np.abs(deviation) > limit
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     ends = ends[exceeds[ends].all(axis=1) & (deviation[ends[:, 0]] * deviation[ends[:, 1]] > 0.0)]
     graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(len(deviation), len(deviation)))
     _, group = connected_components(graph, directed=False)
-    rows = np.flatnonzero(exceeds)
-    if not len(rows):
-        return rows
-    return np.asarray(rows[group[rows] == np.argmax(np.bincount(group[rows]))])
+    candidates = np.flatnonzero(exceeds)
+    if not len(candidates):
+        return candidates
+    return np.asarray(candidates[group[candidates] == np.argmax(np.bincount(group[candidates]))])
 
 
 FLAT_COSINE: Final = np.cos(np.deg2rad(3.0))
-"""Cosine (3 degrees) above which facets may be flats or floors by their normals, which tools do not form."""
+"""Cosine of the tilt (3 degrees) up to which a facet may belong to a flat or a floor, which tools do not
+form.
+"""
 NOISE_FACTOR: Final = 1.2
-"""Factor by which two estimates of the noise of a mesh may differ."""
+"""Ratio by which two estimates of the noise of a mesh may differ."""
 NOISY_FLAT_COSINE: Final = np.cos(np.deg2rad(8.0))
-"""Cosine (8 degrees) above which the mean normal of facets may be that of a flat, if the mesh has noise."""
+"""Cosine of the tilt (8 degrees) up to which the mean normal of facets may be that of a flat, if the mesh has
+noise.
+"""
 MEAN_RADIUS_M: Final = 2e-3
-"""Radius [m] over which this mean is taken."""
+"""Radius [m] within which the normals of facets are averaged."""
 _ACROSS_COSINE: Final = 0.9
-"""Cosine above which a normal is too close to x to take x as the direction along the sheet."""
+"""Cosine above which the sheet's normal is so close to x that y is taken as the direction along the sheet."""
 SHEET_POINTS: Final = 800
 """Number of points of the walls of a sheet that are compared."""
 
 
 @dataclasses.dataclass(frozen=True)
 class FormedSheetFace:
-    """Face of a sheet.
+    """Face of a formed sheet, as the proof reads it.
 
     Attributes:
         face: The face, with normals up.
-        walls: Points of all that is not nearly flat.
+        walls: Points of all of it that is not nearly flat.
         file: Name of the file.
-        tolerance: Allowed deviation [m] of its vertices from the intended face, as stated or as estimated
+        tolerance: Allowed deviation [m] of the vertices from the intended face, as stated or as estimated
             here.
     """
 
@@ -197,14 +212,14 @@ class FormedSheetFace:
 
 
 def sheet_face(part: Entry, claimed: float = 0.0) -> FormedSheetFace:
-    """Read the face of ``sheet_mesh`` where the problem puts it.
+    """Read the face of ``sheet_mesh``, placed as the problem states.
 
     Args:
         part: The part as the problem file states it.
         claimed: Maximum claimed deviation [m] of its vertices from the intended face.
 
     Raises:
-        UnreadError: The file, which is named, cannot be read.
+        UnreadError: The file cannot be read, or the face is flat. The message names the file.
     """
     entry = part["sheet_mesh"]
     name = file_of(entry).name
@@ -222,8 +237,8 @@ def sheet_face(part: Entry, claimed: float = 0.0) -> FormedSheetFace:
         shift = np.append(-0.5 * (plan.min(axis=0) + plan.max(axis=0)), 0.0)
         corners = corners + shift
     else:
-        at: Any = pose_of(stated_pose)
-        corners = corners @ at[:3, :3].T + at[:3, 3]
+        pose: Any = pose_of(stated_pose)
+        corners = corners @ pose[:3, :3].T + pose[:3, 3]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     if tolerance > 0.0:
         normal = _neighbourhood_normals(corners, normal)
@@ -242,7 +257,8 @@ def sheet_face(part: Entry, claimed: float = 0.0) -> FormedSheetFace:
 def _allowed_deviation(entry: Entry, face: MeshFace, corners: FloatArray, claimed: float) -> float:
     """Return the allowed deviation [m] of the vertices from the intended face.
 
-    It is the user's number, or the estimated noise if as much is claimed.
+    It is the value that the user states, else the smaller one of the claimed deviation and the estimated
+    noise.
     """
     value = entry.get("tolerance_mm", "auto")
     if value != "auto":
@@ -255,7 +271,7 @@ def _allowed_deviation(entry: Entry, face: MeshFace, corners: FloatArray, claime
 
 
 def _neighbourhood_normals(corners: FloatArray, normal: FloatArray) -> FloatArray:
-    """Return for each facet (F, 3, 3) the sum (F, 3) of the ``normal`` (F, 3) of those around it."""
+    """Return for each facet (F, 3, 3) the sum (F, 3) of its ``normal`` (F, 3) and of those around it."""
     middle = corners.mean(axis=1)
     edge = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
     tree = cKDTree(middle)
@@ -271,9 +287,9 @@ def _neighbourhood_normals(corners: FloatArray, normal: FloatArray) -> FloatArra
 
 
 def _in_rim_frame(face: MeshFace, corners: FloatArray, down: bool) -> FloatArray:
-    """Return the triangles in the plane of their rim.
+    """Return the triangles in the frame of their rim: its centre is the origin, and x and y lie in its plane.
 
-    The centre of the rim is the origin. The part is below the rim with ``down``, else above it.
+    The part lies below the rim with ``down``, else above it.
     """
     rim = face.vertices[np.unique(boundary_edges(face))]
     middle = rim.mean(axis=0)
@@ -288,7 +304,7 @@ def _in_rim_frame(face: MeshFace, corners: FloatArray, down: bool) -> FloatArray
 
 
 def _facing_up(corners: FloatArray) -> FloatArray:
-    """Return the triangles with their normals up."""
+    """Return the triangles (F, 3, 3) with the order of corners in which most of their area has normals up."""
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     plan_area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
     size = np.linalg.norm(np.cross(a, b), axis=1)

@@ -1,8 +1,8 @@
 """Ruled faces and faces of STEP and IGES files, read independently of the planner.
 
 Open CASCADE parses the file again, in a process of its own (``python -m planner.proof.part_files.step``).
-Its exact points of the face's surface are used, not the B-splines that it makes of it, between the
-parameters that it finds for the face.
+Exact points of the face's surface are used, not its conversion to B-splines. The parameter ranges of the face
+are those that Open CASCADE finds.
 """
 
 import io
@@ -22,14 +22,15 @@ from planner.proof.part_files.curves import GuideRulings
 from planner.proof.part_files.meshes import MeshFace, grid_face, rulings
 
 _IGES: Final = (".igs", ".iges")
+"""Suffixes of IGES files."""
 _TIMEOUT_S: Final = 300.0
 """Time [s] after which reading a file is given up."""
 
 
 def ruled_face(entry: Entry) -> GuideRulings:
-    """Read the rulings of a ruled face, whose normal is tangent x ruling.
+    """Read the rulings of a ruled face, in the order in which the face's normal is tangent x ruling.
 
-    At the end of a closed one, the first is repeated.
+    At the end of a closed face the first ruling is repeated.
 
     Raises:
         UnreadError: The file cannot be read, or the face is not ruled.
@@ -49,7 +50,7 @@ def face(entry: Entry) -> MeshFace:
 
 
 def _read_in_process(entry: Entry, kind: str) -> dict[str, Any]:
-    """Return the arrays that the other process computes."""
+    """Return the arrays that another process computes from the file, as :func:`_read_arrays` describes."""
     path = file_of(entry)
     path.stat()
     keys = ("face", "name", "colour", "rulings", "flip")
@@ -75,7 +76,10 @@ def _read_in_process(entry: Entry, kind: str) -> dict[str, Any]:
 
 
 def _metres_per_unit(entry: Entry) -> float:
-    """Return the metres per unit of Open CASCADE: a millimetre, if the file states its unit."""
+    """Return the metres per unit in which Open CASCADE returns lengths.
+
+    Open CASCADE converts to millimetres if the file states its unit. Else the unit is that of the entry.
+    """
     path = file_of(entry)
     text = path.read_bytes().decode("latin-1")
     if path.suffix.lower() in _IGES or re.search(r"\bLENGTH_UNIT\s*\(", text):
@@ -86,6 +90,10 @@ def _metres_per_unit(entry: Entry) -> float:
 
 
 def _read_arrays(request: dict[str, Any]) -> dict[str, Any]:
+    """Return the arrays of a ``face`` or of its ``rulings``, whichever the request wants.
+
+    Those of a face are the fields of `MeshFace`, those of rulings their starts and ends (M, 3) [m].
+    """
     from OCP.BRep import BRep_Tool
     from OCP.BRepTools import BRepTools
     from OCP.GeomAdaptor import GeomAdaptor_Surface
@@ -113,7 +121,7 @@ def _read_arrays(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def _kinks(surface: Any) -> tuple[FloatArray, FloatArray]:
-    """Return the knots along u and v of a surface that has them."""
+    """Return the knots along u and v of a B-spline surface, none for other surfaces."""
     from OCP.GeomAbs import GeomAbs_BSplineSurface
 
     if surface.GetType() != GeomAbs_BSplineSurface:
@@ -124,7 +132,10 @@ def _kinks(surface: Any) -> tuple[FloatArray, FloatArray]:
 
 
 def _selected_face(request: dict[str, Any]) -> Any:
-    """Return the one requested face of all in the file, counted body by body."""
+    """Return the one face in the file that has the requested number, name and colour.
+
+    Faces are numbered from 1, body by body. The name may be that of the product, the body or the face.
+    """
     from OCP.collections import Sequence_TDF_Label
     from OCP.IGESCAFControl import IGESCAFControl_Reader
     from OCP.Quantity import Quantity_Color
@@ -146,7 +157,7 @@ def _selected_face(request: dict[str, Any]) -> Any:
     if not reader.Transfer(document):
         raise UnreadError("it has no shapes")
     transfer = (reader if iges else reader.ChangeReader()).WS().TransferReader()
-    tones = XCAFDoc_DocumentTool.ColorTool_s(document.Main())
+    colour_tool = XCAFDoc_DocumentTool.ColorTool_s(document.Main())
 
     def subshapes(shape: Any, *kinds: Any) -> list[Any]:
         shapes, walk = [], TopExp_Explorer(shape, *kinds)
@@ -161,9 +172,11 @@ def _selected_face(request: dict[str, Any]) -> Any:
         return "" if name is None else str(name.ToCString()).strip()
 
     def shape_colour(shape: Any) -> str:
-        tone = Quantity_Color()
-        if tones.GetColor(shape, XCAFDoc_ColorSurf, tone) or tones.GetColor(shape, XCAFDoc_ColorGen, tone):
-            return str(Quantity_Color.ColorToHex_s(tone).ToCString())
+        quantity_colour = Quantity_Color()
+        if colour_tool.GetColor(shape, XCAFDoc_ColorSurf, quantity_colour) or colour_tool.GetColor(
+            shape, XCAFDoc_ColorGen, quantity_colour
+        ):
+            return str(Quantity_Color.ColorToHex_s(quantity_colour).ToCString())
         return ""
 
     labels: Any = Sequence_TDF_Label()
@@ -185,8 +198,8 @@ def _selected_face(request: dict[str, Any]) -> Any:
                 properties = {"face": {number}, "name": names, "colour": {colour.lower()}}
                 selection = {key: request[key] for key in properties if request[key] is not None}
                 if all(
-                    (w if key == "face" else str(w).lower()) in properties[key]
-                    for key, w in selection.items()
+                    (value if key == "face" else str(value).lower()) in properties[key]
+                    for key, value in selection.items()
                 ):
                     selected.append(body_face)
     if len(selected) != 1:
@@ -195,6 +208,7 @@ def _selected_face(request: dict[str, Any]) -> Any:
 
 
 def _main() -> None:
+    """Read a request from the standard input, and write its arrays to the standard output."""
     answer = os.dup(1)
     os.dup2(2, 1)  # keep Open CASCADE's output out of the answer
     data = io.BytesIO()

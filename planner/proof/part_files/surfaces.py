@@ -1,11 +1,11 @@
 """The surfaces of a part as the problem's numbers and its files state them, in the part's own frame.
 
-Among them is the skin of a wing panel, from its sections and the numbers that place them: x from the
-leading to the trailing edge, y from root to tip, z up, origin at the root's leading edge.
+Among them is the skin of a wing panel, from its sections and the numbers that place them. Its frame has x
+from the leading to the trailing edge, y from root to tip, z up, and its origin at the root's leading edge.
 
-Airfoil sections come from coordinate files in Selig's or Lednicer's format, or from NACA digits by
-formulas. A section is a row of points (N, 2) per chord from the trailing edge over the upper side to the
-leading edge and back below.
+Airfoil sections come from coordinate files in Selig's or Lednicer's format, or from NACA digits by formulas.
+A section is an array of points (N, 2), relative to the chord, from the trailing edge over the upper side to
+the leading edge and back over the lower side.
 
 Source: I. H. Abbott and A. E. von Doenhoff, Theory of Wing Sections (1959), 6.4 to 6.6; C. L. Ladson and C.
 W. Brooks, NASA TM X-3284 (1975).
@@ -63,44 +63,49 @@ _FIVE_DIGIT: Final = {
     4: (0.29, 6.643),
     5: (0.391, 3.23),
 }
-"""Second of five NACA digits: position m of the camber line's joint and its factor k1, for a lift of 0.3."""
+"""Position m of the camber line's joint and its factor k1, for a lift coefficient of 0.3, by the second of
+five NACA digits.
+"""
 _FIVE_DIGIT_REFLEX: Final = {
     2: (0.130, 51.990, 0.000764),
     3: (0.217, 15.793, 0.00677),
     4: (0.318, 6.520, 0.0303),
     5: (0.441, 3.191, 0.1355),
 }
-"""Second of five NACA digits with a third digit 1: position m, factor k1, and k2 / k1 after the joint."""
+"""Position m, factor k1, and k2 / k1 after the joint, by the second of five NACA digits, if the third is
+1.
+"""
 _SECTION_STATIONS: Final = 201
-"""Number of stations along the chord of a section from digits."""
+"""Number of positions along the chord of a section from NACA digits."""
 
 
 def read_section(path: Path) -> FloatArray:
-    """Read the section of a coordinate file, its chord scaled to 1 if necessary.
+    """Read the section of a coordinate file, with its chord scaled to 1 if necessary.
 
     Raises:
-        UnreadError: The file has no valid points.
+        UnreadError: The file has no points, or other numbers of points than it states.
     """
-    rows = _rows(path.read_bytes().decode("utf-8", errors="replace").lstrip("\ufeff"))
-    if len(rows) < 3:
+    pairs = _rows(path.read_bytes().decode("utf-8", errors="replace").lstrip("\ufeff"))
+    if len(pairs) < 3:
         raise UnreadError("it has no points")
-    first = rows[0]
+    first = pairs[0]
+    # Lednicer's format starts with the numbers of points, and has both sides from the leading edge.
     if first.min() >= 2.5 and np.abs(first - np.rint(first)).max() < 1e-6:
-        upper = round(first[0])
-        if len(rows) != 1 + upper + round(first[1]):
+        upper_count = round(first[0])
+        if len(pairs) != 1 + upper_count + round(first[1]):
             raise UnreadError("its two sides do not have the numbers of points that it states")
-        rows = np.concatenate([rows[upper:0:-1], rows[upper + 1 :]])
-    keep = np.append(True, np.hypot(*np.diff(rows, axis=0).T) > 1e-9)
-    points = rows[keep]
+        pairs = np.concatenate([pairs[upper_count:0:-1], pairs[upper_count + 1 :]])
+    keep = np.append(True, np.hypot(*np.diff(pairs, axis=0).T) > 1e-9)
+    points = pairs[keep]
     points = _from_trailing_edge(points)
-    left, tail = points[:, 0].min(), 0.5 * (points[0, 0] + points[-1, 0])
-    if max(abs(left), abs(tail - left - 1.0)) > 2e-3:
-        points = np.column_stack([points[:, 0] - left, points[:, 1]]) / (tail - left)
+    nose_x, tail_x = points[:, 0].min(), 0.5 * (points[0, 0] + points[-1, 0])
+    if max(abs(nose_x), abs(tail_x - nose_x - 1.0)) > 2e-3:
+        points = np.column_stack([points[:, 0] - nose_x, points[:, 1]]) / (tail_x - nose_x)
     return np.asarray(points)
 
 
 def _rows(text: str) -> FloatArray:
-    """Return pairs of numbers (N, 2) in order. Lines with anything else are names and remarks."""
+    """Return the pairs of numbers (N, 2) of a text, in order. Other lines are names and remarks."""
     out = []
     for line in text.splitlines():
         if line.lstrip().startswith("#"):
@@ -116,35 +121,35 @@ def _rows(text: str) -> FloatArray:
 
 
 def _from_trailing_edge(points: FloatArray) -> FloatArray:
-    """Return the points from the trailing edge, over the upper side first."""
+    """Return the points of a section from the trailing edge on, over the upper side first."""
     low, high = points[:, 0].min(), points[:, 0].max()
     if max(points[0, 0], points[-1, 0]) < 0.5 * (low + high):  # starts at the nose
         if np.hypot(*(points[0] - points[-1])) < 1e-9 * (high - low):
             points = points[:-1]
         points = np.roll(points, -int(np.argmax(points[:, 0])), axis=0)
     x, y = points.T
-    ahead = np.sum((x - np.roll(x, 1)) * (y + np.roll(y, 1)))  # twice the area, positive if clockwise
-    return points if ahead <= 0.0 else points[::-1]
+    twice_area = np.sum((x - np.roll(x, 1)) * (y + np.roll(y, 1)))  # twice the area, positive if clockwise
+    return points if twice_area <= 0.0 else points[::-1]
 
 
 def section_of_digits(digits: str) -> FloatArray:
-    """Return the section of NACA digits.
+    """Return the section (N, 2) of four or five NACA digits, relative to the chord.
 
     Raises:
-        UnreadError: The digits are unknown.
+        UnreadError: There is no camber line for the digits.
     """
     x = np.sin(0.5 * np.pi * np.linspace(0.0, 1.0, _SECTION_STATIONS)) ** 2  # denser at both edges
     line, slope = _camber(digits, x)
-    tall = float(digits[-2:]) / 20.0
-    half = tall * (0.2969 * x**0.5 - 0.126 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1015 * x**4)
-    turn = np.arctan(slope)
-    up = np.column_stack([x - half * np.sin(turn), line + half * np.cos(turn)])
-    down = np.column_stack([x + half * np.sin(turn), line - half * np.cos(turn)])
+    thickness_factor = float(digits[-2:]) / 20.0  # 5 t, with the thickness t in percent
+    half = thickness_factor * (0.2969 * x**0.5 - 0.126 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1015 * x**4)
+    angle = np.arctan(slope)
+    up = np.column_stack([x - half * np.sin(angle), line + half * np.cos(angle)])
+    down = np.column_stack([x + half * np.sin(angle), line - half * np.cos(angle)])
     return np.vstack([up[::-1], down[1:]])
 
 
 def _camber(digits: str, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return height and slope of the camber line at x (N,)."""
+    """Return height and slope of the camber line at x (N,), relative to the chord."""
     if len(digits) == 4:
         high, position = int(digits[0]) / 100.0, int(digits[1]) / 10.0
         if high == 0.0:
@@ -172,13 +177,15 @@ def _camber(digits: str, x: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 SHARP_EDGE_M: Final = 1e-6
-"""Thickness [m] below which a trailing edge is sharp."""
+"""Thickness [m] up to which a trailing edge counts as sharp."""
 _SECTION_POINTS: Final = 600
 """Number of points along each side of a section."""
 
 
 def wing_skin(entry: Entry) -> GuideRulings:
-    """Return the skin, over the lower side first, facing away from the part.
+    """Return the rulings of a wing panel's skin from root to tip, over the lower side first.
+
+    In this order the surface faces away from the part.
 
     Raises:
         UnreadError: A section cannot be read.
@@ -198,24 +205,28 @@ def wing_skin(entry: Entry) -> GuideRulings:
     ]
     span = metres(entry["span_mm"])
     sweep, rise = (np.tan(radians(entry.get(key) or 0.0)) for key in ("sweep_deg", "dihedral_deg"))
-    quarter = np.array([[0.25 * chords[0], 0.0], [0.25 * chords[0] + span * sweep, span * rise]])
-    turn = (0.0, radians(entry.get("twist_deg") or 0.0))
+    quarter_chord = np.array([[0.25 * chords[0], 0.0], [0.25 * chords[0] + span * sweep, span * rise]])
+    twists = (0.0, radians(entry.get("twist_deg") or 0.0))
     guides = []
     for k, (points, chord) in enumerate(zip(sections, chords, strict=True)):
         curve = _section_curve(points, chord, max(gaps) > SHARP_EDGE_M)
         x, z = curve.points[:, 0] - 0.25 * chord, curve.points[:, 1]
-        c, s = np.cos(turn[k]), np.sin(turn[k])  # the nose, at negative x, moves down
+        c, s = np.cos(twists[k]), np.sin(twists[k])  # the nose, at negative x, moves down
         placed = np.column_stack(
-            [quarter[k, 0] + c * x - s * z, np.full(len(x), k * span), quarter[k, 1] + s * x + c * z]
+            [
+                quarter_chord[k, 0] + c * x - s * z,
+                np.full(len(x), k * span),
+                quarter_chord[k, 1] + s * x + c * z,
+            ]
         )
         guides.append(dataclasses.replace(curve, points=placed))
     return match_guides(guides[0], guides[1], "arc_length")
 
 
 def _with_trailing_edge(points: FloatArray, min_gap: float) -> FloatArray:
-    """Return the section with a trailing edge of at least ``min_gap`` chords.
+    """Return the section with a trailing edge that is at least ``min_gap`` thick, relative to the chord.
 
-    Its sides are moved apart in proportion to x.
+    Its upper and lower sides are moved apart in proportion to x.
     """
     gap = float(np.hypot(*(points[0] - points[-1])))
     if gap >= min_gap:
@@ -225,39 +236,42 @@ def _with_trailing_edge(points: FloatArray, min_gap: float) -> FloatArray:
 
 
 def _nose(points: FloatArray) -> int:
+    """Return the index of the point that is farthest from the trailing edge."""
     return int(np.argmax(np.hypot(*(points - 0.5 * (points[0] + points[-1])).T)))
 
 
 def _section_curve(points: FloatArray, chord: float, blunt: bool) -> GuideCurve:
-    """Return a section [m] as a closed curve from the trailing edge along the lower side.
+    """Return a section (N, 2) as a closed curve [m] from the trailing edge along the lower side.
 
-    Its anchors are the leading edge, the point farthest from the trailing edge, and the trailing edge's one
-    or two corners.
+    Its anchors are the leading edge, which is the point farthest from the trailing edge, and the corners of
+    the trailing edge: two if it is ``blunt``, else one. The section is relative to the chord.
     """
     lengths = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
     curve = CubicSpline(lengths, points * chord)
     tail = 0.5 * chord * (points[0] + points[-1])
-    at = _nose(points)
-    nose_range = np.linspace(lengths[max(at - 1, 0)], lengths[min(at + 1, len(lengths) - 1)], 4001)
-    nose = nose_range[int(np.argmax(np.hypot(*(curve(nose_range) - tail).T)))]
-    lower, upper = (
-        np.linspace(lengths[-1], nose, _SECTION_POINTS),
-        np.linspace(nose, 0.0, _SECTION_POINTS)[1:],
+    nose_index = _nose(points)
+    nose_range = np.linspace(
+        lengths[max(nose_index - 1, 0)], lengths[min(nose_index + 1, len(lengths) - 1)], 4001
     )
+    nose = nose_range[int(np.argmax(np.hypot(*(curve(nose_range) - tail).T)))]
+    lower = np.linspace(lengths[-1], nose, _SECTION_POINTS)
+    upper = np.linspace(nose, 0.0, _SECTION_POINTS)[1:]
     flat = curve(np.concatenate([lower, upper]))
     anchor = np.zeros(len(flat), dtype=np.bool_)
     anchor[[0, _SECTION_POINTS - 1, -1]] = True
     if not blunt:
         flat[0] = tail
         flat, anchor = flat[:-1], anchor[:-1]
-    spread = np.column_stack([flat, np.zeros(len(flat))])
-    return GuideCurve(spread, np.arange(len(flat)) / len(flat), anchor, True)
+    in_space = np.column_stack([flat, np.zeros(len(flat))])
+    return GuideCurve(in_space, np.arange(len(flat)) / len(flat), anchor, closed=True)
 
 
 SURFACE_POINTS: Final = 600
-"""Number of points of a surface."""
+"""Number of points at which a surface is compared."""
 OUTLINE_POINTS: Final = 6000
-"""Number of points of all the outlines of a plate together, apart from the minimum of each."""
+"""Number of points at which all outlines of a plate together are compared, unless their minima add up to
+more.
+"""
 MIN_OUTLINE_POINTS: Final = 60
 """Minimum number of points of one outline."""
 CORNER_ANGLE_DEG: Final = 20.0
@@ -271,15 +285,15 @@ class PartSurface:
     """One surface of a part.
 
     Attributes:
-        name: Name by which it is cut.
+        name: Name of the surface in the operations that cut it.
         file: Name of its file, or "the problem's numbers".
-        samples: Its points, several sets if the problem leaves open which (guides that fit in several
-            ways).
-        bound: Points (K, 3) [m] that bound it.
+        samples: Points of the surface. There are several sets if its guides fit in several ways, and one of
+            them must be produced.
+        bound: Points (K, 3) [m] that bound the surface.
         spare: Additional deviation [m] that the problem allows.
-        part_of: Whether only a piece of it is cut, so that what is cut has to lie on it.
-        facets: Its triangles (F, 3, 3) [m] in that case.
-        face: The face, if it is one.
+        part_of: Whether only a piece of the surface is cut, which has to lie on it.
+        facets: Triangles (F, 3, 3) [m] of the surface if ``part_of``, else none.
+        face: The surface as a face, None for ruled surfaces.
     """
 
     name: str
@@ -309,7 +323,7 @@ def part_surfaces(part: Entry, height: float, edges: bool = True) -> list[PartSu
         edges: Whether the edges between front and back are included.
 
     Raises:
-        UnreadError: A file, which is named, cannot be read.
+        UnreadError: A file cannot be read; the message names it. Or the part is of an unknown kind.
     """
     if part.get("front"):
         return _front_and_back(part["front"], part.get("back"), edges)
@@ -332,7 +346,7 @@ def part_surfaces(part: Entry, height: float, edges: bool = True) -> list[PartSu
 
 
 def _read_named(entry: Entry, reader: Callable[[], Any]) -> Any:
-    """Return what a reader finds in a named file, or raise its error with the file's name."""
+    """Return the result of a reader for the file of an entry. Errors are raised with the file's name."""
     path = file_of(entry)
     try:
         return reader()
@@ -347,7 +361,7 @@ def _file_name(entry: Entry) -> str:
 
 
 def _read_face(entry: Entry) -> tuple[MeshFace, str]:
-    """Return the face of a mesh, a Rhino or STEP file or a loft, and where it comes from."""
+    """Return the face of a mesh file, a Rhino file, a STEP file or a loft, and the name of its file."""
     for kind, reader in (("mesh", mesh_face), ("rhino", rhino.face), ("step", step.face)):
         if entry.get(kind):
             face_entry = entry[kind]
@@ -363,15 +377,16 @@ def _face_surface(name: str, file: str, face: MeshFace, spare: float = 0.0) -> P
 
 
 def _front_and_back(front: Entry, back: Entry | None, edges: bool) -> list[PartSurface]:
+    """Return the front of a panel, its back if it has one, and the ruled edges between both if requested."""
     front_face, name = _read_face(front)
     out = [_face_surface("front", name, front_face)]
     if not back:
         return out
     moved = back.get("offset_mm") is not None
-    back_face, other = (
+    back_face, back_name = (
         (offset_inwards(front_face, metres(back["offset_mm"])), name) if moved else _read_face(back)
     )
-    out.append(_face_surface("back", other, back_face))
+    out.append(_face_surface("back", back_name, back_face))
     edge_surfaces = ruled_edges(front_face, back_face, moved) if edges else []
     if edge_surfaces:
         out.append(_ruled_surface("edges", name, edge_surfaces))
@@ -386,6 +401,7 @@ def _ruled_surface(
 
 
 def _wing_surface(entry: Entry) -> PartSurface:
+    """Return the skin of a wing panel. Errors are raised again with the names of the sections' files."""
     files = [Path(str(entry[side]["file"])).name for side in ("root", "tip") if entry[side].get("file")]
     name = " and ".join(dict.fromkeys(files)) or FROM_NUMBERS
     try:
@@ -397,6 +413,7 @@ def _wing_surface(entry: Entry) -> PartSurface:
 
 
 def _read_ruled(entry: Entry) -> PartSurface:
+    """Return a ruled surface: a face of a Rhino or STEP file, or the surface between two guides."""
     closed = bool(entry.get("closed"))
     match = str(entry.get("match") or "arc_length")
     if entry.get("rhino") or entry.get("step"):
@@ -427,6 +444,7 @@ def _read_ruled(entry: Entry) -> PartSurface:
 
 
 def _read_guide(entry: Entry, closed: bool) -> GuideCurve:
+    """Return a guide from a polyline, the only closed or open curve of a drawing, or a spline."""
     angle = radians(entry.get("corner_deg", CORNER_ANGLE_DEG))
     if entry.get("polyline_mm") is not None:
         curve = polyline_guide(points_in_metres(entry["polyline_mm"]), closed, angle)
@@ -453,13 +471,16 @@ def _read_guide(entry: Entry, closed: bool) -> GuideCurve:
 
 
 def _spline_guide(control: FloatArray, kind: str, closed: bool) -> GuideCurve:
-    """Return a spline without corners, except where the ends of a closed one meet at an angle."""
+    """Return a spline as a guide, without corners except where the ends of a closed spline meet at an angle.
+
+    Control points are (C, 3) [m]. ``kind`` is ``bspline_mm`` or ``bezier_mm``.
+    """
     t = np.linspace(0.0, 1.0, _SPLINE_POINTS + 1)
     points = (bspline if kind == "bspline_mm" else bezier)(control, t)
     if closed:
         points, t = points[:-1], t[:-1]
     curve = polyline_guide(points, closed, radians(CORNER_ANGLE_DEG))
-    if len(curve.points) != len(points):
+    if len(curve.points) != len(points):  # repeated points were removed, so t does not fit
         return curve
     anchor = np.zeros(len(points), dtype=np.bool_)
     anchor[0] = curve.anchor[0]
@@ -489,9 +510,10 @@ def _facing_outwards(surface: GuideRulings, hole: bool) -> GuideRulings:
 
 
 def _plate_outlines(entry: Entry, height: float) -> list[PartSurface]:
-    """Return the outlines of a plate.
+    """Return the vertical surfaces through the outlines of a plate of ``height`` [m].
 
-    They are named by their kind, ``outline`` or ``hole``, because the problem does not define their order.
+    They are named by their kind, ``outline`` or ``hole``, because the problem does not define their order. An
+    outline inside an odd number of others is a hole.
     """
     rings: list[FloatArray] = [_read_outline(outline) for outline in entry.get("outlines") or ()]
     names = [FROM_NUMBERS] * len(rings)
@@ -506,8 +528,8 @@ def _plate_outlines(entry: Entry, height: float) -> list[PartSurface]:
         enclosing_count = sum(_is_inside(ring[0], other) for j, other in enumerate(rings) if j != k)
         hole = enclosing_count % 2 == 1
         x, y = ring.T
-        left = float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) > 0.0
-        ring = ring if left != hole else ring[::-1]
+        anticlockwise = float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) > 0.0
+        ring = ring if anticlockwise != hole else ring[::-1]
         base = np.column_stack([np.concatenate([ring, ring[:1]]), np.zeros(len(ring) + 1)])
         top = base + np.array([0.0, 0.0, height])
         out.append(_ruled_surface("hole" if hole else "outline", names[k], [GuideRulings(base, top)], count))
@@ -515,7 +537,7 @@ def _plate_outlines(entry: Entry, height: float) -> list[PartSurface]:
 
 
 def _read_outline(entry: Entry) -> FloatArray:
-    """Return the ring (N, 2) [m] of one outline."""
+    """Return the points (N, 2) [m] of one closed outline: a circle, a polyline or a B-spline."""
     if entry.get("circle"):
         angle = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
         centre = np.array([metres(value) for value in entry["circle"]["centre_mm"]])
@@ -527,12 +549,12 @@ def _read_outline(entry: Entry) -> FloatArray:
 
 
 def _is_inside(point: FloatArray, ring: FloatArray) -> bool:
-    """Return whether a point (2,) is inside of a closed ring (N, 2).
+    """Return whether a point (2,) is inside a closed polyline (N, 2).
 
-    The edges that a ray to the right crosses are counted.
+    It is inside if a ray along x crosses an odd number of edges.
     """
     a, b = ring - point, np.roll(ring, -1, axis=0) - point
     crosses = (a[:, 1] > 0.0) != (b[:, 1] > 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        at = a[:, 0] - a[:, 1] * (b[:, 0] - a[:, 0]) / (b[:, 1] - a[:, 1])
-    return bool((crosses & (at > 0.0)).sum() % 2)
+        crossing_x = a[:, 0] - a[:, 1] * (b[:, 0] - a[:, 0]) / (b[:, 1] - a[:, 1])
+    return bool((crosses & (crossing_x > 0.0)).sum() % 2)

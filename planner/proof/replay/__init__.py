@@ -1,1 +1,1 @@
-"""The motion that the programs' numbers make, by kinematics of the proof's own."""
+"""Replay of the motion that programs state, with the proof's own kinematics."""

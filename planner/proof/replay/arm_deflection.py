@@ -1,10 +1,12 @@
 """Poses of arms that deflect under the claimed loads, from the joints of their programs.
 
-The computation is the proof's own: axes from the chain of the robot's URDF, torques of each load about
-them, and joints of the loaded arm by iteration, because the loads act on the deflected arm. The force of
-the work acts in segments that work, as `ArmSags` states it. On a move along which it rises or falls, it
-does so with the path of the tool. If a force turns with the feed, the feed is that of the loaded arm, found
-by iteration from the straight moves of the program.
+The computation is the proof's own. The axes are those of the chain of the robot's URDF. Each load has a
+torque about each axis. The joints of the loaded arm are found by iteration, because the loads act on the
+deflected arm.
+
+The working force acts in segments that work, as `ArmSags` states it. On a move at whose two ends it differs,
+it changes linearly with the path of the tool. If a force turns with the feed, the feed is that of the loaded
+arm, which is found by iteration from the straight moves of the program.
 """
 
 import dataclasses
@@ -22,17 +24,17 @@ from planner.proof.kinematics.chain import POSTURES_PER_BATCH
 from planner.proof.replay.motion import IntermediateInstants, Motion, Poses
 
 CONSTANT_FORCE_ITERATIONS: Final = 3
-"""Number of iterations for a constant force. Each leaves some thousandths of the error before."""
+"""Number of iterations for a constant force. Each reduces the error to some thousandths."""
 TABLE_FORCE_ITERATIONS: Final = 10
-"""Number of iterations for a force that changes with the height. Each leaves at most a quarter of the error
-before.
+"""Number of iterations for a force that changes with the height. Each reduces the error to at most a
+quarter.
 """
 MAX_FEED_ITERATIONS: Final = 40
-"""Maximum number of iterations for the feed direction. Each leaves at most half of the error before."""
+"""Maximum number of iterations for the feed direction. Each reduces the error to at most a half."""
 FEED_TOLERANCE_M: Final = 1e-8
 """Change of positions [m] below which the iterations for the feed direction end."""
 MIN_PATH_M: Final = 1e-6
-"""Length [m] of a move below which force changes with the time instead of the path."""
+"""Length [m] of a move below which the force changes with the time instead of the path."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,9 +73,10 @@ class SaggingArm:
 
         Args:
             q: Serial angles (M, 6) [rad] of the drives.
-            fraction: Fraction (M,) of the work's force.
-            feed: Direction (M, 3) of the tool. None if it does not matter.
-            height: Height (M,) [m] in the stock at which the force is taken, NaN for that of the tool.
+            fraction: Fraction (M,) of the working force that acts.
+            feed: Direction (M, 3) in which the tool moves. None if the force does not depend on it.
+            height: Height (M,) [m] in the stock's frame at which the force is read from its table, NaN for
+                the height of the tool.
         """
         feed = np.zeros((len(q), 3)) if feed is None else feed
         height = np.full(len(q), np.nan) if height is None else height
@@ -92,7 +95,10 @@ class SaggingArm:
     def _deflections(
         self, q: FloatArray, fraction: FloatArray, feed: FloatArray, height: FloatArray
     ) -> FloatArray:
-        """Return the deflections (M, 6) [rad] of the joints at angles ``q`` (M, 6)."""
+        """Return the deflections (M, 6) [rad] of the joints under the loads that act at angles ``q`` (M, 6).
+
+        The other arguments are those of :meth:`loaded_joints`.
+        """
         chain = self.machine.chain
         frames = self.base @ chain.frames(q)
         flange = frames[:, 6]
@@ -118,7 +124,7 @@ class SaggingArm:
         return deflection
 
     def _work_force(self, tcp_poses: FloatArray, feed: FloatArray, height: FloatArray) -> FloatArray:
-        """Return the whole force of the work (M, 3) [N] in the world at TCP poses ``tcp_poses`` (M, 4, 4)."""
+        """Return the full working force (M, 3) [N] in the world at TCP poses ``tcp_poses`` (M, 4, 4)."""
         height = np.where(np.isnan(height), self.heights(tcp_poses), height)
         knots = self.claim.height
         # Linear interpolation of the force between the table rows below and above the height.
@@ -141,7 +147,7 @@ class SaggingArm:
         return np.asarray((inverse(self.block) @ tcp_poses)[:, 2, 3])
 
     def flange_poses(self, q: FloatArray) -> FloatArray:
-        """Return the flange poses (M, 4, 4) in the world."""
+        """Return the flange poses (M, 4, 4) in the world at serial angles ``q`` (M, 6) [rad]."""
         return np.asarray(self.base @ self.machine.flange(q))
 
 
@@ -150,26 +156,26 @@ def with_sag(
 ) -> Motion:
     """Return the motion with the poses of the deflected arms.
 
-    ``tcp``, ``node_tcp`` and poses between samples are those of the deflected arms, and ``loaded_joints`` has
-    their joints. ``q`` stays what the controllers have.
+    ``tcp``, ``node_tcp`` and the poses between samples become those of the deflected arms, and
+    ``loaded_joints`` has their joints. ``q`` keeps the joints of the controllers.
 
     Args:
         motion: The replayed motion.
-        arms: Deflecting arms of each setup.
-        sample_setup: Setup of each sample (S,).
-        node_setup: Setup of each node (K,).
+        arms: Deflecting arms of each setup, by name.
+        sample_setup: Index (S,) of the setup of each sample.
+        node_setup: Index (K,) of the setup of each node.
     """
     tcp, node_tcp, between = dict(motion.tcp), dict(motion.node_tcp), dict(motion.between.tcp)
-    bends = dict(motion.loaded_joints)
+    loaded_joints = dict(motion.loaded_joints)
     for name in dict.fromkeys(name for setup in arms for name in setup):
         arm_setups = {index: setup[name] for index, setup in enumerate(arms) if name in setup}
         sagging = _sagging_motion(motion, name, arm_setups, sample_setup, node_setup)
-        tcp[name], node_tcp[name], between[name], bends[name] = sagging
+        tcp[name], node_tcp[name], between[name], loaded_joints[name] = sagging
     return dataclasses.replace(
         motion,
         tcp=tcp,
         node_tcp=node_tcp,
-        loaded_joints=bends,
+        loaded_joints=loaded_joints,
         between=IntermediateInstants(
             motion.between.time, motion.between.sample, motion.between.node, between
         ),
@@ -183,7 +189,10 @@ def _sagging_motion(
     sample_setup: IntArray,
     node_setup: IntArray,
 ) -> tuple[Poses, FloatArray, Poses, FloatArray]:
-    """Return TCP poses at samples, at nodes and between samples, and joints at samples, of one arm."""
+    """Return TCP poses at samples, at nodes and at intermediate instants, and joints at samples, of one arm.
+
+    The arguments are those of :func:`with_sag`, for arm ``name``, whose loads are in ``arm_setups`` by setup.
+    """
     at_node = work_fractions(motion)
     fraction = _sample_fractions(motion, name, at_node)
     node_feed, feed = _feed_directions(motion, name, arm_setups, at_node, node_setup)
@@ -210,9 +219,9 @@ def _sagging_motion(
         weight = np.clip(
             (motion.between.time[instants] - motion.time[instant_samples[instants]]) / span, 0.0, 1.0
         )[:, None]
-        previous_sample, next_sample = (
-            instant_samples[instants],
-            np.where(sample_setup[after[instants]] == index, after[instants], instant_samples[instants]),
+        previous_sample = instant_samples[instants]
+        next_sample = np.where(
+            sample_setup[after[instants]] == index, after[instants], instant_samples[instants]
         )
         drives = q[previous_sample] + weight * (q[next_sample] - q[previous_sample])
         deflection = (1.0 - weight) * (links[previous_sample] - q[previous_sample]) + weight * (
@@ -222,17 +231,20 @@ def _sagging_motion(
             displacement = _displacement(arm, drives[batch], drives[batch] + deflection[batch])
             between[instants[batch]] = displacement @ motion.between.tcp[name][instants[batch]]
         nodes = np.flatnonzero(node_setup == index)
-        next_sample = q[motion.node_sample[nodes]]
+        node_q = q[motion.node_sample[nodes]]
         for batch in _batches(np.arange(len(nodes))):
-            loaded = arm.loaded_joints(next_sample[batch], at_node[nodes[batch]], node_feed[nodes[batch]])
-            node_tcp[nodes[batch]] = _displacement(arm, next_sample[batch], loaded) @ node_tcp[nodes[batch]]
+            loaded = arm.loaded_joints(node_q[batch], at_node[nodes[batch]], node_feed[nodes[batch]])
+            node_tcp[nodes[batch]] = _displacement(arm, node_q[batch], loaded) @ node_tcp[nodes[batch]]
     return tcp, node_tcp, between, links
 
 
 def _displacement(arm: SaggingArm, q: FloatArray, links: FloatArray) -> FloatArray:
-    """Return the displacement of the deflected hand from where the drives put it.
+    """Return the motions (M, 4, 4) in the world that take the flange from its unloaded to its loaded pose.
 
-    It is given as motions (M, 4, 4) of the world.
+    Args:
+        arm: The arm.
+        q: Joints (M, 6) [rad] of the drives.
+        links: Joints (M, 6) [rad] of the loaded arm.
     """
     return np.asarray(arm.flange_poses(links) @ inverse(arm.flange_poses(q)))
 
@@ -242,13 +254,16 @@ def _batches(rows: IntArray) -> list[IntArray]:
 
 
 def work_fractions(motion: Motion) -> FloatArray:
-    """Return the fraction (K,) of the work's force that acts at the ends of moves."""
+    """Return the fraction (K,) of the working force that acts at the end of each move: 1 or 0."""
     works = [segment.works and not segment.phase for segment in motion.node_segment]
     return np.array(works, dtype=np.float64)
 
 
 def _sample_fractions(motion: Motion, name: str, at_node: FloatArray) -> FloatArray:
-    """Return the fraction (S,) of the work's force that acts at each sample."""
+    """Return the fraction (S,) of the working force that acts at each sample.
+
+    Between the ends of a move it is interpolated. ``at_node`` is that of :func:`work_fractions`.
+    """
     node = motion.node
     previous = np.concatenate([[0.0], at_node[:-1]])
     out = at_node[node]
@@ -269,10 +284,11 @@ def _force_heights(
     node_setup: IntArray,
     node_feed: FloatArray,
 ) -> FloatArray:
-    """Return the heights (S,) [m] in the stock at which the force is taken while it rises or falls.
+    """Return the heights (S,) [m] in the stock's frame at which a changing force is read from its table.
 
-    The height is that of the loaded arm at the end of the move at which the force acts in full. Elsewhere it
-    is NaN.
+    On a move along which the acting fraction changes, the force belongs to the height of the loaded tool at
+    the end at which it acts in full. On other moves the result is NaN: the force belongs to the current
+    height of the tool.
     """
     out, works = np.full(len(motion.time), np.nan), np.append(at_node, 0.0) > 0.0
     for node in np.flatnonzero(works[:-1] != np.append(False, works[:-2])):
@@ -308,7 +324,7 @@ def _feed_directions(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the mean feed direction of the loaded arm at nodes (K, 3) and at samples (S, 3).
 
-    It is 0 where it is irrelevant.
+    It is 0 where no force turns with the feed.
     """
     at_nodes, at_samples = np.zeros((len(at_node), 3)), np.zeros((len(motion.time), 3))
     works = np.flatnonzero(at_node > 0.0)
@@ -332,9 +348,9 @@ def _feed_directions(
 
 
 def _loaded_path(motion: Motion, name: str, arm: SaggingArm, run: IntArray) -> FloatArray:
-    """Return the positions (M + 1, 3) of the loaded tool in a run of working moves.
+    """Return the positions (M + 1, 3) [m] of the loaded tool at the start and at the ends of working moves.
 
-    They are those at the start of the run and at the ends of its moves.
+    ``run`` (M,) has the successive nodes of these moves.
 
     Raises:
         TandemError: The iteration does not converge (``verify.sag``).
@@ -353,11 +369,13 @@ def _loaded_path(motion: Motion, name: str, arm: SaggingArm, run: IntArray) -> F
         positions = loaded
         if change < FEED_TOLERANCE_M:
             return positions
-    what = f"{name} deflects so much under a force that turns with the feed that its path is undetermined: "
-    what += (
+    message = (
+        f"{name} deflects so much under a force that turns with the feed that its path is undetermined: "
+    )
+    message += (
         f"after {MAX_FEED_ITERATIONS} rounds positions still move by {1e3 * change:.3g} mm. Use a stiffer arm"
     )
-    raise issue_error("verify.sag", what, arm=name)
+    raise issue_error("verify.sag", message, arm=name)
 
 
 def _path_lengths(positions: FloatArray) -> FloatArray:
@@ -366,14 +384,14 @@ def _path_lengths(positions: FloatArray) -> FloatArray:
 
 
 def _mean_direction(positions: FloatArray, lengths: FloatArray, at: FloatArray) -> FloatArray:
-    """Return the mean direction (M, 3) of a path through positions (P, 3) around lengths ``at`` (M,) [m].
+    """Return the mean direction (M, 3) of a path around given path lengths.
 
     The mean is taken from `FEED_PATH_M` before to `FEED_PATH_M` after, as far as the path goes.
 
     Args:
-        positions: Positions (P, 3).
+        positions: Positions (P, 3) [m] on the path.
         lengths: Path length (P,) [m] at the positions.
-        at: Path lengths (M,) [m].
+        at: Path lengths (M,) [m] at which the direction is returned.
     """
     early, late = np.maximum(at - FEED_PATH_M, 0.0), np.minimum(at + FEED_PATH_M, lengths[-1])
     step = np.empty((len(at), 3))
@@ -384,8 +402,11 @@ def _mean_direction(positions: FloatArray, lengths: FloatArray, at: FloatArray) 
 
 
 def _move_ends(motion: Motion, name: str, nodes: IntArray) -> FloatArray:
-    """Return the tool positions (M, 3) at the ends of moves, with -1 for the start of all."""
+    """Return the tool positions (M, 3) at the ends of moves ``nodes`` (M,). -1 is the start of the motion.
+
+    It is the stated target, or the replayed position at that time if a move states none for this arm.
+    """
     stated = motion.node_tcp[name][np.maximum(nodes, 0), :3, 3]
     sample = np.where(nodes >= 0, motion.node_sample[np.maximum(nodes, 0)], 0)
-    known = np.isfinite(stated).all(axis=1) & (nodes >= 0)
-    return np.where(known[:, None], stated, motion.tcp[name].position[sample])
+    is_stated = np.isfinite(stated).all(axis=1) & (nodes >= 0)
+    return np.where(is_stated[:, None], stated, motion.tcp[name].position[sample])

@@ -1,6 +1,6 @@
 """A replayed motion as arrays. Its many poses are stored compactly, because an hour has a million samples.
 
-The speed of a wire across itself comes from its shapes at stations and the replay's clock.
+The speed of a wire, across its own direction, is computed from its shapes at stations and the replay's clock.
 """
 
 import dataclasses
@@ -16,17 +16,18 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.programs.steps import ProgramStep, SignalStep
 
 Rows = int | np.integer | slice | IntArray | BoolArray
+"""Index, slice, indices or flags that select entries of an array."""
 
 
 @dataclasses.dataclass(frozen=True)
 class RunLengthVectors:
-    """Vectors (S, 3) in run-length encoding, indexed like the array.
+    """Vectors (S, 3) in run-length encoding, indexed like an array.
 
-    Many successive vectors are equal bit by bit.
+    The encoding saves memory if many successive vectors are equal bit by bit. They form a run.
 
     Attributes:
-        value: One vector (R, 3) of each run.
-        which: Index (S,) of the run of each row, in 32 bits.
+        value: Vector (R, 3) of each run.
+        which: Index (S,) of the run to which each vector belongs, in 32 bits.
     """
 
     value: FloatArray
@@ -38,11 +39,11 @@ class RunLengthVectors:
         if not len(vectors):
             return vectors
         bits = np.ascontiguousarray(vectors).view(np.int64)
-        fresh = np.ones(len(vectors), dtype=np.bool_)
-        np.any(bits[1:] != bits[:-1], axis=1, out=fresh[1:])
-        if MIN_MEAN_RUN * np.count_nonzero(fresh) > len(vectors):
+        starts_run = np.ones(len(vectors), dtype=np.bool_)
+        np.any(bits[1:] != bits[:-1], axis=1, out=starts_run[1:])
+        if MIN_MEAN_RUN * np.count_nonzero(starts_run) > len(vectors):
             return vectors
-        return RunLengthVectors(vectors[fresh], np.cumsum(fresh, dtype=np.int32) - np.int32(1))
+        return RunLengthVectors(vectors[starts_run], np.cumsum(starts_run, dtype=np.int32) - np.int32(1))
 
     @staticmethod
     def concatenate(parts: "Sequence[FloatArray | RunLengthVectors]") -> "FloatArray | RunLengthVectors":
@@ -68,14 +69,12 @@ class RunLengthVectors:
 
 
 MIN_MEAN_RUN = 4
-"""Mean number of vectors in a run from which on runs save memory."""
+"""Mean number of vectors in a run from which run-length encoding saves memory."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Poses:
-    """S poses in compact form.
-
-    Indexed values are (..., 4, 4); x and y are then as stored except for rounding.
+    """S poses in compact form. Indexing returns them as matrices (..., 4, 4), with rounding of x and y.
 
     Attributes:
         position: Positions (S, 3).
@@ -101,7 +100,10 @@ class Poses:
 
     @staticmethod
     def concatenate(parts: "Iterable[Poses]") -> "Poses":
-        """Concatenate poses as a read-only value: a tool's axis is constant for most of a long motion."""
+        """Concatenate poses to read-only poses.
+
+        Their z axes are run-length encoded, because a tool's axis is constant for most of a long motion.
+        """
         pose_parts = tuple(parts)
         z = RunLengthVectors.concatenate(
             [
@@ -141,10 +143,10 @@ class Poses:
 
 
 class GrowingArray:
-    """Growing array of rows of one shape.
+    """Array to which rows of one shape are appended.
 
-    The rows are in one array from the start, with as much reserve again, which is not written and so takes
-    no memory. If parts were concatenated instead, most of a long motion would exist twice.
+    All rows are in one array, which is allocated with twice the needed length. The reserve takes no memory,
+    because it is not written. If parts were concatenated instead, most of a long motion would exist twice.
     """
 
     def __init__(self, shape: tuple[int, ...] = (), dtype: npt.DTypeLike = np.float64) -> None:
@@ -154,7 +156,7 @@ class GrowingArray:
         return self._count
 
     def append_uninitialised(self, count: int) -> np.ndarray:
-        """Append ``count`` rows and return them, to be written."""
+        """Append ``count`` rows without values, and return them as a view that the caller must fill."""
         first, self._count = self._count, self._count + count
         if self._count > len(self._rows):
             previous = self._rows
@@ -182,7 +184,7 @@ class GrowingPoses:
     def append(self, poses: FloatArray) -> None:
         """Append poses (S, 4, 4).
 
-        Some thousands at a time are efficient, since all their axes are compared.
+        Appending some thousands at a time is efficient, because runs are found among the poses of one call.
         """
         compact = Poses.of(poses)
         self._position.append(compact.position)
@@ -212,11 +214,11 @@ def _orthonormal_basis(z: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @dataclasses.dataclass(frozen=True)
 class ReplayFault:
-    """Reason why the motion is not what the text says.
+    """Reason why the replayed motion differs from what the text states.
 
     Attributes:
-        kind: Name of the rule that reports it.
-        message: Description.
+        kind: ``reach``, ``corner`` or ``motion``: the rule that reports it.
+        message: Description for the user.
         task: Name of the task.
         line: Line of the move.
         index: Node of the move.
@@ -233,13 +235,13 @@ class ReplayFault:
 class IntermediateInstants:
     """C instants between samples, in order.
 
-    They are on corners that a straight line between samples would cut off, and where a segment ends.
+    They are at corners that a straight line between samples would cut off, and at ends of segments.
 
     Attributes:
         time: Times (C,) [s].
-        sample: Last samples (C,) before.
+        sample: Index (C,) of the last sample before each instant.
         node: Current moves (C,) as indices into the nodes.
-        tcp: C poses in the world by arm.
+        tcp: C TCP poses in the world by arm.
     """
 
     time: FloatArray
@@ -250,13 +252,13 @@ class IntermediateInstants:
 
 @dataclasses.dataclass(frozen=True)
 class MergedSamples:
-    """S samples and C instants between them together, ordered by time.
+    """S samples and C instants between them, merged in the order of time.
 
     Attributes:
-        row: Rows (S + C,): the index of a sample, or S plus the index of an instant.
-        sample: Sample (S + C,) itself, or the last one before the instant.
-        time: Times [s].
-        node: Current moves as indices into the nodes.
+        row: Index (S + C,) of a sample, or S plus the index of an instant.
+        sample: Index (S + C,) of the sample itself, or of the last one before the instant.
+        time: Times (S + C,) [s].
+        node: Current moves (S + C,) as indices into the nodes.
     """
 
     row: IntArray
@@ -269,29 +271,29 @@ class MergedSamples:
 class Motion:
     """Replayed motion of a whole job, with S samples and K nodes (targets).
 
-    For an arm that deflects under its loads ``q`` is what its controller has, and the tool poses are the
-    real ones.
+    For an arm that deflects under its loads, ``q`` has the joints of its controller, and the tool poses are
+    those of the deflected arm.
 
     Attributes:
         time: Times (S,) [s] of the samples.
         node: Current moves (S,) as indices into the nodes, in 32 bits.
         q: Serial angles {arm: (S, 6)} [rad].
-        tcp: S poses in the world by arm.
+        tcp: S TCP poses in the world by arm.
         node_sample: Samples (K,) at which the moves end.
-        node_segment: Segments of the moves.
-        node_stop: Whether the arms stop (K,).
-        node_stage: Stages (K,) of the moves.
-        node_ids: Move IDs (K,).
-        node_duration: Durations (K,) [s].
+        node_segment: Segments of the K moves.
+        node_stop: Whether the arms stop at the ends of the moves (K,).
+        node_stage: Number (K,) of the stage of each move.
+        node_ids: IDs (K,) of the moves in the text, 0 for none.
+        node_duration: Durations (K,) [s] of the moves.
         node_line: Lines {arm: (K,)} in the text, 0 where the arm has no move.
         node_tcp: TCP poses {arm: (K, 4, 4)} in the world.
         node_conf_q: Joints {arm: (K, 6)} that confdata alone select, NaN where the arm has no such target.
         node_conf_ok: Whether confdata fit the motion {arm: (K,)}.
-        step_time: Time [s], stage, task and step of all steps other than moves.
-        faults: Reasons why the motion is not what the text says.
+        step_time: Time [s], number of the stage, name of the task, and step, of all steps other than moves.
+        faults: Reasons why the motion differs from what the text states.
         between: Poses between samples, where they matter.
         loaded_joints: Joints {arm: (S, 6)} of deflected arms.
-        track_positions: Distance {arm: (S,)} [m] of bases on coordinated tracks from their stations.
+        track_positions: Distances {arm: (S,)} [m] of bases on coordinated tracks from their stations.
     """
 
     time: FloatArray
@@ -321,7 +323,7 @@ class Motion:
 
     @property
     def stage(self) -> IntArray:
-        """Stage (S,) of each sample: that of the current move. Not cached, because there are many samples."""
+        """Number (S,) of the stage of the current move. It is not cached, because there are many samples."""
         return self.node_stage[self.node]
 
     def speed(self, arm: str, axes: int | slice = slice(None)) -> FloatArray:
@@ -332,7 +334,10 @@ class Motion:
         return finite_differences(self.time, self.q[arm][:, axes], 1)
 
     def acceleration(self, arm: str, axes: int | slice = slice(None)) -> FloatArray:
-        """Return the joint accelerations (S, 6) or (S,) [rad/s^2] of an arm, like :meth:`speed`."""
+        """Return the joint accelerations (S, 6) [rad/s^2] of an arm, or (S,) of one of its ``axes``.
+
+        They are computed by finite differences, and not cached.
+        """
         return finite_differences(self.time, self.q[arm][:, axes], 2)
 
     def signal_changes(self, signal: str, tasks: Collection[str]) -> list[tuple[float, float]]:
@@ -349,16 +354,16 @@ class Motion:
         return sorted(changes, key=lambda change: change[0])
 
     def signal_on_time(self, signal: str, tasks: Collection[str], time: FloatArray) -> FloatArray:
-        """Return how long (T,) [s] a signal has been on at given times, -1 where it is off.
+        """Return for how long (T,) [s] a signal has been on at given times (T,) [s], -1 where it is off.
 
-        The signal is one of the controller of ``tasks``.
+        ``tasks`` are the tasks of the signal's controller.
         """
-        steps = self.signal_changes(signal, tasks)
+        changes = self.signal_changes(signal, tasks)
         out = np.full(len(time), -1.0)
         since = None
-        for k, (at, value) in enumerate(steps):
+        for k, (at, value) in enumerate(changes):
             since = (at if since is None else since) if value else None
-            until = steps[k + 1][0] if k + 1 < len(steps) else np.inf
+            until = changes[k + 1][0] if k + 1 < len(changes) else np.inf
             if since is not None:
                 rows = (time >= at) & (time < until)
                 out[rows] = time[rows] - since
@@ -366,7 +371,7 @@ class Motion:
 
     @functools.cached_property
     def merged_samples(self) -> MergedSamples:
-        """Samples and the instants between them."""
+        """Samples and the instants between them, in the order of time."""
         instants, count = self.between, len(self.time)
         row = np.insert(np.arange(count), instants.sample + 1, count + np.arange(len(instants.time)))
         sample = np.concatenate([np.arange(count), instants.sample])
@@ -374,9 +379,11 @@ class Motion:
         return MergedSamples(row, sample[row], time[row], node[row])
 
     def poses(self, arm: str, rows: IntArray) -> FloatArray:
-        """Return the TCP poses (M, 4, 4) in the world at rows (M,).
+        """Return the TCP poses (M, 4, 4) of an arm in the world.
 
-        Rows are those of samples, or of instants as in :class:`MergedSamples`.
+        Args:
+            arm: Name of the arm.
+            rows: Indices (M,) of samples, or of instants as in :attr:`MergedSamples.row`.
         """
         count = len(self.time)
         is_instant = rows >= count
@@ -407,9 +414,9 @@ _SAMPLES_PER_BATCH = 16_384
 
 
 def finite_differences(time: FloatArray, q: FloatArray, order: int) -> FloatArray:
-    """Return speeds (``order`` 1) or accelerations (2) (S, ...) of samples (S, ...) by finite differences.
+    """Return speeds (``order`` 1) or accelerations (2) of joints (S, ...) at nearly evenly spaced times (S,).
 
-    The grid is nearly even. Speeds are the larger of both one-sided differences. Values at the ends are 0.
+    A speed is the one-sided difference with the larger absolute value. The values at both ends are 0.
     """
     out = np.zeros(q.shape)
     if len(time) < 3:
@@ -436,13 +443,15 @@ Heat reaches ahead of the wire, to its sides and behind it by about half a slot,
 widen and narrow again within this length.
 """
 _MIN_PATH_M = 1e-12
-"""Minimum path [m] between stations, because a standing wire takes time without moving."""
+"""Path [m] that is counted at least between stations, so that path lengths ascend while a wire stands
+still.
+"""
 
 
 def motion_across_wire(points: FloatArray) -> FloatArray:
-    """Return the motion (T - 1, P) [m] of the points (T, P, 3) of a wire across the wire.
+    """Return the distances (T - 1, P) [m] that points of a wire move across the wire between stations.
 
-    It is the motion between successive stations.
+    ``points`` (T, P, 3) [m] are P points along the wire at T stations.
     """
     motion = np.diff(points, axis=0)
     along = np.gradient(points[:-1] + points[1:], axis=1)
@@ -451,11 +460,11 @@ def motion_across_wire(points: FloatArray) -> FloatArray:
 
 
 def wire_speed(points: FloatArray, time: FloatArray, inside: BoolArray) -> FloatArray:
-    """Return the speed (T, P) [m/s] of the points (T, P, 3) of a wire across the wire.
+    """Return the speed (T, P) [m/s] of points (T, P, 3) of a wire across the wire at T stations.
 
-    It is path over time, from the station before to the one after, or farther, until the fastest point
-    ``inside`` (T, P) the foam (of all points in the air) has moved by ``MELTED_PATH_M`` either way, or the
-    path ends.
+    It is a mean over a part of the path around each station. The part reaches at least to the previous and
+    the next station, and so far that the fastest point ``inside`` (T, P) the foam has moved by
+    ``MELTED_PATH_M`` in both directions. If no point is inside the foam, all points count.
     """
     if len(points) < 2:
         return np.zeros(points.shape[:2])
@@ -473,14 +482,14 @@ def wire_speed(points: FloatArray, time: FloatArray, inside: BoolArray) -> Float
 
 
 def _interpolate(queries: FloatArray, positions: FloatArray, rows: FloatArray) -> FloatArray:
-    """Interpolate ``rows`` (T, P), given at ascending ``positions`` (T,), at ``queries`` (K,)."""
+    """Interpolate ``rows`` (T, P) at ``queries`` (K,). They are given at ascending ``positions`` (T,)."""
     k = np.clip(np.searchsorted(positions, queries) - 1, 0, len(positions) - 2)
     weight = (queries - positions[k]) / (positions[k + 1] - positions[k])
     return np.asarray(rows[k] + weight[:, None] * (rows[k + 1] - rows[k]))
 
 
 def with_start_stations(chosen: BoolArray) -> BoolArray:
-    """Return the chosen stations and the one before each run of them, where the segment starts."""
+    """Return flags (T,) of the chosen stations and of the station before each run, where its path starts."""
     out = chosen.copy()
     out[:-1] |= chosen[1:]
     return out

@@ -1,9 +1,9 @@
 """Moves of one arm as arrays, the common time law of all arms, and sampling of straight moves.
 
 The samples of a straight move are poses on the path, and joints on the branch that the targets name. The
-time law states which part of a sequence of straight moves a controller runs at which time.
+time law states at which time a controller is at which position of a sequence of moves.
 
-Model. Each move takes its programmed time at constant speed. A corner inside a zone is rounded by the cubic
+Model: Each move takes its programmed time at constant speed. A corner inside a zone is rounded by the cubic
 that joins the two straight pieces with equal speeds on both sides, which is the quadratic Bezier curve of
 the corner when the speeds are constant. Moves from and to a stop follow a cubic ramp that ends with the
 speed of the adjacent move. The zone bounds how far from the corner the rounding starts, and it never starts
@@ -51,8 +51,8 @@ class TimeLaw:
 
     Attributes:
         times: Times (N + 1,) [s] of the nodes.
-        rate_in: Speeds (N,) of the moves' progress at their starts, in units of 1 / duration.
-        rate_out: Speeds (N,) of the moves' progress at their ends, in units of 1 / duration.
+        rate_in: Speeds (N,) at the starts of the moves, relative to their mean speeds.
+        rate_out: Speeds (N,) at the ends of the moves, relative to their mean speeds.
         window: Half widths (N + 1,) [s] of the rounding at each node, 0 at stops.
     """
 
@@ -69,17 +69,18 @@ def time_law(
 
     Args:
         duration: Durations (N,) [s].
-        length: Lengths (N,) of the moves in any one measure, to match speeds at ramps.
+        length: Lengths (N,) of the moves in any common unit, to match speeds at ramps.
         stop: Whether the arms stop at the nodes (N + 1,).
-        reach: Largest fraction of the moves before and after each node (N + 1, 2) that the zone lets the
-            rounding take.
-        min_window: Half width (N + 1,) [s] that is allowed at each node whatever the zone.
+        reach: Fractions (N + 1, 2) of the moves before and after each node over which the zone allows the
+            rounding to extend.
+        min_window: Half width (N + 1,) [s] of the rounding that is allowed at each node, however small the
+            zone.
     """
     count = len(duration)
     times = np.concatenate([[0.0], np.cumsum(duration)])
     rate_in, rate_out = end_rates(duration, length, stop)
     window = np.zeros(count + 1)
-    # half width: limit of the zone on both sides, at least ``min_window``, at most half the shorter move
+    # Half width: limit of the zone on both sides, at least ``min_window``, at most half the shorter move.
     inner = np.minimum(reach[1:-1, 0] * duration[:-1], reach[1:-1, 1] * duration[1:])
     inner = np.maximum(inner, min_window[1:-1])
     window[1:-1] = np.where(stop[1:-1], 0.0, np.minimum(inner, 0.5 * np.minimum(duration[:-1], duration[1:])))
@@ -87,11 +88,11 @@ def time_law(
 
 
 def end_rates(duration: FloatArray, length: FloatArray, stop: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return the speeds (N,) at the starts and ends of N moves, relative to their means.
+    """Return the speeds (N,) at the starts, and (N,) at the ends, of N moves, relative to their mean speeds.
 
-    The moves are timed as in :func:`time_law`.
+    The arguments are those of :func:`time_law`.
     """
-    # a ramp from or to a stop meets its neighbour at that one's speed, 1 to 2 times its own mean
+    # A ramp from or to a stop meets its neighbour at the neighbour's speed: 1 to 2 times its own mean speed.
     speed = length / duration
     rate_in, rate_out = np.ones(len(duration)), np.ones(len(duration))
     starts_at_stop, ends_at_stop = stop[:-1], stop[1:]
@@ -99,9 +100,9 @@ def end_rates(duration: FloatArray, length: FloatArray, stop: BoolArray) -> tupl
     previous_ratio = np.concatenate([speed[:1], speed[:-1]]) / np.maximum(speed, 1e-12)
     rate_in[starts_at_stop] = 0.0
     rate_out[ends_at_stop] = 0.0
-    starts, ends = starts_at_stop & ~ends_at_stop, ends_at_stop & ~starts_at_stop
-    rate_out[starts] = np.clip(next_ratio[starts], 1.0, 2.0)
-    rate_in[ends] = np.clip(previous_ratio[ends], 1.0, 2.0)
+    ramps_up, ramps_down = starts_at_stop & ~ends_at_stop, ends_at_stop & ~starts_at_stop
+    rate_out[ramps_up] = np.clip(next_ratio[ramps_up], 1.0, 2.0)
+    rate_in[ramps_down] = np.clip(previous_ratio[ramps_down], 1.0, 2.0)
     return rate_in, rate_out
 
 
@@ -116,13 +117,15 @@ def corner_times(law: TimeLaw, deltas: Sequence[FloatArray], step: float) -> Flo
 
     A corner is included if a straight line between samples would cut it off by over ``CHORD_TOLERANCE``. A
     rounded corner gets positions on the rounding, so dense that lines between them deviate by no more.
-    Bounds: with a change v of velocity, a corner deviates from the line by v step / 4, or by v step^2 / 16
-    h if it is rounded over the time 2 h. The rounding deviates by v h / 4 from the corner, and n lines
-    along it by an n^2-th of that. Corners within a step of each other count together.
+
+    Bounds: If the velocity changes by v, a corner deviates from the line between samples by v step / 4, or by
+    v step^2 / (16 h) if it is rounded over the time 2 h. The rounding deviates from the corner by v h / 4,
+    and n lines along the rounding deviate from it by 1 / n^2 of that. The changes of velocity of corners
+    within a step of each other are added.
 
     Args:
         law: Time law of N moves.
-        deltas: Steps (N, 6) of each arm's moves, path [m] and rotation [rad].
+        deltas: Translation [m] and rotation [rad] (N, 6) of the moves of each arm.
         step: Time [s] between samples.
     """
     duration, corners, half_widths = np.diff(law.times), law.times[1:-1], law.window[1:-1]
@@ -140,7 +143,8 @@ def corner_times(law: TimeLaw, deltas: Sequence[FloatArray], step: float) -> Flo
         rounding_deviation = np.maximum(rounding_deviation, 0.25 * size * half_widths)
     stops = (law.rate_out[:-1] == 0.0) & (law.rate_in[1:] == 0.0)
     nodes = np.flatnonzero((deviation > 1.0) | stops)
-    # n lines along a rounding deviate by its deviation / n^2 <= 1 tolerance
+    # n lines along a rounding deviate by (deviation of the rounding) / n^2, which must be at most 1
+    # tolerance.
     count = 2 * np.ceil(0.5 * np.sqrt(rounding_deviation[nodes])).astype(np.int64)
     node, lines = np.repeat(nodes, count + 1), np.repeat(count, count + 1)
     line_index = np.arange(len(node)) - np.repeat(np.cumsum(count + 1) - count - 1, count + 1)
@@ -149,9 +153,9 @@ def corner_times(law: TimeLaw, deltas: Sequence[FloatArray], step: float) -> Flo
 
 
 def offsets(law: TimeLaw, delta: FloatArray, at: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return nodes (S,) and offsets (S, D) from them at times ``at`` (S,).
+    """Return positions at times ``at`` (S,) on moves with steps ``delta`` (N, D) from node to node.
 
-    The moves have steps ``delta`` (N, D).
+    They are the index (S,) of a node and the offset (S, D) from it.
     """
     count = len(delta)
     move = np.clip(np.searchsorted(law.times, at, side="right") - 1, 0, count - 1)
@@ -168,7 +172,10 @@ def offsets(law: TimeLaw, delta: FloatArray, at: FloatArray) -> tuple[IntArray, 
 
 
 def _rounding_offsets(law: TimeLaw, delta: FloatArray, corner: IntArray, at: FloatArray) -> FloatArray:
-    """Return offsets on the rounding at corners: the cubic with positions and velocities of both ends."""
+    """Return offsets (S, D) from nodes ``corner`` (S,) at times ``at`` (S,) on their roundings.
+
+    A rounding is the cubic with the positions and velocities of both of its ends.
+    """
     half = law.window[corner]
     progress_before, rate_before = _progress(
         law, corner - 1, law.times[corner] - half - law.times[corner - 1]
@@ -190,7 +197,10 @@ def _rounding_offsets(law: TimeLaw, delta: FloatArray, corner: IntArray, at: Flo
 
 
 def _progress(law: TimeLaw, move: IntArray, elapsed: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the progress 0..1 of moves and its rate [1/s]: the cubic with the moves' end rates."""
+    """Return the progress (S,) from 0 to 1 of moves, and its rate (S,) [1/s]: a cubic with the end rates.
+
+    ``elapsed`` (S,) [s] is the time since the start of each move.
+    """
     duration = law.times[move + 1] - law.times[move]
     x = np.clip(elapsed / duration, 0.0, 1.0)
     a, b = law.rate_in[move], law.rate_out[move]
@@ -220,12 +230,12 @@ class TrackMotion:
     ) -> tuple[FloatArray, bool]:
         """Return the base positions before N moves and after each.
 
-        A joint move takes the base there before the arm works, as soon as the arm moves straight.
+        Before its first straight move the arm does not work: its base stays at the station.
 
         Args:
             moves: The moves.
-            previous: Distance [m] from the station before them.
-            works: Whether the arm works before them.
+            previous: Distance [m] of the base from the station before the moves.
+            works: Whether the arm has moved straight before these moves.
 
         Returns:
             Distances (N + 1,) [m] from the station, and whether the arm works after the moves.
@@ -234,7 +244,7 @@ class TrackMotion:
         for move in moves:
             works |= not move.by_joints
             value = float(move.target.external[self.column])
-            if abs(value) >= MAX_EXTERNAL_VALUE:  # no value, which verify.external_axes reports
+            if abs(value) >= MAX_EXTERNAL_VALUE:  # the axis is missing, which verify.external_axes reports
                 out.append(out[-1])
                 continue
             out.append(self.scale * value - self.station if works else 0.0)
@@ -258,7 +268,7 @@ class ArmMoves:
     """N moves of one arm in a stage.
 
     Poses are in the world, unless the flange of another arm carries the work object. Then they are in the
-    frame ``carrier_frame`` in that flange, and the moves are straight in it.
+    frame of the carried work object, in which the moves are straight.
 
     Attributes:
         task: Task of the arm.
@@ -266,15 +276,15 @@ class ArmMoves:
         robot: Kinematics of the arm.
         base: Base pose (4, 4).
         tool: TCP (N, 4, 4) in the flange.
-        joint: Which moves are joint moves (N,).
+        joint: Whether the moves are joint moves (N,).
         pose: Targets (N, 4, 4) as TCP poses.
-        q: Targets (N, 6) [rad] that are joints.
-        conf: Confdata (N, 4) of the targets.
-        named: Which targets (N,) have confdata.
-        carrier: Arm that carries the work object, if any.
+        q: Targets (N, 6) [rad] as serial joint angles, NaN for targets that are poses only.
+        conf: Confdata (N, 4) of the targets, 0 without.
+        named: Whether the targets have confdata (N,).
+        carrier: Name of the arm that carries the work object, None if none does.
         carrier_frame: Frame (4, 4) of the work object in the flange of the carrier.
         track_position: Distance (N + 1,) [m] of the base on its track before the moves and after each.
-        track_direction: Direction (3,) of the coordinated track. The base moves as evenly as the tool does.
+        track_direction: Unit vector (3,) of the coordinated track. The base moves by the tool's time law.
         rates: Joint velocities (N, J) [rad/s] at the targets of a trajectory-driven arm, which are all
             joints.
     """
@@ -296,10 +306,7 @@ class ArmMoves:
     rates: FloatArray | None = None
 
     def tcp(self, q: FloatArray) -> FloatArray:
-        """Return the TCP poses (..., 4, 4) in the world at joints (..., 6).
-
-        The tool is that before the first move.
-        """
+        """Return the TCP poses (..., 4, 4) in the world at joints (..., 6) before the first move."""
         return np.asarray(self.base_after(0) @ self.robot.flange(q) @ self.tool[0])
 
     def base_at(self, track_position: FloatArray) -> FloatArray:
@@ -319,7 +326,7 @@ class ArmMoves:
     def base_at_times(self, law: TimeLaw, a: int, b: int, when: FloatArray) -> FloatArray:
         """Return the base pose at times ``when`` (S,) of the moves a to b - 1.
 
-        It is (4, 4), or (S, 4, 4) on a coordinated track. The time law is that of these moves.
+        It is (4, 4), or (S, 4, 4) on a coordinated track. ``law`` is the time law of these moves.
         """
         return (
             self.base
@@ -328,9 +335,9 @@ class ArmMoves:
         )
 
     def track_positions_at(self, law: TimeLaw, a: int, b: int, when: FloatArray) -> FloatArray:
-        """Return the distances (S,) [m] of the base along the track.
+        """Return the distances (S,) [m] of the base along the track, as :meth:`base_at_times`.
 
-        They are those at times ``when`` (S,) of the moves a to b - 1.
+        They are 0 without a coordinated track.
         """
         if self.track_position is None:
             return np.zeros(len(when))
@@ -339,7 +346,7 @@ class ArmMoves:
         return np.asarray((nodes[node] + xi)[:, 0])
 
     def flange_poses(self) -> FloatArray:
-        """Return the flange poses (N, 4, 4) in the world at the targets, for moves in the world."""
+        """Return the flange poses (N, 4, 4) in the world at the targets, for moves that no arm carries."""
         out = self.pose @ inverse(self.tool)
         base = np.broadcast_to(self.base_after(slice(1, None)), out.shape)
         out[self.joint] = base[self.joint] @ self.robot.flange(self.q[self.joint])
@@ -378,18 +385,18 @@ def arm_moves(
     axes = machine.data.axes
     q = np.full((count, axes), np.nan)
     rates = np.zeros((count, axes)) if task.text.is_trajectory else None
-    work: dict[int, FloatArray] = {}
+    work_frames: dict[int, FloatArray] = {}  # by the identity of the work object
     frame = np.zeros((count, 4, 4))
     tool = np.zeros((count, 4, 4))
     for i, move in enumerate(moves):
         tool[i] = move.tool.pose
         key = id(move.wobj)
-        if key not in work:
-            work[key] = move.wobj.user @ move.wobj.object
-        frame[i] = work[key]
+        if key not in work_frames:
+            work_frames[key] = move.wobj.user @ move.wobj.object
+        frame[i] = work_frames[key]
         match move.target:
-            case RobTarget(position=place, quaternion=turn, conf=stated):
-                position[i], quaternion[i], named[i] = place, turn, stated is not None
+            case RobTarget(position=target_position, quaternion=target_quaternion, conf=stated):
+                position[i], quaternion[i], named[i] = target_position, target_quaternion, stated is not None
                 conf[i] = conf[i] if stated is None else stated
             case StatusTarget():
                 q[i] = selected_joints(move, machine, base)
@@ -406,7 +413,7 @@ def arm_moves(
         @ poses(position, quaternion)
     )
     track_position, axis = (None, None) if track is None else track
-    row = ArmMoves(
+    result = ArmMoves(
         task,
         moves,
         machine,
@@ -423,12 +430,13 @@ def arm_moves(
         axis,
         rates,
     )
+    # Poses of joint targets follow from the joints. They are written into the array of the result.
     if rates is not None:
         pose[:] = base @ machine.flange(q) @ tool
     elif carrier is None:
-        bases = np.broadcast_to(row.base_after(slice(1, None)), pose.shape)
+        bases = np.broadcast_to(result.base_after(slice(1, None)), pose.shape)
         pose[joint] = bases[joint] @ machine.flange(q[joint]) @ tool[joint]
-    return row
+    return result
 
 
 def selected_joints(move: MoveStep, machine: RobotMachine, base: FloatArray) -> FloatArray:
@@ -451,7 +459,10 @@ def status_solutions(
 
 
 def flange_at(move: MoveStep, base: FloatArray) -> FloatArray:
-    """Return the flange pose (4, 4) in the base at a move's target, which is a pose in a fixed frame."""
+    """Return the flange pose (4, 4) in the base at a move's target, NaN if the target is joints.
+
+    The work object must be fixed. ``base`` (4, 4) is in the world.
+    """
     target = move.target
     if isinstance(target, JointTarget | PassedTarget):
         return np.full((4, 4), np.nan)
@@ -462,7 +473,7 @@ def flange_at(move: MoveStep, base: FloatArray) -> FloatArray:
 def trajectory_time_law(rows: Sequence[ArmMoves]) -> TimeLaw:
     """Return the time law of trajectory-driven moves.
 
-    Each takes its own time, which is equal for all arms, and no corner is rounded.
+    Each move takes its stated time, which is equal for all arms, and no corner is rounded.
     """
     count = len(rows[0].moves)
     durations = np.max([[move.time or 0.0 for move in row.moves] for row in rows], axis=0)
@@ -474,7 +485,7 @@ def trajectory_joints(law: TimeLaw, start: FloatArray, row: ArmMoves, when: Floa
     """Return the joints (S, J) [rad] at times ``when`` (S,) of trajectory-driven moves.
 
     The moves start from rest at ``start`` (J,). Each move is the cubic with the positions and velocities of
-    its two ends, as the controller interpolates.
+    its two ends, which is the controller's interpolation, too.
     """
     if row.rates is None:
         raise TypeError("the moves have no velocities at their targets")
@@ -507,7 +518,7 @@ def hermite(
 def trajectory_knots(
     robot: RobotData, moves: Sequence[MoveStep], start: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return joints and velocities (N + 1, J) between N trajectory-driven moves.
+    """Return joints and joint velocities, (N + 1, J) each, before and after N trajectory-driven moves.
 
     The moves start from rest at ``start`` (J,).
     """
@@ -528,7 +539,7 @@ def trajectory_knots(
 def arms_time_law(
     rows: Sequence[ArmMoves], starts: Sequence[FloatArray], joints: Sequence[FloatArray], stop: BoolArray
 ) -> tuple[TimeLaw, tuple[FloatArray, ...]]:
-    """Return the time law of moves of all arms, and each arm's steps (N, 6), path [m] and rotation [rad].
+    """Return the time law of the moves of all arms, and the steps of each arm.
 
     The slowest arm determines each move's time, the smallest zone the rounding.
 
@@ -537,6 +548,9 @@ def arms_time_law(
         starts: TCP (4, 4) of each arm before the moves, in the frame of its poses.
         joints: Joints (6,) [rad] of each arm before the moves.
         stop: Whether the arms stop at the nodes (N + 1,).
+
+    Returns:
+        Time law, and translation [m] and rotation vector [rad] (N, 6) of each arm's moves.
     """
     count = len(rows[0].moves)
     duration, length = np.zeros(count), np.zeros(count)
@@ -546,15 +560,17 @@ def arms_time_law(
     for row, start, q in zip(rows, starts, joints, strict=True):
         previous = np.concatenate([start[None], row.pose[:-1]])
         shift = row.pose[:, :3, 3] - previous[:, :3, 3]
-        turning = log_rotation(np.swapaxes(previous[:, :3, :3], 1, 2) @ row.pose[:, :3, :3])
-        step, turn = np.linalg.norm(shift, axis=1), np.linalg.norm(turning, axis=1)
-        deltas += [(shift, PATH_ACCURACY_M), (turning, PATH_ACCURACY_RAD)]
-        length = np.hypot(length, np.hypot(step, _ROTATION_WEIGHT_M_RAD * turn))
-        duration = np.maximum(duration, _move_durations(row, q, step, turn))
+        rotation = log_rotation(np.swapaxes(previous[:, :3, :3], 1, 2) @ row.pose[:, :3, :3])
+        step, angle_change = np.linalg.norm(shift, axis=1), np.linalg.norm(rotation, axis=1)
+        deltas += [(shift, PATH_ACCURACY_M), (rotation, PATH_ACCURACY_RAD)]
+        length = np.hypot(length, np.hypot(step, _ROTATION_WEIGHT_M_RAD * angle_change))
+        duration = np.maximum(duration, _move_durations(row, q, step, angle_change))
         zone = np.array([0.0 if move.zone.fine else move.zone.tcp for move in row.moves])
-        angle = np.array([0.0 if move.zone.fine else move.zone.turn_angle for move in row.moves])
-        reach[1:, 0] = np.minimum(reach[1:, 0], _zone_fraction(zone, angle, step, turn))
-        reach[1:-1, 1] = np.minimum(reach[1:-1, 1], _zone_fraction(zone[:-1], angle[:-1], step[1:], turn[1:]))
+        zone_angle = np.array([0.0 if move.zone.fine else move.zone.turn_angle for move in row.moves])
+        reach[1:, 0] = np.minimum(reach[1:, 0], _zone_fraction(zone, zone_angle, step, angle_change))
+        reach[1:-1, 1] = np.minimum(
+            reach[1:-1, 1], _zone_fraction(zone[:-1], zone_angle[:-1], step[1:], angle_change[1:])
+        )
         if row.track_position is not None:  # zones bound the track's path, too
             # On a straight tool path the arm has a corner where the track's fraction of it changes.
             track_deltas.append((np.column_stack([shift, np.diff(row.track_position)]), PATH_ACCURACY_M))
@@ -575,16 +591,17 @@ def arms_time_law(
         change = _speed_change_across(rate_out[:-1, None] * speed[:-1], rate_in[1:, None] * speed[1:])
         min_window[1:-1] = np.minimum(min_window[1:-1], 4.0 * accuracy / np.maximum(change, 1e-12))
     law = time_law(duration, length, stop, np.clip(reach, 0.0, _MAX_CORNER_FRACTION), min_window)
-    path_deltas, turns = deltas[::2], deltas[1::2]
+    path_deltas, rotation_deltas = deltas[::2], deltas[1::2]
     return law, tuple(
-        np.concatenate([a, b], axis=1) for (a, _), (b, _) in zip(path_deltas, turns, strict=True)
+        np.concatenate([a, b], axis=1) for (a, _), (b, _) in zip(path_deltas, rotation_deltas, strict=True)
     )
 
 
 def _move_durations(row: ArmMoves, start: FloatArray, step: FloatArray, turn: FloatArray) -> FloatArray:
-    r"""Return the duration of each move.
+    r"""Return the duration (N,) [s] of each move, with the path ``step`` [m] and the rotation ``turn`` [rad].
 
-    It is \T if stated, else that from the speed and the joints' limits from stop to stop.
+    It is \T if stated. Else it follows from the stated speed. A joint move also takes at least the time that
+    its joints need from stop to stop within their limits.
     """
     out = np.zeros(len(row.moves))
     for i, move in enumerate(row.moves):
@@ -595,20 +612,21 @@ def _move_durations(row: ArmMoves, start: FloatArray, step: FloatArray, turn: Fl
         out[i] = max(step[i] / max(tcp, 1e-6), turn[i] / max(move.speed.turn, 1e-6))
         if row.joint[i]:
             start_joints = row.q[i - 1] if i and row.joint[i - 1] else _joints_after_straight(row, i, start)
-            # cubic from stop to stop over T: peak speed 1.5 |dq| / T, peak acceleration 6 |dq| / T^2
+            # A cubic from stop to stop over T has the peak speed 1.5 |dq| / T and acceleration 6 |dq| / T^2.
             change = np.abs(row.q[i] - start_joints)
             ramps = np.sqrt(6.0 * change / row.robot.data.acceleration)
             axis_fraction = np.ones(6) if move.speed.axes is None else np.array(move.speed.axes)
-            fastest = axis_fraction * row.robot.data.velocity
-            out[i] = max(out[i], float(np.max(1.5 * change / fastest)), float(ramps.max()))
+            max_speed = axis_fraction * row.robot.data.velocity
+            out[i] = max(out[i], float(np.max(1.5 * change / max_speed)), float(ramps.max()))
             out[i] *= 1.02  # keeps the controller's own ramps inside the limits
     return out
 
 
 def _joints_after_straight(row: ArmMoves, i: int, start: FloatArray) -> FloatArray:
-    """Return the joints (6,) after the straight moves that end before move i.
+    """Return the joints (6,) at which joint move i starts, after the straight moves before it.
 
-    These start at the joints before them; ``start`` (6,) are those before all moves.
+    Without straight moves, or if their end cannot be computed, they are the joints before these; ``start``
+    (6,) are the joints before all moves.
     """
     joint_moves = np.flatnonzero(row.joint[:i])
     first = int(joint_moves[-1]) + 1 if len(joint_moves) else 0
@@ -618,9 +636,9 @@ def _joints_after_straight(row: ArmMoves, i: int, start: FloatArray) -> FloatArr
     if row.robot.is_followed:
         fractions = np.arange(1, _POSITIONS_PER_MOVE + 1) / _POSITIONS_PER_MOVE
         ends = np.concatenate([row.tcp(start_joints[None]), row.pose[first:i]])
-        turn = log_rotation(np.swapaxes(ends[:-1, :3, :3], 1, 2) @ ends[1:, :3, :3])[:, None]
+        rotation_vectors = log_rotation(np.swapaxes(ends[:-1, :3, :3], 1, 2) @ ends[1:, :3, :3])[:, None]
         positions = ends[:-1, None, :3, 3] + fractions[:, None] * np.diff(ends[:, :3, 3], axis=0)[:, None]
-        rotation = ends[:-1, None, :3, :3] @ exp_rotation(fractions[:, None] * turn)
+        rotation = ends[:-1, None, :3, :3] @ exp_rotation(fractions[:, None] * rotation_vectors)
         path = from_parts(rotation, positions).reshape(-1, 4, 4)
         tools = np.repeat(inverse(row.tool[first:i]), _POSITIONS_PER_MOVE, axis=0)
         base = row.base
@@ -643,29 +661,31 @@ _POSITIONS_PER_MOVE: Final = 20
 
 
 def _speed_change_across(previous: FloatArray, following: FloatArray) -> FloatArray:
-    """Return the change (M,) of speed across the path, from ``previous`` to ``following`` (M, D).
+    """Return the change (M,) from velocity ``previous`` to ``following`` (M, D) that counts across the path.
 
-    A change along the path does not leave it, unless it reverses.
+    A change along the path does not deviate from it. If the motion reverses, the full change counts.
     """
-    # part of the faster velocity normal to the slower one: |previous ^ following| / smaller speed
-    size = np.maximum(np.stack([np.linalg.norm(previous, axis=1), np.linalg.norm(following, axis=1)]), 1e-12)
+    # Component of the faster velocity normal to the slower one: |previous ^ following| / smaller speed.
+    speeds = np.maximum(
+        np.stack([np.linalg.norm(previous, axis=1), np.linalg.norm(following, axis=1)]), 1e-12
+    )
     along = dots(previous, following)
     full_change = np.linalg.norm(following - previous, axis=1)
     pairs = list(itertools.combinations(range(previous.shape[1]), 2))[::-1]
     wedge = [previous[:, i] * following[:, j] - previous[:, j] * following[:, i] for i, j in pairs]
     cross = np.linalg.norm(np.stack(wedge, axis=1), axis=1)  # the cross product for D = 3
-    across = cross / size.min(axis=0)
-    still = size.min(axis=0) < 1e-9
-    return np.asarray(np.where((along < 0.0) | still, full_change, np.minimum(across, full_change)))
+    across = cross / speeds.min(axis=0)
+    is_still = speeds.min(axis=0) < 1e-9
+    return np.asarray(np.where((along < 0.0) | is_still, full_change, np.minimum(across, full_change)))
 
 
 def _zone_fraction(zone: FloatArray, angle: FloatArray, step: FloatArray, turn: FloatArray) -> FloatArray:
-    """Return the fraction of moves that zones cover.
+    """Return the fraction (M,) of each move that a zone [m] covers, by its path ``step`` [m].
 
-    It is by the TCP path, or by the rotation of a TCP that does not move.
+    If the TCP does not move, it is by the rotation ``turn`` and the zone's ``angle`` [rad].
     """
-    by_turn = np.where(turn > 1e-6, angle / np.maximum(turn, 1e-6), _MAX_CORNER_FRACTION)
-    return np.where(step > 1e-5, zone / np.maximum(step, 1e-5), by_turn)
+    by_rotation = np.where(turn > 1e-6, angle / np.maximum(turn, 1e-6), _MAX_CORNER_FRACTION)
+    return np.where(step > 1e-5, zone / np.maximum(step, 1e-5), by_rotation)
 
 
 SAMPLES_PER_BATCH = 32_768
@@ -673,35 +693,33 @@ SAMPLES_PER_BATCH = 32_768
 
 
 def batches(first: int, last: int) -> Iterator[slice]:
-    """Yield the samples from ``first`` to before ``last`` in batches.
-
-    Intermediate values need much memory.
-    """
+    """Yield the samples ``first`` to ``last`` - 1 as slices, because intermediate values need much memory."""
     for start in range(first, last, SAMPLES_PER_BATCH):
         yield slice(start, min(start + SAMPLES_PER_BATCH, last))
 
 
 def nodes_and_steps(row: ArmMoves, a: int, b: int, start: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the nodes and steps of the straight moves a to b - 1.
+    """Return the nodes and steps of the N straight moves a to b - 1.
 
     Args:
-        row: Moves of the arm.
-        a: First move.
-        b: Move after the last one.
-        start: TCP (4, 4) before them.
+        row: All moves of the arm.
+        a: Index of the first move.
+        b: Index after that of the last move.
+        start: TCP (4, 4) before the moves, in the frame of their poses.
 
     Returns:
-        Poses (N + 1, 4, 4) in the row's frame, and path and rotation (N, 6) of each move.
+        Poses (N + 1, 4, 4) in the same frame, and translation [m] and rotation vector [rad] (N, 6) of each
+        move.
     """
     nodes = np.concatenate([start[None], row.pose[a:b]])
-    turn = log_rotation(np.swapaxes(nodes[:-1, :3, :3], 1, 2) @ nodes[1:, :3, :3])
-    return nodes, np.concatenate([np.diff(nodes[:, :3, 3], axis=0), turn], axis=1)
+    rotation = log_rotation(np.swapaxes(nodes[:-1, :3, :3], 1, 2) @ nodes[1:, :3, :3])
+    return nodes, np.concatenate([np.diff(nodes[:, :3, 3], axis=0), rotation], axis=1)
 
 
 def path_poses(law: TimeLaw, nodes: FloatArray, delta: FloatArray, when: FloatArray) -> FloatArray:
-    """Return TCP poses (S, 4, 4) in the row's frame on straight moves.
+    """Return the TCP poses (S, 4, 4) at times ``when`` (S,) on straight moves, in the frame of their poses.
 
-    Nodes and steps are as :func:`nodes_and_steps` gives them.
+    Nodes and steps are as :func:`nodes_and_steps` returns them.
     """
     at_node, xi = offsets(law, delta, when)
     rotation = nodes[at_node, :3, :3] @ exp_rotation(xi[:, 3:])
@@ -709,10 +727,7 @@ def path_poses(law: TimeLaw, nodes: FloatArray, delta: FloatArray, when: FloatAr
 
 
 def path_branches(row: ArmMoves, a: int, b: int, start_joints: FloatArray) -> IntArray:
-    """Return the branch (N,) of each of the straight moves a to b - 1.
-
-    They start at joints ``start_joints`` (6,).
-    """
+    """Return the branch (N,) of each of the straight moves a to b - 1, which start at joints (6,)."""
     if row.robot.data.coupling is None and row.named[a:b].all():
         return np.asarray(row.conf[a:b, 3])
     # KRL and URScript name no branch here, and the meaning of cfx of parallel-rod arms is not certain, so the
@@ -727,7 +742,7 @@ class StraightPath:
     Attributes:
         row: All moves of the arm.
         law: Time law of the straight moves.
-        first: Index of the first one among the moves of the arm.
+        first: Index of the first straight move among the moves of the arm.
         branch: Branch (N,) of the target of each straight move.
     """
 
@@ -740,11 +755,11 @@ class StraightPath:
 def path_joints(
     straight: StraightPath, start_joints: FloatArray, when: FloatArray, tcp: FloatArray
 ) -> FloatArray:
-    """Return the joints (S, 6) on straight moves.
+    """Return the joints (S, 6) on straight moves, NaN where the arm does not reach the path.
 
     Args:
         straight: Path of the moves.
-        start_joints: Joints (6,) of the sample before, from which the joints are unwrapped.
+        start_joints: Joints (6,) of the sample before, to which the whole turns of the joints are matched.
         when: Times (S,) [s].
         tcp: TCP poses (S, 4, 4) in the world.
     """

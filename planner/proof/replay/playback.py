@@ -1,7 +1,7 @@
 """Replay of the programs: joints and poses of all arms about every 4 ms.
 
-All arms run on one clock. Only the posted, rounded values are used. Straight moves are straight in their
-work object and rotate at a constant rate. If another arm carries the work object, that arm's motion is
+All arms run on one clock. Only the rounded values in the programs are used. Straight moves are straight in
+their work object and rotate at a constant rate. If another arm carries the work object, that arm's motion is
 computed first, and the moves are straight in the carried frame. Poses follow from joints by the chain of
 the robot's URDF (:mod:`planner.proof.kinematics.arm_model`), joints from poses by the proof's own inverse
 kinematics on the branch that cfx names, or on the branch of the arm at the start if the language names
@@ -53,9 +53,9 @@ def replay(
     Args:
         job: The job as read.
         bases: Base poses {arm: (4, 4)} in the world, for each stage if they change.
-        tools: TCP {arm: (4, 4)} in the flange of what is mounted, for each stage, if it changes.
-        travel_times: {identity of a move: time [s]} of external axes in it, before the arm moves.
-        tracks: Coordinated tracks of each stage. Their bases move from where ``bases`` has them.
+        tools: TCP {arm: (4, 4)} in the flange of the mounted tools, for each stage, if they change.
+        travel_times: {identity of a move: time [s]} that external axes take in it, before the arm moves.
+        tracks: Coordinated tracks {arm: track} of each stage. Their bases move from the poses in ``bases``.
 
     Returns:
         The motion.
@@ -67,6 +67,8 @@ def replay(
 
 
 class _Replay:
+    """State of a replay, stage by stage: the clock, the joints of the arms, and the arrays of the motion."""
+
     def __init__(
         self,
         job: JobText,
@@ -79,7 +81,7 @@ class _Replay:
         self.tracks = tracks
         self.current_tracks: Mapping[str, TrackMotion] = {}
         self.track_states: dict[str, tuple[float, bool]] = {}
-        self.arms_on_tracks = {arm for rides in tracks or () for arm in rides}
+        self.arms_on_tracks = {arm for stage_tracks in tracks or () for arm in stage_tracks}
         self.travel_times = travel_times
         self.mounted = mounted
         self.units = {task.unit.lower(): task.arm.name for task in job.tasks}
@@ -102,6 +104,7 @@ class _Replay:
         self.between: dict[str, list[Poses]] = {arm.name: [] for arm in self.arms}
 
     def run(self) -> Motion:
+        """Replay all stages, and return the motion."""
         for number, stage in enumerate(self.job.stages):
             if self.mounted is not None and (
                 not number or self.mounted[number] is not self.mounted[number - 1]
@@ -116,29 +119,29 @@ class _Replay:
             self.faults.append(ReplayFault("motion", "the programs move no arm", "", 0, 0))
             self._add_home_sample()
         release_memory()  # joining the arrays of a long stage needs the memory that it left free
-        p = {key: self._concatenated(key) for key in list(self.parts)}
+        arrays = {key: self._concatenated(key) for key in list(self.parts)}
         names = [arm.name for arm in self.arms]
         return Motion(
             time=self.time.all,
             node=self.node.all,
             q={name: self.joints[name].all for name in names},
             tcp={name: self.tcp[name].all for name in names},
-            node_sample=p["node_sample"],
+            node_sample=arrays["node_sample"],
             node_segment=tuple(self.segments),
-            node_stop=p["node_stop"],
-            node_stage=p["node_stage"],
-            node_ids=p["node_ids"],
-            node_duration=p["node_duration"],
-            node_line={name: p[f"line/{name}"] for name in names},
-            node_tcp={name: p[f"node_tcp/{name}"] for name in names},
-            node_conf_q={name: p[f"conf_q/{name}"] for name in names},
-            node_conf_ok={name: p[f"conf_ok/{name}"] for name in names},
+            node_stop=arrays["node_stop"],
+            node_stage=arrays["node_stage"],
+            node_ids=arrays["node_ids"],
+            node_duration=arrays["node_duration"],
+            node_line={name: arrays[f"line/{name}"] for name in names},
+            node_tcp={name: arrays[f"node_tcp/{name}"] for name in names},
+            node_conf_q={name: arrays[f"conf_q/{name}"] for name in names},
+            node_conf_ok={name: arrays[f"conf_ok/{name}"] for name in names},
             step_time=tuple(self.events),
             faults=tuple(self.faults),
             between=IntermediateInstants(
-                p["between/time"],
-                p["between/sample"],
-                p["between/node"],
+                arrays["between/time"],
+                arrays["between/sample"],
+                arrays["between/node"],
                 {name: Poses.concatenate(self.between.pop(name)) for name in names},
             ),
             track_positions={name: rows.all for name, rows in self.track_positions.items()},
@@ -184,6 +187,7 @@ class _Replay:
         self._add(f"node_tcp/{arm.name}", np.full((nodes, 4, 4), np.nan))
 
     def _tcp(self, arm: Arm, q: FloatArray) -> FloatArray:
+        """Return the TCP pose (4, 4) in the world at joints (6,), with the current base and tool."""
         base = self.bases[arm.name]
         if (track := self.current_tracks.get(arm.name)) is not None:
             base = np.array(base)
@@ -193,6 +197,7 @@ class _Replay:
     # ---- one stage ----
 
     def _add_stage(self, number: int, stage: JobStage) -> None:
+        """Replay one stage: its moves, or its steps if no arm moves."""
         movers = [task for task in self.job.tasks if stage.moves(task.name)]
         if not movers:
             self._add_dwell(number, stage)
@@ -204,18 +209,18 @@ class _Replay:
                 self._add_moves(number, stage, [task], len(stage.moves(task.name)))
 
     def _add_dwell(self, number: int, stage: JobStage) -> None:
-        """Advance the clock by the time of steps without motion, and note when each happens."""
-        spent = 0.0
+        """Record the time of each step of a stage without motion, and advance the clock by its duration."""
+        duration = 0.0
         for task in self.job.tasks:
             elapsed = 0.0
             for step in stage.steps[task.name]:
                 self.events.append((self.clock + elapsed, number, task.name, step))
                 elapsed += dwell_time([step])
-            spent = max(spent, elapsed)
-        self.clock += spent
+            duration = max(duration, elapsed)
+        self.clock += duration
 
     def _add_moves(self, number: int, stage: JobStage, movers: list[TaskText], count: int) -> None:
-        """Replay the moves of a stage."""
+        """Replay the first ``count`` moves of the tasks ``movers`` of a stage, which move together."""
         # Arrays of all moves, and the steps between them.
         rows = [
             arm_moves(
@@ -238,27 +243,27 @@ class _Replay:
         )
         for row in rows:
             pauses[:count] += [self.travel_times.get(id(move), 0.0) for move in row.moves]
-        logic = np.array(
+        needs_stop = np.array(
             [any(needs_standstill(logic_steps[task.name][i]) for task in movers) for i in range(count + 1)]
         )
         # Stops: fine points, steps that need standstill, the end, changes between joint and straight moves.
         fine = np.array([any(row.moves[i].zone.fine for row in rows) for i in range(count)])
-        stop = np.concatenate([[True], fine | logic[1:]])
+        stop = np.concatenate([[True], fine | needs_stop[1:]])
         stop[-1] = True
         for row in rows:  # a rounded corner between joint and straight move has no model, so the arm stops
             if row.rates is not None:
                 continue
             change = np.flatnonzero(row.joint[1:] != row.joint[:-1]) + 1
             for i in change[~stop[change]]:
-                what = "a zone rounds the corner between a joint move and a straight move"
-                self._add_fault("corner", what, row, int(i) - 1)
+                message = "a zone rounds the corner between a joint move and a straight move"
+                self._add_fault("corner", message, row, int(i) - 1)
             stop[change] = True
         # Time law of all arms, refused if it is too long.
         joints = [self.q[row.task.arm.name] for row in rows]
         starts = [self._start_pose(row, q) for row, q in zip(rows, joints, strict=True)]
-        driven = all(row.rates is not None for row in rows)
+        is_trajectory = all(row.rates is not None for row in rows)
         deltas: tuple[FloatArray, ...] = ()
-        if driven:
+        if is_trajectory:
             law = moves.trajectory_time_law(rows)
         else:
             law, deltas = arms_time_law(rows, starts, joints, stop)
@@ -266,11 +271,11 @@ class _Replay:
         total = float(law.times[-1])
         if not self.clock + total <= MAX_MOTION_TIME_S:
             hours, max_hours = (self.clock + total) / 3600.0, MAX_MOTION_TIME_S / 3600.0
-            what = f"the programs take {hours:.3g} h or more; allowed: {max_hours:.3g} h; go faster, or "
-            what += "split the job"
+            message = f"the programs take {hours:.3g} h or more; allowed: {max_hours:.3g} h; go faster, or "
+            message += "split the job"
             if np.isfinite(hours):
-                what += f" into {np.ceil(hours / max_hours):.0f} problems or more"
-            raise issue_error("verify.duration", what, value=hours, limit=max_hours, unit="h")
+                message += f" into {np.ceil(hours / max_hours):.0f} problems or more"
+            raise issue_error("verify.duration", message, value=hours, limit=max_hours, unit="h")
         # Samples, the sample of each node, and the move that is current at each sample.
         samples = max(int(np.ceil(total / SAMPLE_TIME_S)), 2)
         times = np.linspace(0.0, total, samples + 1)
@@ -295,7 +300,7 @@ class _Replay:
         middles = 0.5 * (law.times[1:] + law.times[:-1])
         corners = (
             np.append(law.times[1:-1], middles)
-            if driven
+            if is_trajectory
             else moves.corner_times(law, deltas, float(times[1] - times[0]))
         )
         # Instants between samples: ends of segments and corners that straight lines would cut off.
@@ -305,7 +310,7 @@ class _Replay:
         self._add("between/time", start + instants + shift[instant_moves])
         self._add("between/sample", first + np.searchsorted(times, instants) - 1)
         self._add("between/node", self.nodes + instant_moves)
-        # Arms that carry work come first.
+        # Arms that carry work come first, because the paths of the others depend on their motion.
         by_arm = {row.task.arm.name: row for row in rows}
         joints_before = dict(self.q)
         for arm in sorted(self.arms, key=lambda arm: self._is_carried(by_arm.get(arm.name))):
@@ -327,9 +332,9 @@ class _Replay:
         self.clock = start + total + float(shift[-1]) + SAMPLE_TIME_S
 
     def _track_path(self, arm: str, moves: Sequence[MoveStep]) -> tuple[FloatArray, FloatArray] | None:
-        """Return distances (N + 1,) [m] and direction of an arm's base on a coordinated track.
+        """Return the distances (N + 1,) [m] and the direction (3,) of an arm's base on a coordinated track.
 
-        None without a track. The distances are before N moves and after each.
+        The distances are those before N moves and after each. None without a coordinated track.
         """
         track = self.current_tracks.get(arm)
         if track is None:
@@ -344,7 +349,7 @@ class _Replay:
         return row is not None and row.carrier is not None
 
     def _start_pose(self, row: ArmMoves, q: FloatArray) -> FloatArray:
-        """Return the TCP (4, 4) before a row of moves, in the frame of its poses."""
+        """Return the TCP (4, 4) at joints (6,) before the moves of an arm, in the frame of their poses."""
         tcp = row.tcp(q)
         if row.carrier is None:
             return tcp
@@ -359,10 +364,10 @@ class _Replay:
         instant_moves: IntArray,
         count: int,
     ) -> "_CarriedFrames":
-        """Return the frame that carries a row's work.
+        """Return the frame of the work object that another arm, ``carrier``, carries (None: it is at rest).
 
-        It is taken at the last ``count`` samples of its arm, at the start, at nodes, and at instants
-        between samples, at which the moves ``instant_moves`` (C,) are current.
+        It is computed at the last ``count`` samples of the carrying arm, at the start, at nodes, and at
+        instants between samples, during which the moves ``instant_moves`` (C,) are current.
         """
         name = str(row.carrier)
         machine, base = self.robots[name], self.bases[name]
@@ -387,6 +392,7 @@ class _Replay:
         logic_steps: Mapping[str, list[list[ProgramStep]]],
         at: FloatArray,
     ) -> None:
+        """Record the times of the steps between moves. ``at`` (N + 1,) [s] are those of the nodes."""
         for task in movers:
             for i, steps in enumerate(logic_steps[task.name]):
                 elapsed = 0.0
@@ -402,7 +408,10 @@ class _Replay:
         instants: FloatArray,
         carried: "_CarriedFrames | None" = None,
     ) -> None:
-        """Add the motion of one arm in a stage at times ``at`` (S,), and its poses at ``instants`` (C,)."""
+        """Add an arm's motion in a stage at times ``at`` (S,), and its poses at ``instants`` (C,) between.
+
+        ``carried`` is the frame of the work object if another arm carries it, else None.
+        """
         name = row.task.arm.name
         world = row.pose if carried is None else carried.nodes @ row.pose
         start = (
@@ -463,10 +472,10 @@ class _Replay:
                     q[batch] = moves.path_joints(straight, end, when, path)
                     end = q[batch.stop - 1].copy()
                 if b < count:  # the next moves start where the path ends, which is between two samples
-                    last = law.times[b : b + 1]
-                    path = moves.path_poses(part, nodes, delta, last)
+                    end_time = law.times[b : b + 1]
+                    path = moves.path_poses(part, nodes, delta, end_time)
                     path = path if carried is None else carried.nodes[b - 1 : b] @ path
-                    end = moves.path_joints(straight, end, last, path)[0]
+                    end = moves.path_joints(straight, end, end_time, path)[0]
             if name in self.arms_on_tracks:
                 when = np.minimum(at[first_row:end_row], law.times[b])
                 self.track_positions[name].append(row.track_positions_at(part, a, b, when))
@@ -488,8 +497,8 @@ class _Replay:
         unreached = ~np.isfinite(q).all(axis=1)
         if unreached.any():
             i = int(np.clip(np.searchsorted(law.times, at[np.argmax(unreached)]) - 1, 0, count - 1))
-            what = "the arm cannot reach the path on the branch that its target names"
-            self._add_fault("reach", what, row, i)
+            message = "the arm cannot reach the path on the branch that its target names"
+            self._add_fault("reach", message, row, i)
             q[:] = np.where(np.isfinite(q), q, joints if np.isfinite(joints).all() else self.q[name])
             joints = q[-1].copy()
         self.between[name].append(instant_poses)
@@ -503,7 +512,7 @@ class _Replay:
     def _add_trajectory_motion(
         self, row: ArmMoves, law: moves.TimeLaw, at: FloatArray, instants: FloatArray
     ) -> None:
-        """Add the motion of one arm in a goal of trajectories that drives its joints."""
+        """Add the motion of one trajectory-driven arm in a stage, as :meth:`_add_arm_motion` does."""
         name, count = row.task.arm.name, len(row.moves)
         start, tool = self.q[name], row.tool[0]
         q, instant_poses = self.joints[name].append_uninitialised(len(at)), Poses.empty(len(instants))
@@ -511,8 +520,8 @@ class _Replay:
             q[batch] = moves.trajectory_joints(law, start, row, at[batch])
             self.tcp[name].append(row.base @ row.robot.flange(q[batch]) @ tool)
         for batch in moves.batches(0, len(instants)):
-            driven = row.robot.flange(moves.trajectory_joints(law, start, row, instants[batch]))
-            instant_poses[batch] = row.base @ driven @ tool
+            flange = row.robot.flange(moves.trajectory_joints(law, start, row, instants[batch]))
+            instant_poses[batch] = row.base @ flange @ tool
         self.between[name].append(instant_poses)
         self._add(f"line/{name}", np.array([move.line for move in row.moves], dtype=np.int64))
         self._add(f"conf_q/{name}", np.full((count, 6), np.nan))
@@ -524,7 +533,10 @@ class _Replay:
     def _pose_in_row_frame(
         self, row: ArmMoves, a: int, carried: "_CarriedFrames | None", q: FloatArray, sample: int
     ) -> FloatArray:
-        """Return the TCP (4, 4) of joints in the frame of the row's poses, at a sample, before move a."""
+        """Return the TCP (4, 4) at joints ``q`` (6,) before move a, in the frame of the moves' poses.
+
+        ``sample`` is the sample at which a carried frame is taken.
+        """
         tcp = row.base_after(a) @ row.robot.flange(q) @ row.tool[a]
         return np.asarray(tcp if carried is None else inverse(carried.samples[sample]) @ tcp)
 
@@ -534,11 +546,11 @@ class _Replay:
 
 @dataclasses.dataclass(frozen=True)
 class _CarriedFrames:
-    """A carried frame in the world.
+    """Poses in the world of a work object that an arm carries.
 
     Attributes:
         samples: Poses (S, 4, 4) at the samples.
-        start: Pose (4, 4) at the start.
+        start: Pose (4, 4) before the moves.
         nodes: Poses (N, 4, 4) at the targets.
         between: Poses (C, 4, 4) at instants between samples.
     """
@@ -550,11 +562,12 @@ class _CarriedFrames:
 
 
 def _last_samples(at: FloatArray, times: FloatArray) -> IntArray:
-    """Return the last samples that are not later than ``times``."""
+    """Return the last of the samples at times ``at`` (S,) that is not later than each of ``times``."""
     return np.asarray(np.maximum(np.searchsorted(at, times + 1e-9, side="right") - 1, 0), dtype=np.int64)
 
 
 def _without_end_windows(window: FloatArray) -> FloatArray:
+    """Return half widths of roundings with 0 at both ends, where the kind of the moves changes."""
     out = window.copy()
     out[0] = out[-1] = 0.0
     return out

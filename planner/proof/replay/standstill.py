@@ -13,24 +13,24 @@ from planner.proof.replay.moves import hermite, trajectory_knots
 from planner.proof.replay.tool_speeds import STANDSTILL_FRACTION, tool_speeds
 
 _PIECES: Final = 8
-"""Number of pieces of the path between two points at which its evenness is checked."""
+"""Number of pieces into which the path between two points is divided to find the slowest one."""
 STANDSTILL_RAD_S: Final = 1e-4
-"""Speed [rad/s] of its fastest joint below which an arm stands still on all of the path to a point."""
+"""Speed [rad/s] of the fastest joint below which arms stand still on the whole path to a point."""
 SAMPLES_PER_BATCH: Final = 16_384
 """Number of samples per batch."""
 
 
 def standstill_nodes(context: Context) -> BoolArray:
-    """Return the nodes (K,) at which trajectory-driven arms come close to a standstill.
+    """Return flags (K,) of nodes at which, or before which, trajectory-driven arms nearly stand still.
 
-    They include nodes on the path to which this happens. It counts as a standstill, though no velocity of the
-    text is 0. If one arm holds the block, the motion relative to the other one's tool counts, too.
+    This counts as a standstill, although no velocity in the text is 0. If one arm holds the block, the motion
+    relative to the other arm's tool counts, too.
     """
     motion = context.motion
     out = np.zeros(len(motion.node_stop), dtype=np.bool_)
     fractions = np.linspace(0.0, 1.0, _PIECES + 1)[:, None, None]
     for number, stage in enumerate(context.job.stages):
-        tasks = [t for t in context.job.tasks if t.text.is_trajectory and stage.moves(t.name)]
+        tasks = [task for task in context.job.tasks if task.text.is_trajectory and stage.moves(task.name)]
         moves = [stage.moves(task.name) for task in tasks]
         if not tasks:
             continue
@@ -39,18 +39,21 @@ def standstill_nodes(context: Context) -> BoolArray:
         span = np.array([move.time or 1.0 for move in moves[0]])[:, None]
         ends, rates = list[FloatArray](), list[FloatArray]()
         for task, task_moves in zip(tasks, moves, strict=True):
+            # Joints are relative to their maximum speeds, so that those of all arms are comparable.
             data, start_sample = task.arm.data, np.searchsorted(motion.node, nodes[0])
             q, v = trajectory_knots(data, task_moves, motion.q[task.arm.name][start_sample])
             ends.append(q / data.velocity)
             rates.append(v / data.velocity)
         positions, rate = np.concatenate(ends, axis=1), np.concatenate(rates, axis=1)
-        fastest = np.concatenate([task.arm.data.velocity for task in tasks])
-        mean = np.linalg.norm(np.diff(positions, axis=0) / span, axis=1)
-        slow_ends = np.linalg.norm(rate[1:-1], axis=1) < STANDSTILL_FRACTION * np.minimum(mean[:-1], mean[1:])
+        max_speeds = np.concatenate([task.arm.data.velocity for task in tasks])
+        mean_speed = np.linalg.norm(np.diff(positions, axis=0) / span, axis=1)
+        slow_ends = np.linalg.norm(rate[1:-1], axis=1) < STANDSTILL_FRACTION * np.minimum(
+            mean_speed[:-1], mean_speed[1:]
+        )
         path = hermite(positions[:-1], positions[1:], rate[:-1], rate[1:], span, fractions)
         min_speed = np.linalg.norm(np.diff(path, axis=0), axis=2).min(axis=0) * _PIECES / span[:, 0]
-        stationary = np.abs(np.diff(positions, axis=0) * fastest / span).max(axis=1) < STANDSTILL_RAD_S
-        out[nodes] = np.append(slow_ends, False) | (min_speed < STANDSTILL_FRACTION * mean) | stationary
+        stationary = np.abs(np.diff(positions, axis=0) * max_speeds / span).max(axis=1) < STANDSTILL_RAD_S
+        out[nodes] = np.append(slow_ends, False) | (min_speed < STANDSTILL_FRACTION * mean_speed) | stationary
     for speeds in tool_speeds(context).values():
         out[speeds.node] |= speeds.is_near_standstill
     return out
@@ -59,21 +62,21 @@ def standstill_nodes(context: Context) -> BoolArray:
 def work_nodes(
     context: Context, task: TaskText
 ) -> tuple[BoolArray, FloatArray, FloatArray, NDArray[np.object_]]:
-    """Return the nodes that an arm passes in work.
+    """Return the nodes of an arm's straight moves, in which it works, with the tool poses.
 
     Returns:
-        Which nodes (K,) are in work, the tool poses (K, 4, 4) before each and there, and the arm (K,) that
-            holds the
-        block, relative to whose tool the poses are, empty for the world.
+        Flags (K,) of the nodes in work, the tool poses (K, 4, 4) before each move, those after it, and the
+        name (K,) of the arm that holds the block. The poses are relative to the tool of this arm, or in the
+        world if the name is "".
     """
     motion, arm = context.motion, task.arm.name
     count = len(motion.node_segment)
-    work, holders = np.zeros(count, dtype=bool), np.full(count, "", dtype=object)
+    is_work, holders = np.zeros(count, dtype=bool), np.full(count, "", dtype=object)
     for number, stage in enumerate(context.job.stages):
         moves = stage.moves(task.name)
         nodes = np.flatnonzero((motion.node_stage == number) & (motion.node_line[arm] > 0))
         for node, move in zip(nodes, moves, strict=False):
-            work[node] = not move.by_joints
+            is_work[node] = not move.by_joints
             holders[node] = "" if move.wobj.fixed else move.wobj.unit
     first_nodes = np.flatnonzero(np.append(True, motion.node_stage[1:] != motion.node_stage[:-1]))
     ends = {name: motion.node_tcp[name] for name in motion.node_tcp}
@@ -89,7 +92,7 @@ def work_nodes(
     end_poses = tool_in_holder_frame(
         context, arm, holders, rows, lambda name, held_rows: ends[name][held_rows]
     )
-    return work, start_poses, end_poses, holders
+    return is_work, start_poses, end_poses, holders
 
 
 def tool_in_holder_frame(
@@ -99,9 +102,10 @@ def tool_in_holder_frame(
     rows: IntArray,
     poses: Callable[[str, IntArray], FloatArray],
 ) -> FloatArray:
-    """Return ``poses`` (K, 4, 4) of an arm's tool relative to the tools of ``holders`` (K,).
+    """Return poses (K, 4, 4) of an arm's tool relative to the tools of the arms that hold the block.
 
-    They are those at ``rows`` (K,).
+    ``holders`` (K,) are the names of these arms, "" for the world. ``poses`` returns the tool poses of an arm
+    in the world at given indices, which are ``rows`` (K,).
     """
     out = poses(arm, rows).copy()
     for holder in context.motion.tcp:
@@ -112,5 +116,5 @@ def tool_in_holder_frame(
 
 
 def first_sample_of_each_node(node: IntArray, rows: IntArray) -> IntArray:
-    """Return the first of the ``rows`` of each node; ``node`` gives the nodes of the rows."""
+    """Return the first of the samples ``rows`` (M,) of each node. ``node`` (M,) has their nodes."""
     return np.asarray(rows[np.unique(node, return_index=True)[1]]) if len(rows) else rows

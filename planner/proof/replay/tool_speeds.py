@@ -23,15 +23,17 @@ from planner.proof.replay.trajectory_speed import (
 STANDSTILL_M: Final = 0.1e-3
 """Distance [m] from point to point below which a tool stands still."""
 STANDSTILL_FRACTION: Final = 0.1
-"""Fraction of the adjacent mean speeds below which a point or a piece of the path is a standstill."""
+"""Fraction of the mean speed of the adjacent moves below which a point or a piece of the path counts as a
+standstill.
+"""
 MARKER_DISTANCE_M: Final = 0.3
-"""Distance [m] from the TCP of the points that represent a tool's orientation."""
+"""Distance [m] from the TCP of the marker points by whose motion rotations of a tool are measured."""
 SPEED_INTERVAL_S: Final = 1e-6
-"""Time [s] over which the speed of these points is taken."""
+"""Time [s] over which the speed of the marker points is taken."""
 _PIECES: Final = 8
-"""Number of pieces of the path between two points that are examined."""
+"""Number of pieces into which the path between two points is divided."""
 MIN_PATH_FRACTION: Final = 0.3
-"""Fraction of the longest tool path from which on a tool determines the speed of the held work."""
+"""Fraction of the longest tool path above which a tool determines the speed of the work on a held block."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,12 +44,12 @@ class ToolSpeeds:
 
     Attributes:
         moves: The moves.
-        node: Nodes (N,) of the motion.
+        node: Indices (N,) of the moves among the nodes of the motion.
         world: Upper bounds (N,) [m/s] of the speed in the world at every instant.
-        peak: Upper bounds (N,) [m/s] of the relative speed.
-        length: Straight distance (N,) [m] of each move.
-        mean: Mean speed (N,) [m/s] on it.
-        back: Largest backward motion (N,) [m] in an eighth of the time.
+        peak: Upper bounds (N,) [m/s] of the relative speed at every instant.
+        length: Distance (N,) [m] between the two ends of each move.
+        mean: Mean speed (N,) [m/s] along this distance.
+        back: Largest motion (N,) [m] against this direction in an eighth of the move's time.
         is_near_standstill: Whether the tool nearly stands still on the path or at its end (N,), if an arm
             holds the block.
     """
@@ -70,9 +72,9 @@ class _DrivenArm:
         task: Its task.
         machine: Its kinematics.
         moves: Its N moves.
-        node: Nodes (N,) of the motion.
-        q: Joints (N + 1, J) between the moves.
-        v: Joint velocities (N + 1, J) there.
+        node: Indices (N,) of the moves among the nodes of the motion.
+        q: Joints (N + 1, J) before and after the moves.
+        v: Joint velocities (N + 1, J) before and after the moves.
     """
 
     task: TaskText
@@ -89,14 +91,14 @@ class _DrivenArm:
     def ends_at_nodes(self, nodes: IntArray) -> CubicEnds:
         """Return joints and velocities at the two ends of the paths to ``nodes`` (M,).
 
-        Where the arm has no move, it stands where the move before has left it.
+        Where the arm has no move, it stands still at the end of its previous move.
         """
         rows = np.searchsorted(self.node, nodes)
-        moves = np.append(self.node, -1)[rows] == nodes
+        is_move = np.append(self.node, -1)[rows] == nodes
         a, still = self.q[rows], np.zeros_like(self.q[rows])
-        rows = np.where(moves, rows, -1)
+        rows = np.where(is_move, rows, -1)
         b, start_velocity, end_velocity = self.q[rows + 1], self.v[rows], self.v[rows + 1]
-        has_move = moves[:, None]
+        has_move = is_move[:, None]
         return (
             a,
             np.where(has_move, b, a),
@@ -106,7 +108,7 @@ class _DrivenArm:
 
 
 def tool_speeds(context: Context) -> Mapping[str, ToolSpeeds]:
-    """Return the tool speeds by arm, of trajectory-driven arms."""
+    """Return the tool speeds of trajectory-driven arms, by the name of the arm. They are cached."""
     key = "_tool_speeds"
     if key not in context.__dict__:
         arms = {
@@ -125,6 +127,7 @@ def _driven_arm(context: Context, task: TaskText) -> _DrivenArm:
 
 
 def _arm_speeds(context: Context, arm: _DrivenArm, arms: Mapping[str, _DrivenArm]) -> ToolSpeeds:
+    """Return the tool speeds of one of the ``arms``, in groups of moves with one tool and one holder."""
     span = np.array([max(move.time or 0.0, 1e-9) for move in arm.moves])
     world, peak, length, back, mean_speeds, end_speeds = (np.zeros(len(span)) for _ in range(6))
     creeps = np.zeros(len(span), dtype=np.bool_)
@@ -163,7 +166,7 @@ def _arm_speeds(context: Context, arm: _DrivenArm, arms: Mapping[str, _DrivenArm
 
 
 def _pose_samples(tool: RelativeTool, ends: CubicEnds, span: FloatArray) -> FloatArray:
-    """Return poses (M, S, 4, 4) at equal time steps on cubics."""
+    """Return tool poses (M, S, 4, 4) at equal time steps on M cubics with durations ``span`` (M,) [s]."""
     fractions = np.linspace(0.0, 1.0, _PIECES + 1)[:, None]
     a, b, va, vb = (values[:, None] for values in ends)
     return tool.poses(hermite(a, b, va, vb, span[:, None, None], fractions))
@@ -172,7 +175,7 @@ def _pose_samples(tool: RelativeTool, ends: CubicEnds, span: FloatArray) -> Floa
 def _length_and_backward(
     tool: RelativeTool, ends: CubicEnds, span: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the distance (M,) [m] from one end to the other, and the backward motion (M,) [m] along it."""
+    """Return the distance (M,) [m] between the ends of M cubics, and the largest motion (M,) against it."""
     positions = _pose_samples(tool, ends, span)[..., :3, 3]
     chord = positions[:, -1] - positions[:, 0]
     length = np.linalg.norm(chord, axis=1)
@@ -183,10 +186,11 @@ def _length_and_backward(
 def _near_standstill(
     tool: RelativeTool, ends: CubicEnds, span: FloatArray
 ) -> tuple[BoolArray, FloatArray, FloatArray]:
-    """Return the cubics (M,) on which a tool comes close to a standstill, by three of its points.
+    """Find the cubics on which a tool comes close to a standstill, by three marker points of it.
 
     Returns:
-        Which cubics, and the mean speeds and end speeds of the points [m/s].
+        Flags (M,) of these cubics, and the mean speed (M,) and the speed at the end (M,) of the marker points
+        [m/s] on each cubic.
     """
     marks = _marker_positions(_pose_samples(tool, ends, span))
     mean = np.linalg.norm(marks[:, -1] - marks[:, 0], axis=1) / span
@@ -207,9 +211,9 @@ def _marker_positions(pose: FloatArray) -> FloatArray:
 
 
 def peak_tool_speeds(context: Context) -> FloatArray:
-    """Return upper bounds (K,) [m/s] of the speed of driven tools on the path to each node.
+    """Return upper bounds (K,) [m/s] of the speed of trajectory-driven tools on the path to each node.
 
-    They are 0 where none is driven.
+    They are 0 where no tool is trajectory-driven.
     """
     out = np.zeros(len(context.motion.node_stop))
     for speeds in tool_speeds(context).values():

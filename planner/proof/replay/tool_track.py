@@ -11,27 +11,29 @@ from planner.proof.context import Context
 from planner.proof.replay.motion import with_start_stations
 
 PathPositions = tuple[FloatArray, FloatArray, IntArray]
-"""Tips and axes (M, 3) of positions on a tool path, and their rows (M,) of the motion."""
+"""Tips (M, 3) [m] and axes (M, 3) of positions on a tool path, and their samples (M,) of the motion."""
 SHANK_POINT_M = 0.15
-"""Distance [m] behind the tip of a point that, with the tip, determines the path length between positions."""
+"""Distance [m] from the tip of the shank point. The path length between positions is that of tip or shank
+point, whichever is longer.
+"""
 POSITIONS_PER_BATCH = 16_384
 """Number of positions per batch. It limits memory and does not change results."""
 _MAX_BEND_ROUNDS = 64
-"""Maximum number of rounds in which positions are added at bends, one between two positions each."""
+"""Maximum number of rounds in which positions are added at bends. A round adds one between two positions."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ReplayedToolPath:
-    """T positions of one arm's tool in some segments, as dense as samples are, and on corners.
+    """T positions of one arm's tool in some segments: at samples, and at instants between them on corners.
 
     Attributes:
-        rows: Samples (T,) of the motion, the last ones before.
+        rows: Index (T,) of the sample of the motion, or of the last one before an instant.
         tip: TCP (T, 3) [m] in the block's frame.
-        axis: Direction (T, 3) against the TCP's z axis, from tip to spindle.
-        x_axis: Direction (T, 3) of the TCP's x axis.
-        joined: Whether the tool moves on to the next position (T - 1,).
-        node: Current moves (T,).
-        names: Segment labels (K,) of the moves.
+        axis: Unit vector (T, 3) from tip to spindle, against the TCP's z axis.
+        x_axis: Unit vector (T, 3) of the TCP's x axis.
+        joined: Whether the tool moves from each position to the next one in these segments (T - 1,).
+        node: Current moves (T,) as indices into the nodes.
+        names: Segment labels (K,) of all moves.
         time: Times (T,) [s].
     """
 
@@ -46,17 +48,18 @@ class ReplayedToolPath:
 
     @property
     def label(self) -> NDArray[np.str_]:
-        """Label (T,) of the current move. Not cached, because there are many positions."""
+        """Segment label (T,) of the current move. It is not cached, because there are many positions."""
         return self.names[self.node]
 
     def spaced(self, step: float, bend: float = np.inf) -> PathPositions:
         """Return positions that are at most ``step`` [m] apart along the path of tip and shank.
 
-        The path is straight between the tool path's own positions. Of these so many are added that straight
-        lines between positions deviate from none by more than ``bend`` [m], for example at a corner.
+        The path is straight between the tool path's own positions. Own positions are added, for example at
+        corners, until straight lines between the returned positions deviate from no own position by more than
+        ``bend`` [m].
 
         Returns:
-            Tips and axes (M, 3), and rows (M,) of the motion.
+            Tips (M, 3) [m] and axes (M, 3), and samples (M,) of the motion.
         """
         tip, axis, _, rows = self.spaced_with_x_axes(step, bend)
         return tip, axis, rows
@@ -64,7 +67,7 @@ class ReplayedToolPath:
     def spaced_with_x_axes(
         self, step: float, bend: float = np.inf, lever: float = 0.0
     ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-        """Return positions like :meth:`spaced`, with the x axes (M, 3) of the tool before the rows.
+        """Return positions as :meth:`spaced` does, with the tool's x axes (M, 3) as the third array.
 
         With a ``lever`` [m] a point at that distance along the x axis also determines the path length.
         """
@@ -91,29 +94,32 @@ class ReplayedToolPath:
         axis = self.axis[previous_position] + weight * (
             self.axis[next_position] - self.axis[previous_position]
         )
-        ahead = self.x_axis[previous_position] + weight * (
+        x_axis = self.x_axis[previous_position] + weight * (
             self.x_axis[next_position] - self.x_axis[previous_position]
         )
         first = np.flatnonzero(np.append(True, ~self.joined))  # first position of each stretch
         tip, axis = np.concatenate([tip, self.tip[first]]), np.concatenate([axis, self.axis[first]])
-        ahead = np.concatenate([ahead, self.x_axis[first]])
+        x_axis = np.concatenate([x_axis, self.x_axis[first]])
         rows = np.concatenate([self.rows[next_position], self.rows[first]])
-        axis, ahead = (
-            directions / np.linalg.norm(directions, axis=1, keepdims=True) for directions in (axis, ahead)
+        axis, x_axis = (
+            directions / np.linalg.norm(directions, axis=1, keepdims=True) for directions in (axis, x_axis)
         )
-        return tip, axis, ahead, rows
+        return tip, axis, x_axis, rows
 
 
 def _add_bends(ends: FloatArray, along: FloatArray, at: FloatArray, bend: float) -> FloatArray:
-    """Add the positions that deviate by more than ``bend`` [m] from the straight lines between positions.
+    """Add positions until none deviates by more than ``bend`` [m] from the straight lines between positions.
 
-    Each round adds one position between two.
+    Each round adds between two positions the one that deviates most.
 
     Args:
-        ends: Points (T, 2, 3) of tip and shank.
+        ends: Points (T, 2, 3) [m] of tip and shank.
         along: Path length (T,) [m] at the points.
         at: Path lengths (M,) [m] of the positions.
         bend: Tolerance [m].
+
+    Returns:
+        Path lengths [m] of all positions, ascending.
     """
     remaining = np.arange(len(along))
     for _ in range(_MAX_BEND_ROUNDS):
@@ -137,33 +143,30 @@ def _add_bends(ends: FloatArray, along: FloatArray, at: FloatArray, bend: float)
         if not len(remaining):
             return at
         order = np.lexsort((distance, line_index))
-        worst = order[np.append(np.diff(line_index[order]) > 0, True)]
-        at = np.union1d(at, along[remaining[worst]])
+        worst_index = order[np.append(np.diff(line_index[order]) > 0, True)]
+        at = np.union1d(at, along[remaining[worst_index]])
     return at
 
 
 def _interpolate(ends: FloatArray, along: FloatArray, low: IntArray, at: FloatArray) -> FloatArray:
-    """Interpolate ``ends`` (M, 2, 3) at path lengths ``at`` (M,).
-
-    They are between positions ``low`` (M,) and the next ones.
-    """
+    """Interpolate ``ends`` (T, 2, 3) at path lengths ``at`` (M,) between points ``low`` and the next ones."""
     weight = (at - along[low]) / np.maximum(along[low + 1] - along[low], 1e-12)
     weight = np.clip(weight, 0.0, 1.0)[:, None, None]
     return np.asarray(ends[low] + weight * (ends[low + 1] - ends[low]))
 
 
 def tool_path(context: Context, index: int, arm: str, labels: tuple[str, ...]) -> ReplayedToolPath:
-    """Return the tool path of ``arm`` in setup ``index`` on moves of segments with these keys."""
+    """Return the tool path of ``arm`` in setup ``index`` in the segments with the keys ``labels``."""
     motion = context.motion
     names, merged = motion.node_label, motion.merged_samples
     chosen = np.isin(names, labels)[merged.node] & (context.sample_setup[merged.sample] == index)
     rows = np.flatnonzero(with_start_stations(chosen)) if arm in motion.tcp else np.zeros(0, dtype=np.int64)
-    tip, axis, ahead = np.empty((3, len(rows), 3))
-    for part, seen in tcp_in_stock(context, index, arm, rows):
-        tip[part], axis[part], ahead[part] = seen[:, :3, 3], -seen[:, :3, 2], seen[:, :3, 0]
+    tip, axis, x_axis = np.empty((3, len(rows), 3))
+    for part, poses in tcp_in_stock(context, index, arm, rows):
+        tip[part], axis[part], x_axis[part] = poses[:, :3, 3], -poses[:, :3, 2], poses[:, :3, 0]
     joined = (np.diff(rows) == 1) & chosen[rows[1:]]
     node, time = merged.node[rows], merged.time[rows]
-    return ReplayedToolPath(merged.sample[rows], tip, axis, joined, node, names, time, ahead)
+    return ReplayedToolPath(merged.sample[rows], tip, axis, joined, node, names, time, x_axis)
 
 
 def tcp_in_stock(

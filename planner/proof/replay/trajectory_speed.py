@@ -1,11 +1,13 @@
 """Upper bounds of tool speeds on the cubics of trajectories, which hold at every instant.
 
-On a grid with steps h, plus one step of the same cubic beyond either end, the tool path over each step
-gives the speed in its middle within h^2/24 of the third derivative. A straight line between two such speeds
-is within h^2/8 of it. So the speed nowhere exceeds the fastest of all steps, with the mean of two at either
-end, plus h^2/6 times a bound of the third derivative. That bound follows from the chain rule: each rotation
-moves the tool by at most its distance from that axis, and so do several rotations together, by the distance
-from the outermost axis.
+A cubic is divided into time steps h, with one more step of the same cubic beyond each end. The mean velocity
+over a step differs from the velocity in its middle by at most h^2/24 times the third derivative of the
+position. A line between two velocities differs from the velocity between them by at most h^2/8 times the
+third derivative. So the speed nowhere exceeds the largest mean speed of all steps (at each end, that of the
+mean of two steps) plus h^2/6 times a bound of the third derivative.
+
+The bound of the third derivative follows from the chain rule. A rotation moves the tool by at most its
+distance from the axis, and several rotations together by at most its distance from the outermost axis.
 """
 
 import dataclasses
@@ -22,21 +24,21 @@ from planner.proof.replay.moves import hermite
 _GRID_SIZES: Final = (16, 64, 256, 1024)
 """Numbers of steps per cubic. Finer grids are used where the bound is not tight."""
 _TIGHTNESS_FRACTION: Final = 0.005
-"""Tightness of the bound as a fraction of the speed, at which no finer grid is needed."""
+"""Margin of the bound above the speed on the grid, as a fraction of the speed, that needs no finer grid."""
 _TIGHTNESS_M_S: Final = 1e-4
-"""Tightness of the bound [m/s], at which no finer grid is needed."""
+"""Margin [m/s] of the bound above the speed on the grid that needs no finer grid."""
 _POSITIONS_PER_BATCH: Final = 32_768
 """Number of positions per batch."""
 
 
 def max_axis_distances(chain: SerialChain, tool: FloatArray) -> FloatArray:
-    """Return the maximum distance (J,) [m] of a ``tool`` (4, 4) in the flange from each axis."""
+    """Return upper bounds (J,) [m] of the TCP's distance from each axis; the TCP (4, 4) is in the flange."""
     lengths = np.append(np.linalg.norm(chain.step[1:, :3, 3], axis=1), np.linalg.norm(tool[:3, 3]))
     return np.asarray(np.cumsum(lengths[::-1])[::-1][:-1])
 
 
 def axis_distances(chain: SerialChain, q: FloatArray, tool: FloatArray) -> FloatArray:
-    """Return the distance (J,) [m] of a ``tool`` (4, 4) from each axis at joints ``q`` (J,)."""
+    """Return the distance (J,) [m] of the TCP ``tool`` (4, 4) in the flange from each axis at joints (J,)."""
     frames = chain.frames(q)
     count = len(chain.axis)
     local_axis = np.einsum("iba,ib->ia", chain.zero[:count, :3, :3], chain.axis)
@@ -47,12 +49,12 @@ def axis_distances(chain: SerialChain, q: FloatArray, tool: FloatArray) -> Float
 
 @dataclasses.dataclass(frozen=True)
 class RelativeTool:
-    """Kinematics of a tool relative to an observer.
+    """Kinematics of a tool relative to a base, or to the tool of another arm.
 
     Attributes:
-        poses: Poses (..., 4, 4) of the tool from joints (..., D), a chain of rotations that each carry the
-            next ones.
-        reach: Maximum distance (D,) [m] of the tool from each axis.
+        poses: Function for the tool poses (..., 4, 4) at joints (..., D). The joints are a chain of
+            rotations, each of which carries the next ones.
+        reach: Upper bound (D,) [m] of the distance of the tool from each axis.
     """
 
     poses: Callable[[FloatArray], FloatArray]
@@ -99,7 +101,10 @@ CubicEnds = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 def peak_speeds(tool: RelativeTool, ends: CubicEnds, span: FloatArray) -> FloatArray:
-    """Return upper bounds (N,) [m/s] of the tool speed on N cubics with durations ``span`` (N,) [s]."""
+    """Return upper bounds (N,) [m/s] of the tool speed on N cubics with durations ``span`` (N,) [s].
+
+    They hold at every instant. Grids are refined where the bound has too much margin.
+    """
     out, remaining = np.zeros(len(span)), np.arange(len(span))
     for count in _GRID_SIZES:
         speeds = np.empty(len(remaining))
@@ -109,19 +114,20 @@ def peak_speeds(tool: RelativeTool, ends: CubicEnds, span: FloatArray) -> FloatA
             batch_ends = (ends[0][batch], ends[1][batch], ends[2][batch], ends[3][batch])
             speeds[first : first + block] = _grid_speeds(tool, batch_ends, span[batch], count)
         remaining_ends = (ends[0][remaining], ends[1][remaining], ends[2][remaining], ends[3][remaining])
-        slack = (
+        margin = (
             _third_derivative_bound(tool.reach, remaining_ends, span[remaining], count)
             * (span[remaining] / count) ** 2
             / 6.0
         )
-        out[remaining] = speeds + slack
-        remaining = remaining[slack > np.maximum(_TIGHTNESS_FRACTION * speeds, _TIGHTNESS_M_S)]
+        out[remaining] = speeds + margin
+        remaining = remaining[margin > np.maximum(_TIGHTNESS_FRACTION * speeds, _TIGHTNESS_M_S)]
         if not len(remaining):
             break
     return out
 
 
 def _grid_speeds(tool: RelativeTool, ends: CubicEnds, span: FloatArray, count: int) -> FloatArray:
+    """Return the largest mean speed (M,) [m/s] over a step of each cubic, which has ``count`` steps."""
     fractions = ((np.arange(count + 3) - 1.0) / count)[:, None]
     a, b, va, vb = (values[:, None] for values in ends)
     positions = tool.positions(hermite(a, b, va, vb, span[:, None, None], fractions))
@@ -132,12 +138,16 @@ def _grid_speeds(tool: RelativeTool, ends: CubicEnds, span: FloatArray, count: i
 
 
 def _third_derivative_bound(reach: FloatArray, ends: CubicEnds, span: FloatArray, count: int) -> FloatArray:
-    """Bound the third derivative (M,) [m/s^3] of the position, also one step beyond either end."""
+    """Return upper bounds (M,) [m/s^3] of the third derivative of the position on cubics.
+
+    They also hold one step, of ``count`` steps, beyond each end.
+    """
     a, b, va, vb = ends
     T = span[:, None]
     mean = (b - a) / T
     first = (6.0 * mean - 4.0 * va - 2.0 * vb) / T
     last = (2.0 * va + 4.0 * vb - 6.0 * mean) / T
+    # The velocity of a joint is largest at an end, or at the extremum where its acceleration is 0.
     extremum = np.clip(first / np.where(first == last, np.inf, first - last), 0.0, 1.0)
     middle = va + T * extremum * (first + 0.5 * extremum * (last - first))
     third = np.abs(last - first) / T
@@ -149,21 +159,22 @@ def _third_derivative_bound(reach: FloatArray, ends: CubicEnds, span: FloatArray
 
 
 def _sum_by_outermost(*factors: FloatArray) -> FloatArray:
-    """Return sums (M, J) of the products of ``factors`` (M, J), grouped by the outermost joint.
+    """Return sums of products of factors, grouped by the outermost of their joints.
 
-    Each product has one joint of each factor.
+    The products are all those of one entry of each factor (M, J). Entry (m, j) of the result is the sum of
+    those products whose largest joint index is j.
     """
-    whole = np.prod([np.cumsum(factor, axis=1) for factor in factors], axis=0)
-    return np.diff(whole, axis=1, prepend=0.0)
+    cumulative = np.prod([np.cumsum(factor, axis=1) for factor in factors], axis=0)
+    return np.diff(cumulative, axis=1, prepend=0.0)
 
 
 def settling_fraction(
     machine: RobotMachine, tool: FloatArray, q: FloatArray, within: float, time: float, tcp_speed: float
 ) -> float:
-    """Return the largest fraction of a limit that an arm needs to settle at joints within a time.
+    """Return how much of its limits an arm needs to move to given joints within a time.
 
-    The arm moves on cubics from rest to rest. The limits are those of joint speeds, joint accelerations and
-    tool speed.
+    The arm moves on cubics from rest to rest. The result is the largest ratio of a value to its limit, of all
+    joint speeds, joint accelerations and the tool speed. The arm can settle in time if it is at most 1.
 
     Args:
         machine: Kinematics of the arm.
@@ -174,13 +185,13 @@ def settling_fraction(
         tcp_speed: Limit of the tool speed [m/s].
     """
     reach = max_axis_distances(machine.chain, tool)
-    beyond = np.sum(reach * _sum_by_outermost(np.ones((1, len(q))), np.ones((1, len(q)))))
-    tip = within * axis_distances(machine.chain, q, tool).sum() + within**2 * beyond
+    second_order = np.sum(reach * _sum_by_outermost(np.ones((1, len(q))), np.ones((1, len(q)))))
+    tool_distance = within * axis_distances(machine.chain, q, tool).sum() + within**2 * second_order
     data = machine.data
     return float(
         max(
             (1.5 * within / time / data.velocity).max(),
             (6.0 * within / time**2 / data.acceleration).max(),
-            1.5 * tip / time / tcp_speed,
+            1.5 * tool_distance / time / tcp_speed,
         )
     )

@@ -17,8 +17,9 @@ from planner.proof.kinematics import arm_model
 from planner.proof.rule import RuleOutcome, mm, rule, sample_issue
 
 SAG: Final = "verify.sag"
+"""Code of the rule on the sag of arms."""
 FIGURE_TOLERANCE: Final = 1e-9
-"""Tolerance between figures of claims and of the problem, relative and in SI units."""
+"""Tolerance between values of claims and of the problem: relative, and absolute in SI units."""
 
 
 @rule("verify.sag", ArmSags)
@@ -52,20 +53,21 @@ def sag(context: Context) -> RuleOutcome:
             if deflection[k] > worst:
                 worst, where = float(deflection[k]), f"deflection of {name} from its controller's pose"
             if not deflection[k] <= compensation.max_correction:
-                what = (
+                message = (
                     f"{name} deflects by {mm(deflection[k]):.3f} mm; allowed: "
                     f"{mm(compensation.max_correction):g} mm"
                 )
                 measure = (mm(deflection[k]), mm(compensation.max_correction), "mm")
-                issues.append(sample_issue(SAG, what, context.motion, name, int(rows[k]), measure))
+                issues.append(sample_issue(SAG, message, context.motion, name, int(rows[k]), measure))
     if not context.motion.loaded_joints and not issues:
         return RuleOutcome(nothing="no sag is compensated")
     return RuleOutcome(tuple(issues), mm(worst), mm(limit), "mm", where)
 
 
 def _deflection(context: Context, index: int, arm: str) -> FloatArray:
-    """Return the distance (S,) [m] between the TCP of the deflected arm and the TCP that its controller
-    computes.
+    """Return the distance (S,) [m] of the deflected arm's TCP from the TCP that its controller computes.
+
+    The base and tool are those of setup ``index``, so only its samples are meaningful.
     """
     setup, motion = context.setups[index], context.motion
     machine = arm_model.robot_machine(setup.cell.arm(arm).data)
@@ -79,7 +81,10 @@ def _deflection(context: Context, index: int, arm: str) -> FloatArray:
 
 
 def _compare_figures(context: Context, index: int, name: str, arm: Arm, claims: list[ArmSags]) -> list[Issue]:
-    """Compare the sag claims of an arm in one operation with the problem."""
+    """Compare the sag claims of an arm in operation ``name`` of setup ``index`` with the problem.
+
+    The arm must have one claim if the problem compensates its sag, else none. All values must agree.
+    """
     setup, problem = context.setups[index], context.problem
     if arm.sag is None:
         return (
@@ -115,12 +120,12 @@ def _compare_figures(context: Context, index: int, name: str, arm: Arm, claims: 
         out.append(
             _issue(arm.name, f"in {name}: the force is in the frame {claim.frame}, the problem has {frame}")
         )
-    for what, got, nominal in expected:
-        same_shape = np.shape(got) == np.shape(nominal)
-        if not same_shape or not np.allclose(got, nominal, rtol=FIGURE_TOLERANCE, atol=FIGURE_TOLERANCE):
-            out.append(_issue(arm.name, f"in {name}: {what} is {got}, the problem has {nominal}"))
+    for quantity, claimed, required in expected:
+        same_shape = np.shape(claimed) == np.shape(required)
+        if not same_shape or not np.allclose(claimed, required, rtol=FIGURE_TOLERANCE, atol=FIGURE_TOLERANCE):
+            out.append(_issue(arm.name, f"in {name}: {quantity} is {claimed}, the problem has {required}"))
     return out
 
 
-def _issue(arm: str, what: str) -> Issue:
-    return Issue(SAG, f"{arm} {what}", arm=arm)
+def _issue(arm: str, message: str) -> Issue:
+    return Issue(SAG, f"{arm} {message}", arm=arm)

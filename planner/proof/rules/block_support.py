@@ -29,7 +29,7 @@ MAX_GRIPPER_OVERHANG_M: Final = 1e-6
 TOP_HEIGHT_TOLERANCE_M: Final = 1e-5
 """Tolerance [m] between the top of a pedestal and a height in stock, from the decimals of frames."""
 MAX_FEET_HEIGHT_M: Final = 0.025
-"""Height [m] that feet and shims may take between a support and what is above or below it."""
+"""Height [m] that feet and shims may take between a support and the body above or below it."""
 
 
 @rule("verify.rests")
@@ -67,7 +67,7 @@ def block_support(context: Context) -> RuleOutcome:
 
 
 def _check_held(setup: Setup) -> Iterator[str]:
-    """Check a block that an arm holds with a gripper."""
+    """Check a block that an arm holds with a gripper, and yield the faults as texts."""
     stock, arm = setup.stock, setup.cell.arm(str(setup.stock.held_by))
     tool = arm.tool
     if not isinstance(tool, Gripper):
@@ -100,7 +100,7 @@ def _check_held(setup: Setup) -> Iterator[str]:
 
 
 def _check_support(cell: Cell, stock: Stock, stock_pose: FloatArray, accepted: bool) -> Iterator[str]:
-    """Check how a block is supported at a pose.
+    """Check how a block is supported at a pose, and yield the faults as texts.
 
     Args:
         cell: Cell of the setup.
@@ -120,7 +120,7 @@ def _check_support(cell: Cell, stock: Stock, stock_pose: FloatArray, accepted: b
         yield f"the block extends {mm(floor - bottom):.0f} mm below the floor"
     shapes = support.with_support(cell, stock, stock_pose).support
     feet = [transform(stock_pose @ shape.pose, hull_points(shape)) for shape in shapes]
-    if stock.pedestal is None and accepted:
+    if stock.pedestal is None and accepted:  # a support as stated, or a block that hangs
         return
     if stock.pedestal is None and not stock.support:
         gap = bottom - _support_height(block, floor, bodies)
@@ -154,7 +154,7 @@ def _check_pedestal_height(
 
     Args:
         stock: The block.
-        pedestal: What is made for the block to stand on.
+        pedestal: Kinds and sizes of the pedestals on which the block may stand.
         stock_pose: Pose (4, 4) of the block.
         height: Height [m] of the block's lowest point above the floor.
         accepted: Whether the problem accepts the stated support.
@@ -173,7 +173,7 @@ def _check_pedestal_height(
 
 
 def _check_pedestal_overlap(pedestal: FloatArray, cell: Cell) -> Iterator[str]:
-    """Report a body of the cell that is inside a pedestal, which is given by its corners (8, 3)."""
+    """Report the first body of the cell that is inside a pedestal with corners (8, 3) [m] in the world."""
     low, high = pedestal[:, 2].min(), pedestal[:, 2].max()
     outline = shapely.MultiPoint(pedestal[:, :2]).convex_hull
     for obstacle in cell.obstacles:
@@ -187,7 +187,10 @@ def _check_pedestal_overlap(pedestal: FloatArray, cell: Cell) -> Iterator[str]:
 
 
 def _check_contact(block: FloatArray, shapes: list[FloatArray]) -> Iterator[str]:
-    """Check how a block, given by its corners (8, 3), stands on shapes, given by theirs."""
+    """Check how a block stands on shapes: they must carry it, and its centre must be above them.
+
+    The block has corners (8, 3) [m] in the world, each shape (N, 3).
+    """
     bottom, hull = float(block[:, 2].min()), ConvexHull(block[:, :2])
     outline = shapely.Polygon(block[hull.vertices, :2])
     parts = [
@@ -210,11 +213,10 @@ def _check_contact(block: FloatArray, shapes: list[FloatArray]) -> Iterator[str]
 
 
 def _support_height(body: FloatArray, floor: float, bodies: list[FloatArray]) -> float:
-    """Return the height [m] of the surface that carries a body. Body and bodies below are given by their
-    corners.
+    """Return the height [m] of the surface that carries a body: the floor or the top of other bodies.
 
-    A box under only one corner carries nothing. Several boxes of equal height do if the body's centre is
-    between them.
+    Bodies are given by their corners (N, 3) and count as boxes. One or several of about equal height carry
+    the body if its centre is above or between them, so a box under only one corner does not.
     """
     low, high = body.min(axis=0), body.max(axis=0)
     centre = 0.5 * (low + high)[:2]
@@ -239,7 +241,7 @@ def _support_height(body: FloatArray, floor: float, bodies: list[FloatArray]) ->
 
 
 def _are_disjoint(points: FloatArray, other_points: FloatArray) -> bool:
-    """Return whether the bounding boxes of two point sets are disjoint."""
+    """Return whether the bounding boxes of points (N, D) and (M, D) are disjoint."""
     return bool(
         (
             (points.min(axis=0) > other_points.max(axis=0)) | (other_points.min(axis=0) > points.max(axis=0))
@@ -248,5 +250,6 @@ def _are_disjoint(points: FloatArray, other_points: FloatArray) -> bool:
 
 
 def _box_corners(stock: Stock) -> FloatArray:
+    """Return the corners (8, 3) [m] of a block in its own frame."""
     low, high = stock.lower, stock.upper
     return np.array([[x, y, z] for x, y, z in itertools.product(*zip(low, high, strict=True))])

@@ -1,9 +1,9 @@
 """Rules on clearance between bodies, of each arm to itself, and between arms that are one step apart.
 
-verify.clearance and own_clearance use samples of the replayed motion. verify.step_apart covers two
-controllers that meet by signals: the model check proves no more than that both arms are in the same
-interval between meetings, or that one of them is at its end. So within each interval every pair of instants
-counts, one for each arm, for the clearance as well as for the distance of the tools.
+verify.clearance and verify.own_clearance use samples of the replayed motion. verify.step_apart covers two
+controllers that meet by signals. The model check only proves that both arms are in the same interval between
+meetings, or that one of them is at its end. So within each interval every pair of instants counts, one
+instant for each arm. This holds for the clearance and for the distance of the tools.
 """
 
 import dataclasses
@@ -37,8 +37,8 @@ from planner.proof.models import MODELS, Models, StationaryPoses, cell_models
 from planner.proof.rule import RuleOutcome, measured_issue, mm, rule
 
 MAX_CLEARANCE_REDUCTION_M = 1e-3
-"""Reduction [m] of the required clearance that is accepted between targets, at most a tenth of the
-clearance.
+"""Reduction [m] of the required clearance that is accepted. A tenth of the clearance is accepted if that is
+less.
 """
 MIN_QUERY_RANGE_M = 0.1
 """Minimum range [m] of distance queries. The range is 1.5 times the required clearance if that is more."""
@@ -79,8 +79,9 @@ class ClearanceQueries:
 
     @property
     def q(self) -> Mapping[str, FloatArray]:
-        """Joints {arm: (K, 6)} at the samples. They are extracted on each call: kept, the joints of a long
-        motion would take memory that the physics needs.
+        """Joints {arm: (K, 6)} at the samples.
+
+        They are extracted on each call and not cached, to save memory.
         """
         return self.links if self.sent else {arm: q[self.rows] for arm, q in self.links.items()}
 
@@ -90,9 +91,7 @@ class ClearanceQueries:
 
 
 def clearance_queries(context: Context) -> tuple[ClearanceQueries, ...]:
-    """Return the clearance queries of all setups: first between different bodies, then of each arm to
-    itself.
-    """
+    """Return the clearance queries of all setups, those of arms to themselves last."""
     setups = range(len(context.setups))
     other_queries = [
         (k, *group, False) for k in setups for group in _groups(context, k, clearance_samples(context, k))
@@ -125,7 +124,7 @@ def excluded_pairs(model: CellModel, itself: bool) -> Pairs:
 
     Args:
         model: Model of the cell.
-        itself: Whether arms are measured against themselves, rather than all else.
+        itself: Whether only pairs of bodies of one arm are measured, rather than all other pairs.
     """
     if not itself:
         return self_clearance_pairs(model)
@@ -134,7 +133,7 @@ def excluded_pairs(model: CellModel, itself: bool) -> Pairs:
 
 
 def required_clearance(settings: Settings, itself: bool) -> float:
-    """Return the clearance [m] that a problem requires of an arm to itself, or of all else."""
+    """Return the clearance [m] that a problem requires: of an arm to itself, or else between bodies."""
     return settings.self_clearance if itself else settings.clearance
 
 
@@ -143,21 +142,18 @@ def measure_queries(
 ) -> Iterator[ClearanceMeasurement | None]:
     """Yield the measurement of each query, or None if the cell model lacks a body that is to be ignored."""
     for query in queries:
-        model, required = (
-            models(query.index).with_bases(query.bases),
-            required_clearance(settings, query.itself),
-        )
+        model = models(query.index).with_bases(query.bases)
+        required = required_clearance(settings, query.itself)
         if _missing(model, query.ignore):
             yield None
         else:
-            query_range, ignore = (
-                max(MIN_QUERY_RANGE_M, 1.5 * required),
-                query.ignore | excluded_pairs(model, query.itself),
-            )
+            query_range = max(MIN_QUERY_RANGE_M, 1.5 * required)
+            ignore = query.ignore | excluded_pairs(model, query.itself)
             yield measure_min_distances(model, query.q, min_accepted_clearance(required), query_range, ignore)
 
 
 def _missing(model: CellModel, ignore: Pairs) -> list[str]:
+    """Return the names of bodies in pairs ``ignore`` that the model does not have."""
     return sorted({name for pair in ignore for name in pair} - {s.body for s in model.solids})
 
 
@@ -171,7 +167,7 @@ def _query_clearance(context: Context) -> QueryResults:
 
 
 CLEARANCE_QUERIES: Final[Fact[Context, QueryResults]] = Fact("looks", _query_clearance)
-"""Queries and measurements for both rules, those of ``verify.clearance`` first."""
+"""Queries and their measurements, those of ``verify.clearance`` before those of ``verify.own_clearance``."""
 
 
 def _measure_in_process(
@@ -196,8 +192,8 @@ def bodies(context: Context) -> RuleOutcome:
     models, findings = context.get(MODELS), Findings("verify.clearance", context)
     for index in range(len(context.setups)):
         for body, other_body, depth in clearance.find_overlaps(models(index)):
-            what = f"the stationary bodies {body} and {other_body} overlap by {mm(depth):.1f} mm"
-            findings.add(what, bodies=(body, other_body), value=-mm(depth), unit="mm")
+            message = f"the stationary bodies {body} and {other_body} overlap by {mm(depth):.1f} mm"
+            findings.add(message, bodies=(body, other_body), value=-mm(depth), unit="mm")
     return _clearance_outcome(findings, itself=False)
 
 
@@ -211,7 +207,11 @@ def own_bodies(context: Context) -> RuleOutcome:
 
 
 def _clearance_outcome(findings: Findings, itself: bool) -> RuleOutcome:
-    """Add what the queries of one of the two rules find to the issues so far, and return the outcome."""
+    """Add the violations at the queries of a rule to the findings, and return its outcome.
+
+    ``itself`` selects the queries, as in :class:`ClearanceQueries`. Measurements are consumed, so the rule on
+    bodies must come first.
+    """
     context, models = findings.context, findings.context.get(MODELS)
     required = required_clearance(context.problem.settings, itself)
     limit = min_accepted_clearance(required)
@@ -223,8 +223,8 @@ def _clearance_outcome(findings: Findings, itself: bool) -> RuleOutcome:
     queries = [query for query in all_queries if query.itself == itself]
     for query, measurement in zip(queries, itertools.islice(measurements, len(queries)), strict=True):
         if measurement is None:
-            what = f"the cell model has no body {_missing(models(query.index), query.ignore)[0]}"
-            findings.add(what, hint="state the edge of the bow's tool")
+            message = f"the cell model has no body {_missing(models(query.index), query.ignore)[0]}"
+            findings.add(message, hint="state the edge of the bow's tool")
             continue
         measured_rows.append(query.rows[measurement.rows])
         distance.append(measurement.min_clearance.distance)
@@ -247,10 +247,8 @@ def _clearance_outcome(findings: Findings, itself: bool) -> RuleOutcome:
     if not len(rows):
         return RuleOutcome(issues, nothing="nothing moves", series=series)
     k = min_clearance.worst()
-    worst, where = (
-        float(distances[k]),
-        " and ".join(min_clearance.pair[k]) if min_clearance.pair[k][0] else "none in range",
-    )
+    worst = float(distances[k])
+    where = " and ".join(min_clearance.pair[k]) if min_clearance.pair[k][0] else "none in range"
     if unmeasured_bound < worst - DISTANCE_PRECISION_M:
         worst, where = unmeasured_bound, "a lower bound of the distance"
     return RuleOutcome(issues, mm(worst), mm(limit), "mm", where, series=series)
@@ -259,7 +257,7 @@ def _clearance_outcome(findings: Findings, itself: bool) -> RuleOutcome:
 def _series(
     code: str, context: Context, rows: IntArray, min_clearance: clearance.MinClearance
 ) -> dict[str, Any]:
-    """Return the curves of the smallest distance over the queries."""
+    """Return the curves of the smallest distance, and its pair of bodies, at samples ``rows`` (K,)."""
     name = code.removeprefix("verify.")
     return {
         f"{name}/time": context.motion.time[rows],
@@ -269,10 +267,13 @@ def _series(
 
 
 def _groups(context: Context, index: int, rows: IntArray) -> list[tuple[IntArray, clearance.Pairs]]:
-    """Group the samples of a setup by the pairs of bodies that may touch there.
+    """Group the samples of a setup by the pairs of bodies that may touch at them.
 
-    A bow's wire or a cutter may touch the block in cuts. The heads of forming tools may touch the sheet
-    between them while they form it.
+    A bow's wire or a cutter may touch the block in cuts. The heads of forming tools may touch the sheet, and
+    each other, while they form it.
+
+    Returns:
+        Samples and pairs of each group.
     """
     all_arms = [arm.name for arm in context.setups[index].cell.arms]
     arm_edges_by_name = {arm: arm_edges for arm in all_arms if (arm_edges := find_edges(context, index, arm))}
@@ -286,22 +287,22 @@ def _groups(context: Context, index: int, rows: IntArray) -> list[tuple[IntArray
     )
     flags = np.concatenate([forms, cuts & ~forms], axis=1)
     out = []
-    for flag in np.unique(flags, axis=0):
-        form, cut = flag[: len(arms)], flag[len(arms) :]
+    for combination in np.unique(flags, axis=0):
+        form, cut = combination[: len(arms)], combination[len(arms) :]
         working_arms = [
             arm for arm, forms_here, cuts_here in zip(arms, form, cut, strict=True) if forms_here or cuts_here
         ]
         heads = [arm for arm, forms_here in zip(arms, form, strict=True) if forms_here]
         touching = {frozenset((f"{arm}/edge", "stock")) for arm in working_arms}
         touching |= {frozenset((f"{a}/edge", f"{b}/edge")) for a, b in itertools.combinations(heads, 2)}
-        out.append((rows[(flags == flag).all(axis=1)], frozenset(touching)))
+        out.append((rows[(flags == combination).all(axis=1)], frozenset(touching)))
     return out
 
 
 STEP_APART = "verify.step_apart"
 """Code of the rule on arms that are one step apart in time."""
 INTERVAL_INSTANTS = 13
-"""Number of instants of each arm in an interval at which the distance of the tools is taken."""
+"""Number of instants of each arm in an interval at which the distance of the tools is computed."""
 MAX_INSTANT_PAIRS = 50_000
 """Maximum number of pairs of instants whose clearance is measured."""
 _INTERVALS_PER_BATCH = 2000
@@ -317,9 +318,9 @@ class Intervals:
     """K intervals in which both arms move.
 
     Attributes:
-        first: First samples (K,), at a meeting at rest.
-        last: Last samples (K,), at the next meeting at rest.
-        stage: Stages (K,) to which the intervals belong.
+        first: First samples (K,), at a meeting of the arms at rest.
+        last: Last samples (K,), at the next meeting of the arms at rest.
+        stage: Number (K,) of the stage to which each interval belongs.
     """
 
     first: IntArray
@@ -353,12 +354,12 @@ def intervals(context: Context) -> Intervals:
 
 
 def tcp_distance_change(context: Context, all_intervals: Intervals) -> FloatArray:
-    """Bound how much the distance of both TCPs may change if the arms are not synchronous.
+    """Bound the change of the distance of both TCPs if the arms are not synchronous in an interval.
 
-    With a(s), b(t) the TCPs, the bound is the maximum of | |a(s) - b(t)| - |a(r) - b(r)| |, r = s and r =
-    t, over :data:`INTERVAL_INSTANTS` instants each, evenly spaced along the path. Added is how much both
-    distances may change half-way to the next instants: to first order along the line between the points, to
-    second order across it.
+    With the TCPs a(s) and b(t) at instants s and t, the bound is the maximum of | |a(s) - b(t)| - |a(r) -
+    b(r)| | for r = s and for r = t, over :data:`INTERVAL_INSTANTS` instants of each arm, evenly spaced along
+    the path. The change of both distances half-way to the next instants is added: to first order along the
+    line between the points, to second order across it.
 
     Args:
         context: The proof.
@@ -373,10 +374,8 @@ def tcp_distance_change(context: Context, all_intervals: Intervals) -> FloatArra
     out = np.zeros(len(all_intervals.first))
     fractions = np.linspace(0.0, 1.0, INTERVAL_INSTANTS)
     for start in range(0, len(out), _INTERVALS_PER_BATCH):
-        first, last = (
-            all_intervals.first[start : start + _INTERVALS_PER_BATCH],
-            all_intervals.last[start : start + _INTERVALS_PER_BATCH],
-        )
+        first = all_intervals.first[start : start + _INTERVALS_PER_BATCH]
+        last = all_intervals.last[start : start + _INTERVALS_PER_BATCH]
         positions = path[first][:, None] + fractions * (path[last] - path[first])[:, None]
         rows = np.clip(np.searchsorted(path, positions), first[:, None], last[:, None])
         rows[:, 0], rows[:, -1] = first, last
@@ -392,21 +391,21 @@ def _distance_change_bound(a: FloatArray, b: FloatArray) -> FloatArray:
     direction /= np.maximum(distance, 1e-9)[..., None]
     # Change of d up to half-way to the next instants: |u . step| / 2 along the line u, and across it, with
     # c the sum of both half steps, c^2 / (2 (d - c)).
-    slack = np.zeros_like(distance)
+    change = np.zeros_like(distance)
     across = np.zeros_like(distance)
     for points, projection in ((a, "kstx,ksx->kst"), (b, "kstx,ktx->kst")):
         step = np.diff(points, axis=1)
         zero_step = np.zeros_like(step[:, :1])
         sides = [np.concatenate(parts, axis=1) for parts in ((step, zero_step), (zero_step, step))]
-        slack += 0.5 * np.max([np.abs(np.einsum(projection, direction, side)) for side in sides], axis=0)
+        change += 0.5 * np.max([np.abs(np.einsum(projection, direction, side)) for side in sides], axis=0)
         size = 0.5 * np.max([np.linalg.norm(side, axis=2) for side in sides], axis=0)
         across += size[:, :, None] if projection.endswith("ksx->kst") else size[:, None]
-    slack += across**2 / (2.0 * np.maximum(distance - across, 1e-9))
-    # Compare d(s, t) with d(s, s) and d(t, t), each with its own slack.
-    together, diagonal_slack = np.einsum("kii->ki", distance), np.einsum("kii->ki", slack)
-    early = np.abs(distance - together[:, :, None]) + diagonal_slack[:, :, None]
-    late = np.abs(distance - together[:, None]) + diagonal_slack[:, None]
-    return np.asarray((np.maximum(early, late) + slack).max(axis=(1, 2)))
+    change += across**2 / (2.0 * np.maximum(distance - across, 1e-9))
+    # Compare d(s, t) with d(s, s) and d(t, t), and add the changes of both distances.
+    together, diagonal_change = np.einsum("kii->ki", distance), np.einsum("kii->ki", change)
+    early = np.abs(distance - together[:, :, None]) + diagonal_change[:, :, None]
+    late = np.abs(distance - together[:, None]) + diagonal_change[:, None]
+    return np.asarray((np.maximum(early, late) + change).max(axis=(1, 2)))
 
 
 @rule("verify.step_apart", parallel_group="bodies")
@@ -434,7 +433,10 @@ def step_apart(context: Context) -> RuleOutcome:
 
 
 def _check_tcp_distance(findings: Findings, all_intervals: Intervals) -> None:
-    """Check the claims on the tool distance. Note the largest change [m] and the smallest limit."""
+    """Check the claims on the tool distance in all intervals.
+
+    The largest change [m] and the smallest limit are recorded in the findings.
+    """
     context, change = findings.context, tcp_distance_change(findings.context, all_intervals)
     labels = context.motion.labels(all_intervals.last)
     limits = []
@@ -446,22 +448,25 @@ def _check_tcp_distance(findings: Findings, all_intervals: Intervals) -> None:
             limits += [bound.change] if len(rows) else []
             over = rows[change[rows] > bound.change]
             for k in over[np.argsort(-change[over])][:_MAX_ISSUES].tolist():
-                what = (
+                message = (
                     "with the arms one step apart the tool distance changes by up to "
                     f"{mm(change[k]):.4f} mm; allowed: {mm(bound.change):g} mm. "
                     "Let the arms meet at more targets, or shorten the moves"
                 )
                 findings.add_at_sample(
-                    what, bound.arms[0], all_intervals.last[k], measure_in_mm(change[k], bound.change)
+                    message, bound.arms[0], all_intervals.last[k], measure_in_mm(change[k], bound.change)
                 )
     findings.note_highest(change.max(), limit=min(limits, default=None))
 
 
 def _check_arm_clearance(findings: Findings, model: CellModel, index: int, all_intervals: Intervals) -> float:
-    """Check the clearance between the arms of setup ``index`` and return the smallest known distance [m].
+    """Check the clearance between the arms in intervals of setup ``index``.
 
-    The heads of two tools are left out while they form, because the face is between them at any instant of
-    either.
+    The heads of two forming tools are not measured against each other while they form, because the face is
+    between them whatever the instants.
+
+    Returns:
+        Smallest distance [m] that is measured, or a smaller lower bound of the others.
     """
     context = findings.context
     required = context.problem.settings.clearance
@@ -479,12 +484,12 @@ def _check_arm_clearance(findings: Findings, model: CellModel, index: int, all_i
         violations = np.flatnonzero(~(measured.distance >= min_accepted_clearance(required)))
         for k in violations[np.argsort(measured.distance[violations])][:_MAX_ISSUES].tolist():
             bodies, distance = measured.pair[k], measured.distance[k]
-            what = (
+            message = (
                 f"with the arms one step apart {bodies[0]} and {bodies[1]} come within {mm(distance):.2f} "
                 f"mm; allowed: {mm(required):.2f} mm"
             )
             findings.add_at_sample(
-                what, _arm_of(context, bodies), rows[k], measure_in_mm(distance, required), bodies
+                message, _arm_of(context, bodies), rows[k], measure_in_mm(distance, required), bodies
             )
     return min_distance
 
@@ -501,17 +506,17 @@ def _arm_of(context: Context, pair: tuple[str, str]) -> str:
 def _measure_instant_pairs(
     context: Context, model: CellModel, index: int, all_intervals: Intervals, ignore: Pairs
 ) -> tuple[IntArray, clearance.MinClearance, float]:
-    """Measure the clearance at pairs of instants at which a bound does not suffice.
+    """Measure the clearance at the pairs of instants, one of each arm, for which a bound does not suffice.
 
-    Branch and bound: each item is one stretch of each arm's path, at first a whole interval. The clearance
-    with both arms in the middle of their stretches, minus the paths of both to the ends, bounds the
-    clearance of all pairs of instants. If the bound is too small, the longer stretch is halved, until no
-    point moves farther than half of the proof's stride in either. Then the pair is measured.
+    Branch and bound: Each item is a pair of stretches, one of each arm's path, at first a whole interval. The
+    clearance with both arms in the middle of their stretches, minus the paths of both to the ends, bounds the
+    clearance of all pairs of instants in the stretches. If the bound is too small, the longer stretch is
+    halved, until no point moves farther than half of the proof's stride in either stretch. Then the clearance
+    in the middle is measured.
 
     Returns:
-        Samples (M,) of the first arm at the measured pairs, the distances there, and the lower bound [m]
-            for all
-        other pairs.
+        Samples (M,) of the first arm at the measured pairs of instants, the distances there, and the lower
+        bound [m] for all other pairs.
 
     Raises:
         TandemError: Too many pairs are undecided (``verify.duration``).
@@ -524,30 +529,36 @@ def _measure_instant_pairs(
     max_stretch = 0.5 * min(MAX_SAMPLE_STRIDE_M, max(required, MIN_SAMPLE_STRIDE_M))
     min_bound = np.inf
     leaves: list[IntArray] = []
-    open_ = np.stack([all_intervals.first, all_intervals.last, all_intervals.first, all_intervals.last])
+    stretches = np.stack([all_intervals.first, all_intervals.last, all_intervals.first, all_intervals.last])
     # Branch and bound over pairs of stretches, given by their first and last samples.
-    while open_.shape[1]:
-        middle, path_to_end = _middle_samples(along, open_)
+    while stretches.shape[1]:
+        middle, path_to_end = _middle_samples(along, stretches)
         joints_there = {arm: q[rows] for arm, q, rows in zip(arms, joints, middle, strict=True)}
         bound = clearance.distance_lower_bound(model, joints_there, query_range, ignore) - path_to_end
-        enough = bound >= limit
-        min_bound = min(min_bound, float(bound[enough].min(initial=np.inf)))
+        is_proven = bound >= limit
+        min_bound = min(min_bound, float(bound[is_proven].min(initial=np.inf)))
         length = [
-            np.where(open_[2 * k + 1] - open_[2 * k] > 1, path[open_[2 * k + 1]] - path[open_[2 * k]], 0.0)
+            np.where(
+                stretches[2 * k + 1] - stretches[2 * k] > 1,
+                path[stretches[2 * k + 1]] - path[stretches[2 * k]],
+                0.0,
+            )
             for k, path in enumerate(along)
         ]
-        small = np.maximum(*length) <= max_stretch
-        leaves.append(np.stack(middle)[:, ~enough & small])
-        measured = sum(part.shape[1] for part in leaves)
-        split = ~enough & ~small
-        if measured + np.count_nonzero(split) > MAX_INSTANT_PAIRS:
-            what = (
+        is_short = np.maximum(*length) <= max_stretch
+        leaves.append(np.stack(middle)[:, ~is_proven & is_short])
+        measured_count = sum(part.shape[1] for part in leaves)
+        split = ~is_proven & ~is_short
+        if measured_count + np.count_nonzero(split) > MAX_INSTANT_PAIRS:
+            message = (
                 "clearance of arms one step apart: too many undecided pairs of instants (got over "
                 f"{MAX_INSTANT_PAIRS}, which is the limit). Split the job"
             )
             measure = MAX_INSTANT_PAIRS, MAX_INSTANT_PAIRS, None
-            raise TandemError(measured_issue("verify.duration", what, measure))
-        open_ = _halve(open_[:, split], [rows[split] for rows in middle], (length[0] >= length[1])[split])
+            raise TandemError(measured_issue("verify.duration", message, measure))
+        stretches = _halve(
+            stretches[:, split], [rows[split] for rows in middle], (length[0] >= length[1])[split]
+        )
     # Measure the pairs that no bound decides, until enough violations are known.
     rows = np.concatenate(leaves, axis=1)
     measurements: list[clearance.MinClearance] = []
@@ -562,17 +573,19 @@ def _measure_instant_pairs(
     return rows[0, : len(distance)], clearance.MinClearance(distance, pairs), min_bound
 
 
-def _middle_samples(along: list[FloatArray], open_: IntArray) -> tuple[list[IntArray], FloatArray]:
-    """Return the middle samples (M,) of both arms' stretches, and the path (M,) from there to the farther
-    ends.
+def _middle_samples(along: list[FloatArray], stretches: IntArray) -> tuple[list[IntArray], FloatArray]:
+    """Return the middle samples of pairs of stretches, and the paths from there to the ends.
 
     Args:
-        along: Path length (S,) of each arm at each sample.
-        open_: First and last samples of both stretches, (4, M).
+        along: Path length (S,) [m] of each arm at each sample.
+        stretches: First and last samples of both stretches, (4, M).
+
+    Returns:
+        Middle sample (M,) of each arm's stretches, and sum (M,) [m] of both arms' paths to the farther ends.
     """
-    rows, path_to_end = [], np.zeros(open_.shape[1])
+    rows, path_to_end = [], np.zeros(stretches.shape[1])
     for k, path in enumerate(along):
-        first, last = open_[2 * k], open_[2 * k + 1]
+        first, last = stretches[2 * k], stretches[2 * k + 1]
         middle_row = np.clip(np.searchsorted(path, 0.5 * (path[first] + path[last])), first, last)
         inner = np.clip(middle_row, first + 1, np.maximum(last - 1, first + 1))
         middle_row = np.where(last - first > 1, inner, middle_row)
@@ -581,11 +594,12 @@ def _middle_samples(along: list[FloatArray], open_: IntArray) -> tuple[list[IntA
     return rows, path_to_end
 
 
-def _halve(open_: IntArray, middle: list[IntArray], first: BoolArray) -> IntArray:
-    """Split pairs of stretches (4, M) into halves, the first arm's stretch where ``first``, else the second
-    one's.
+def _halve(stretches: IntArray, middle: list[IntArray], first: BoolArray) -> IntArray:
+    """Halve one of both stretches (4, M) of each pair, that of the first arm where ``first`` (M,).
+
+    ``middle`` (M,) has the middle sample of each arm's stretches.
     """
-    first_half, second_half = open_.copy(), open_.copy()
+    first_half, second_half = stretches.copy(), stretches.copy()
     for k, chosen in enumerate((first, ~first)):
         first_half[2 * k + 1, chosen] = middle[k][chosen]
         second_half[2 * k, chosen] = middle[k][chosen]
@@ -593,28 +607,26 @@ def _halve(open_: IntArray, middle: list[IntArray], first: BoolArray) -> IntArra
 
 
 def _tool_heads(context: Context, model: CellModel) -> Pairs:
-    """Return the heads of both arms' tools as a pair of bodies, if both have one."""
+    """Return the heads of both arms' tools as a pair of bodies, no pair if a tool has no head."""
     names = frozenset(f"{task.arm.name}/edge" for task in context.job.tasks)
     return frozenset({names}) if names <= {solid.body for solid in model.solids} else frozenset()
 
 
 def _forming_intervals(context: Context, index: int, all_intervals: Intervals) -> BoolArray:
-    """Return the intervals (K,) in which both arms form or move on lead-in or lead-out.
+    """Return flags (K,) of the intervals in which both arms form, or in which a claim bounds their distance.
 
-    There ``verify.gouge`` and ``verify.sheet`` hold the heads of their tools on the two sides of one face,
-    whatever the instant, or a claim bounds the gap.
+    While both arms form, ``verify.gouge`` and ``verify.sheet`` prove that the heads of their tools are on
+    different sides of one face, whatever the instants.
     """
     motion, setup = context.motion, context.setup_claims[index]
     arms = (task.arm.name for task in context.job.tasks)
-    names = frozenset.intersection(*(segments_of(find_edges(context, index, arm), True) for arm in arms))
+    names = frozenset.intersection(*(segments_of(find_edges(context, index, arm), meet=True) for arm in arms))
     bounds = (c.tool_distance for group in setup.groups for c in group)
     names |= {bound.segment.key for bound in bounds if bound is not None}
     other = np.isin(motion.node_label, sorted(names), invert=True).astype(np.int64)
     count = np.concatenate([[0], np.cumsum(other)])
-    first, last = (
-        motion.node[np.minimum(all_intervals.first + 1, all_intervals.last)],
-        motion.node[all_intervals.last],
-    )
+    first = motion.node[np.minimum(all_intervals.first + 1, all_intervals.last)]
+    last = motion.node[all_intervals.last]
     return np.asarray(count[last + 1] == count[first])
 
 
@@ -622,9 +634,9 @@ def _time_independent_pairs(context: Context, model: CellModel, index: int) -> P
     """Return the pairs of bodies whose distance does not depend on how far the arms are apart in time."""
     arms = [task.arm.name for task in context.job.tasks]
     names = sorted({solid.body for solid in model.solids})
-    owner = {name: next((arm for arm in arms if name.startswith(f"{arm}/")), "") for name in names}
+    arm_of_body = {name: next((arm for arm in arms if name.startswith(f"{arm}/")), "") for name in names}
     return frozenset(
         frozenset((a, b))
         for a, b in itertools.combinations(names, 2)
-        if owner[a] == owner[b] or not owner[a] or not owner[b]
+        if arm_of_body[a] == arm_of_body[b] or not arm_of_body[a] or not arm_of_body[b]
     )

@@ -1,4 +1,4 @@
-"""Rules on what controllers need besides motion: their files, and the comparison of the cell with the plan.
+"""Rules on controller files, and on the comparison of the cell with the plan.
 
 verify.controller_files: files that switch power off and on, and signals by which two controllers monitor
 each other. verify.cell_check: the part of a program that compares the cell with the plan before it moves.
@@ -18,6 +18,7 @@ from planner.proof.language_contribution import ControllerPower, check_task, lan
 from planner.proof.rule import RuleOutcome, rule
 
 _FindFaults = Callable[[ControllerPower], list[str]]
+"""Function for the faults of a controller's files."""
 CONTROLLER_FILES = "verify.controller_files"
 """Code of the rule on controller files."""
 _COPY_HINT = "plan again, and copy all files unchanged"
@@ -56,40 +57,49 @@ def controller_files(context: Context) -> RuleOutcome:
         ]
         folder_path = f"{CONTROLLER_FOLDER}/{folder}"
         issues += [
-            Issue(CONTROLLER_FILES, f"{folder_path}: {f}", file=folder_path, hint=_COPY_HINT) for f in faults
+            Issue(CONTROLLER_FILES, f"{folder_path}: {fault}", file=folder_path, hint=_COPY_HINT)
+            for fault in faults
         ]
     for folder in files_by_folder:
-        what = f"{CONTROLLER_FOLDER}/{folder} holds files of another job, which no program of this job needs"
-        issues.append(Issue(CONTROLLER_FILES, what, file=f"{CONTROLLER_FOLDER}/{folder}", hint="remove them"))
+        message = (
+            f"{CONTROLLER_FOLDER}/{folder} holds files of another job, which no program of this job needs"
+        )
+        issues.append(
+            Issue(CONTROLLER_FILES, message, file=f"{CONTROLLER_FOLDER}/{folder}", hint="remove them")
+        )
     return RuleOutcome(
         tuple(issues), nothing="" if count else "nothing is powered" if not linked else "wires only"
     )
 
 
 def _report_case_collisions(paths: Iterable[str]) -> list[Issue]:
-    """Report paths that differ only in case, because a controller ignores case and may load either file."""
+    """Report paths that differ only in case.
+
+    Also reported are controller folders in another case. A controller ignores case, so it may load either
+    file.
+    """
     seen: dict[str, str] = {}
     issues = []
     for path in paths:
         other = seen.setdefault(path.lower(), path)
         first = PurePosixPath(path).parts[0]
         if other != path:
-            what = f"{path} and {other} differ only in case, which controllers ignore"
+            message = f"{path} and {other} differ only in case, which controllers ignore"
         elif first.lower() == CONTROLLER_FOLDER and first != CONTROLLER_FOLDER:
-            what = f"{path} is in a folder that must be named {CONTROLLER_FOLDER}"
+            message = f"{path} is in a folder that must be named {CONTROLLER_FOLDER}"
         else:
             continue
-        issues.append(Issue(CONTROLLER_FILES, what, file=path, hint="remove it, or " + _COPY_HINT))
+        issues.append(Issue(CONTROLLER_FILES, message, file=path, hint="remove it, or " + _COPY_HINT))
     return issues
 
 
 def _powered_controllers(
     context: Context, linked: bool
 ) -> list[tuple[_FindFaults, tuple[TaskText, ...], list[str]]]:
-    """Return the check of files, the tasks and the signals of each controller that takes files.
+    """Return the check of files, the tasks and the signals of each controller that needs files.
 
-    A controller takes files if its tasks switch something on that is not pulsed, or if two controllers are
-    ``linked``.
+    A controller needs files if its tasks switch on a signal that is not pulsed, or if two controllers are
+    ``linked``. The signals are those that its tasks switch on.
     """
     pulsed = {power.signal.lower() for power in powers(context.claims) if power.pulsed}
     uses_handshake = context.problem.cell.controller.sync == "handshake"
@@ -101,8 +111,8 @@ def _powered_controllers(
         steps = [step for task in tasks for step in task.steps if isinstance(step, SignalStep)]
         running_output = context.problem.cell.controller.handshake.of(tasks[0].arm.name).output.lower()
         ignored = pulsed | ({running_output} if uses_handshake else set())
-        on = {step.signal.lower(): step.signal for step in steps if step.value}
-        signals = [name for key, name in sorted(on.items()) if key not in ignored]
+        switched_on = {step.signal.lower(): step.signal for step in steps if step.value}
+        signals = [name for key, name in sorted(switched_on.items()) if key not in ignored]
         if signals or linked:
             out.append((find_faults, tasks, signals))
     return out

@@ -1,9 +1,10 @@
 """verify.track_along: coordinated tracks follow their motion law, within their limits.
 
-The track values are those of the text's targets, the tool positions those of its poses in its work objects.
-Between targets the track runs on the clock of the tool. The planner may choose the offset of the law, so
-the proof checks that one offset fits all targets. The planner's smoothing is bounded by its kind alone:
-weighted means over the tool path, with weights that decrease with the distance.
+The track values are those of the text's targets. The tool positions are those of its poses in its work
+objects. Between targets the track runs on the clock of the tool. The planner may choose the offset of the
+law, so the proof checks that one offset fits all targets. The planner may also smooth the values by weighted
+means over the tool path, with weights that decrease with the distance. The tolerance of the law allows for
+any such mean.
 """
 
 import dataclasses
@@ -24,13 +25,13 @@ from planner.proof.rule import RuleOutcome, mm, node_issue, rule, sample_issue
 _CODE = "verify.track_along"
 """Code of the rule."""
 MEAN_HALF_WIDTH_M = 0.1
-"""Half width W [m] of the weighted mean: a value may be the mean of the values up to W before and after it
-on the tool path, with weights that decrease with the distance.
+"""Half width W [m] of the weighted mean: a track value may be the mean of the values up to W before and after
+it on the tool path, with weights that decrease with the distance.
 """
 MIN_TRACK_SPEED_M_S = 1e-9
-"""Minimum speed [m/s] of a track in ratios. It replaces 0."""
+"""Limit [m/s] that replaces 0 where a speed is divided by its limit."""
 LAW_TOLERANCE_M = 6e-3
-"""Tolerance [m] of the law, because tools may slide a little where poses leave them free."""
+"""Tolerance [m] of the law, because a tool may slide a little along free directions of its target."""
 
 
 @rule("verify.track_along")
@@ -67,10 +68,10 @@ def coordinated_track(context: Context) -> RuleOutcome:
                     ratio[k] > 1.0 + AXIS_VALUE_TOLERANCE and not law_issues
                 ):  # off its law it would exceed limits anyway
                     unit = {"speed": "mm/s", "acceleration": "mm/s^2"}[word]
-                    what = f"{axis.label} would need the {word} {mm(value[k]):.1f} {unit} with the tool; "
-                    what += f"allowed: {mm(limit):g}"
-                    what += ", by its $VEL_EXTAX" if limit < axis.speed and word == "speed" else ""
-                    findings.add_at_sample(what, task.arm.name, rows[k], (mm(value[k]), mm(limit), unit))
+                    message = f"{axis.label} would need the {word} {mm(value[k]):.1f} {unit} with the tool; "
+                    message += f"allowed: {mm(limit):g}"
+                    message += ", by its $VEL_EXTAX" if limit < axis.speed and word == "speed" else ""
+                    findings.add_at_sample(message, task.arm.name, rows[k], (mm(value[k]), mm(limit), unit))
     outcome = findings.outcome(to_percent, "% of the limit", 1.0)
     return dataclasses.replace(outcome, nothing="" if outcome.where else "no coordinated track")
 
@@ -78,8 +79,9 @@ def coordinated_track(context: Context) -> RuleOutcome:
 def _speed_and_acceleration(
     context: Context, task: TaskText, axis: TaskAxis, rows: IntArray
 ) -> Iterator[tuple[str, FloatArray, FloatArray]]:
-    """Yield speed and acceleration of a track at samples ``rows`` (K,) of a setup: name, values (K,),
-    limits (K,).
+    """Yield name, values (K,) and limits (K,) of a track's speed, and then of its acceleration.
+
+    Those are taken at samples ``rows`` (K,) of a setup.
     """
     motion = context.motion
     time, positions = motion.time[rows], motion.track_positions[task.arm.name][rows]
@@ -91,9 +93,9 @@ def _speed_and_acceleration(
 
 
 def _allowed_speeds(context: Context, task: TaskText, axis: TaskAxis) -> FloatArray:
-    """Return the speeds (N,) [m/s] that a text allows a track on the path to each node.
+    """Return the maximum speed (N,) [m/s] that the text allows a track on the path to each node.
 
-    It is the track's own speed, and in KRL no more than the fraction of it that is in force.
+    It is the maximum speed of the track, in KRL multiplied by the fraction that is in force.
     """
     motion = context.motion
     out = np.full(len(motion.node_stage), axis.speed)
@@ -110,17 +112,20 @@ def _allowed_speeds(context: Context, task: TaskText, axis: TaskAxis) -> FloatAr
 def _range_issues(
     context: Context, axis: TaskAxis, arm: str, rows: IntArray, station: float
 ) -> Iterator[Issue]:
-    """Yield an issue for the worst sample at which a track is out of its range."""
+    """Yield an issue about the worst of the samples ``rows`` if a track is out of its range there.
+
+    ``station`` [m] is the track position from which the motion is counted.
+    """
     value = station + context.motion.track_positions[arm][rows]
     excess = np.maximum(axis.low - value, value - axis.high)
     k = int(np.argmax(excess))
     if excess[k] > AXIS_VALUE_TOLERANCE:
         span = f"{axis.format_value(axis.low)} to {axis.format_value(axis.high)}"
-        what = (
+        message = (
             f"{axis.label} is at {axis.format_value(float(value[k]))} as it follows the tool; its range is "
             f"{span}"
         )
-        yield sample_issue(_CODE, what, context.motion, arm, int(rows[k]))
+        yield sample_issue(_CODE, message, context.motion, arm, int(rows[k]))
 
 
 def _law_issues(
@@ -128,16 +133,16 @@ def _law_issues(
 ) -> Iterator[Issue]:
     """Check the targets of straight moves of a track against its motion law.
 
-    There has to be an offset c with which clip(k p.d + c) is within the tolerance of a mean at all of them,
-    with the fraction k, the tool position p and the direction d of the track.
+    One offset c must exist with which each track value is within the tolerance of clip(k p.d + c, low, high).
+    Here k is the fraction, p the tool position and d the direction of the track.
     """
     nodes, value = _straight_values(context, index, task, axis)
     if not len(nodes):
         return
     fraction, arm = axis.follow_fraction or 0.0, task.arm.name
     along_track = context.motion.node_tcp[arm][nodes][:, :3, 3] @ direction
-    # Weights that fall linearly to 0 at W have the mean distance W / 3, so a mean deviates from a line of
-    # slope k by at most k W / 3.
+    # Weights that fall linearly to 0 at W have the mean distance W / 3. So a weighted mean of values with
+    # slope k deviates from the value itself by at most k W / 3.
     tolerance = fraction * MEAN_HALF_WIDTH_M / 3.0 + LAW_TOLERANCE_M
     offsets = value - fraction * along_track
     high, low = value >= axis.high - tolerance, value <= axis.low + tolerance
@@ -151,19 +156,19 @@ def _law_issues(
     deviation = np.abs(value - expected)
     k = int(np.argmax(deviation))
     is_constant = float(np.ptp(value)) <= AXIS_VALUE_TOLERANCE
-    what = (
+    message = (
         f"{axis.label} {'stays' if is_constant else 'is'} at {axis.format_value(float(value[k]))}; expected: "
     )
-    what += f"{axis.format_value(round(float(expected[k]), 4))} as it follows {fraction:g} of the tool's path"
-    yield node_issue(_CODE, what, context.motion, arm, int(nodes[k]))
+    message += (
+        f"{axis.format_value(round(float(expected[k]), 4))} as it follows {fraction:g} of the tool's path"
+    )
+    yield node_issue(_CODE, message, context.motion, arm, int(nodes[k]))
 
 
 def _straight_values(
     context: Context, index: int, task: TaskText, axis: TaskAxis
 ) -> tuple[IntArray, FloatArray]:
-    """Return the nodes (K,) of setup ``index`` that a task reaches by straight moves, and their track
-    values (K,) [m].
-    """
+    """Return the end nodes (K,) of a task's straight moves in a setup, and their track values (K,) [m]."""
     nodes: list[int] = []
     values: list[float] = []
     for rows, moves in _stage_nodes(context, task, index):
@@ -177,8 +182,9 @@ def _straight_values(
 def _stage_nodes(
     context: Context, task: TaskText, index: int | None = None
 ) -> Iterator[tuple[IntArray, tuple[MoveStep, ...]]]:
-    """Yield the nodes (K,) of each stage and the moves of a task that reach them, of setup ``index`` or of
-    all.
+    """Yield the nodes (K,) of each stage, and the K moves of a task that end at them.
+
+    ``index`` is that of the setup whose stages are returned, None for all stages.
     """
     motion = context.motion
     for number, stage in enumerate(context.job.stages):

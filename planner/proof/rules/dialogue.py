@@ -1,7 +1,6 @@
-"""verify.dialogue: what programs show to and ask of their operators.
+"""verify.dialogue: messages and questions of programs to their operators.
 
-The text must equal, word for word, what follows from the problem, at the right position and with nothing
-added.
+The texts must be, word for word, those that follow from the problem, at the right positions, and no others.
 """
 
 import dataclasses
@@ -56,7 +55,7 @@ class MatchedStep:
         step: The expected step.
         position: Where it is expected.
         entry: The step of the program.
-        fit: The match, with the figures that the proof takes from the motion.
+        fit: The match, with the values in the text that the proof compares with the motion.
     """
 
     step: DialogueStep
@@ -118,20 +117,24 @@ def compare_dialogue(
                 matched.append(match)
             repeat = part.repeats
     if rest:
-        what = f"{_describe_entry(rest[0])} {_describe_position(rest[0])}, which is not part of the dialogue"
+        message = (
+            f"{_describe_entry(rest[0])} {_describe_position(rest[0])}, which is not part of the dialogue"
+        )
         owner = next((name for name in every if name != task.name and _matches_any(rest[0], every[name])), "")
-        what += f"; it belongs to task {owner}" if owner else ""
-        return matched, [step_issue(DIALOGUE, what, task, rest[0].step, "remove it, or plan again")]
+        message += f"; it belongs to task {owner}" if owner else ""
+        return matched, [step_issue(DIALOGUE, message, task, rest[0].step, "remove it, or plan again")]
     return matched, []
 
 
 def _match_step(
     step: DialogueStep, position: DialoguePosition, rest: list[OperatorStep]
 ) -> MatchedStep | str:
-    """Match an expected step with the first entries of ``rest`` and remove these.
+    """Match an expected step with the first entries of ``rest``, and remove those that it takes.
+
+    A sentence may take several lines or boxes. If the step does not match, ``rest`` stays as it is.
 
     Returns:
-        The matched step with all lines or boxes that it takes, or the difference.
+        The matched step, or the difference as a text.
     """
     if not rest:
         return "is missing"
@@ -165,9 +168,9 @@ def _match_step(
     ):
         return DIFFERENCES[3]
     for other in rest[:count]:
-        unexpected = _unexpected_option(other)
-        if unexpected:
-            return unexpected
+        option_fault = _unexpected_option(other)
+        if option_fault:
+            return option_fault
         if not position.contains(other):
             return "is at another position"
         if other.meanwhile is not None:
@@ -187,6 +190,7 @@ def _is_expected_wait(program_step: ProgramStep, step: DialogueStep) -> bool:
 
 
 def _entries_of_kind(rest: Sequence[OperatorStep], kind: str) -> list[MessageStep]:
+    """Return the messages at the start of ``rest`` that are of one kind, at most ``MAX_SENTENCE_LINES``."""
     matching = itertools.takewhile(lambda entry: entry.kind == kind, rest[:MAX_SENTENCE_LINES])
     return [entry.step for entry in matching if isinstance(entry.step, MessageStep)]
 
@@ -203,13 +207,13 @@ def _kind_difference(entry: OperatorStep) -> str:
 
 
 def _unexpected_option(entry: OperatorStep) -> str:
-    """Return what a message shows or does besides its text, or an empty text."""
+    """Return the option or header of a message that is not expected, as a text, "" if there is none."""
     step = entry.step
     if not isinstance(step, MessageStep):
         return ""
-    more = [name for name, _ in step.options if name not in (BOX_OPTIONS if step.confirm else ())]
-    if more:
-        return f"has \\{more[0]}, which shows or does more than expected"
+    unexpected = [name for name, _ in step.options if name not in (BOX_OPTIONS if step.confirm else ())]
+    if unexpected:
+        return f"has \\{unexpected[0]}, which shows or does more than expected"
     if step.kind == "UIMsgBox" and step.header not in ("", sentences.HEADER):
         return f"has the header {step.header!r}; allowed: {sentences.HEADER!r}"
     return ""
@@ -223,32 +227,37 @@ def _first_difference(
     rest: Sequence[OperatorStep],
     every: dict[str, list[DialoguePart]],
 ) -> Issue:
-    """Describe the first difference: a step that is missing, added, changed or moved."""
-    need = f"{_describe_expected(step)} {part.position}"
+    """Return the issue about the first difference: a step that is missing, added, changed or moved.
+
+    ``why`` is one of ``DIFFERENCES`` or another text. ``part`` is the part of the dialogue to which the
+    expected ``step`` belongs, ``rest`` are the remaining steps of the task, and ``every`` the expected parts
+    of all tasks by name.
+    """
+    expected = f"{_describe_expected(step)} {part.position}"
     hint = "plan again to write complete programs"
     if not rest:
         return Issue(
-            DIALOGUE, f"{task.name}: {need} is missing", arm=task.arm.name, file=task.name, hint=hint
+            DIALOGUE, f"{task.name}: {expected} is missing", arm=task.arm.name, file=task.name, hint=hint
         )
-    got = rest[0]
+    entry = rest[0]
     if why in DIFFERENCES:
         if any(_matches(other, step) for other in rest[1:8]):
-            why = f"is not expected before {need}"
-        elif _matches_any(got, [DialoguePart(part.position, part.steps)]) or _matches_later(
-            got, step, every[task.name]
+            why = f"is not expected before {expected}"
+        elif _matches_any(entry, [DialoguePart(part.position, part.steps)]) or _matches_later(
+            entry, step, every[task.name]
         ):
-            why = f"appears where {need} is missing"
+            why = f"appears where {expected} is missing"
         else:
-            why = f"differs from what is expected: {need}"
+            why = f"differs from what is expected: {expected}"
     else:
-        why = f"{why}; expected: {need}"
+        why = f"{why}; expected: {expected}"
     return step_issue(
-        DIALOGUE, f"{_describe_entry(got)} {_describe_position(got)} {why}", task, got.step, hint
+        DIALOGUE, f"{_describe_entry(entry)} {_describe_position(entry)} {why}", task, entry.step, hint
     )
 
 
 def _matches(entry: OperatorStep, step: DialogueStep) -> bool:
-    """Return whether an entry by itself matches an expected step, whatever its position."""
+    """Return whether an entry alone matches an expected step. Its position does not count."""
     if entry.kind != step.kind:
         return False
     if step.sentence is not None:
@@ -271,7 +280,7 @@ def _matches_any(entry: OperatorStep, parts: Sequence[DialoguePart]) -> bool:
 
 
 def _matches_later(entry: OperatorStep, step: DialogueStep, parts: Sequence[DialoguePart]) -> bool:
-    """Return whether an entry is expected after a step that is missing."""
+    """Return whether an entry matches an expected step after ``step``, which is missing, in the same task."""
     steps = [later_step for part in parts for later_step in part.steps]
     position = next(k for k, later_step in enumerate(steps) if later_step is step)
     return any(_matches(entry, later_step) for later_step in steps[position + 1 :])
@@ -314,7 +323,7 @@ def _describe_position(entry: OperatorStep) -> str:
 
 
 def _check_side_paths(context: Context, task: TaskText) -> Iterator[Issue]:
-    """Check what is shown in error handlers, in UNDO, and where a program branches at run time."""
+    """Check the messages in error handlers, in UNDO, and in branches that are decided at run time."""
     for (module, procedure), block in task.handlers.items():
         yield from _check_handler(task, module, block, dialogue.handler_texts(context, task, procedure))
     for block in task.undos.values():
@@ -326,11 +335,11 @@ def _check_side_paths(context: Context, task: TaskText) -> Iterator[Issue]:
     allowed = dialogue.branch_texts(context, task)
     for step, ends in _run_time_steps(task.steps):
         if isinstance(step, MessageStep) and not (ends and any(_shows(step, *text) for text in allowed)):
-            what = f"{step.kind} {step.text!r} is shown only if a run-time condition holds"
-            yield step_issue(DIALOGUE, what, task, step, "show it always, or remove it")
+            message = f"{step.kind} {step.text!r} is shown only if a run-time condition holds"
+            yield step_issue(DIALOGUE, message, task, step, "show it always, or remove it")
         elif isinstance(step, WaitStep) and (step.signal or step.pause or step.seconds is None):
-            what = "a run-time condition decides whether the program waits here"
-            yield step_issue(DIALOGUE, what, task, step, "remove the wait")
+            message = "a run-time condition decides whether the program waits here"
+            yield step_issue(DIALOGUE, message, task, step, "remove the wait")
 
 
 def _check_handler(
@@ -344,22 +353,22 @@ def _check_handler(
             (k + 1 for k in range(len(lines)) if match_sentence(sentence, figures, lines[: k + 1]).matches), 0
         )
         if not count:
-            need = sentence_of(sentence, figures)
-            got = f"shows {lines[0]!r} where" if lines else "does not show"
-            what = f"an error handler {got} {need!r}{' is expected' if lines else ''}"
+            expected = sentence_of(sentence, figures)
+            found = f"shows {lines[0]!r} where" if lines else "does not show"
+            message = f"an error handler {found} {expected!r}{' is expected' if lines else ''}"
             step = shown[0] if shown else None
             file = f"{task.name}/{module}"
             yield (
-                step_issue(DIALOGUE, what, task, step)
+                step_issue(DIALOGUE, message, task, step)
                 if step is not None
-                else Issue(DIALOGUE, what, arm=task.arm.name, file=file)
+                else Issue(DIALOGUE, message, arm=task.arm.name, file=file)
             )
             return
         for step in shown[:count]:
-            wrong = _handler_line_fault(step, sentence)
-            if wrong:
+            fault = _handler_line_fault(step, sentence)
+            if fault:
                 yield step_issue(
-                    DIALOGUE, f"{step.kind} {step.text!r} in an error handler {wrong}", task, step
+                    DIALOGUE, f"{step.kind} {step.text!r} in an error handler {fault}", task, step
                 )
                 return
         del shown[:count]
@@ -368,6 +377,10 @@ def _check_handler(
 
 
 def _handler_line_fault(step: MessageStep, sentence: Sentence) -> str:
+    """Return the fault of a message in an error handler that shows a sentence, "" if there is none.
+
+    It must be a line of the panel, with the error's number and the condition that belong to the sentence.
+    """
     if step.panel != "line":
         return "is not a line of the panel"
     expected_options = (("num", "ERRNO"),) if sentence is sentences.FAILED else ()
@@ -381,8 +394,8 @@ def _handler_line_fault(step: MessageStep, sentence: Sentence) -> str:
 
 
 def _run_time_steps(steps: Sequence[ProgramStep]) -> Iterator[tuple[ProgramStep, bool]]:
-    """Yield the steps of branches and loops that are decided at run time, and whether their branch ends the
-    program.
+    """Yield the steps in branches and loops that are decided at run time, each with whether its branch ends
+    the program.
     """
     for step in steps:
         if isinstance(step, ChoiceStep):
@@ -395,6 +408,7 @@ def _run_time_steps(steps: Sequence[ProgramStep]) -> Iterator[tuple[ProgramStep,
 
 
 def _shows(step: MessageStep, sentence: Sentence, figures: dict[str, float | str | None]) -> bool:
+    """Return whether a message is one line of the panel that shows a sentence with given values."""
     return (
         step.panel == "line" and not step.options and match_sentence(sentence, figures, [step.text]).matches
     )

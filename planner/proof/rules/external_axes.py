@@ -27,9 +27,9 @@ from planner.proof.rule import RuleOutcome, mm, rule, step_issue
 from planner.proof.rules.setups_and_frames import FRAME_TOLERANCE_M, FRAME_TOLERANCE_RAD, at_home
 
 BLIND_AXIS_SPEED_M_S = 0.25
-"""Maximum speed [m/s] of a track, and of what a turntable carries, because people may be near."""
+"""Maximum speed [m/s] of a track, and of all that a turntable carries, because people may be near."""
 SPEED_SLACK_FACTOR = 1.0 + 1e-6
-"""Factor by which speeds may exceed their limit, because they are rounded."""
+"""Ratio of a speed to its limit that is allowed, because speeds are rounded."""
 HOME_TOLERANCES = {"mm": 1.0, "deg": 0.1}
 """Maximum distance of an axis from home where a program starts, by the unit of its values."""
 EXTERNAL_AXES = "verify.external_axes"
@@ -37,7 +37,7 @@ EXTERNAL_AXES = "verify.external_axes"
 
 
 def with_text_stations(context: Context) -> Context:
-    """Return the proof of the problem whose axes have the values of the text's targets."""
+    """Return the context of the same programs with the problem's stations replaced by those of the text."""
     if not context.is_replayable or not context.stations:
         return context
     return context.with_changes(context.problem.with_stations(context.stations))
@@ -75,7 +75,7 @@ def external_axes(context: Context) -> RuleOutcome:
 
 
 def _axis_values(context: Context, axis: TaskAxis) -> list[float]:
-    """Return the values [m, rad] of an axis in the setups."""
+    """Return the values [m, rad] of an axis in the setups that have one."""
     values = (setup.axis_values.get(axis.station_name) for setup in context.setups)
     return [value for value in values if value is not None]
 
@@ -98,113 +98,108 @@ def _check_home_checks(context: Context, task: TaskText, axes: Sequence[TaskAxis
             language_of_task(task).external_axes.checks_home(context, axis, check) for check in checks
         )
         if not is_checked:
-            what = f"an arm moves, but the program does not check right before that {axis.label} is at home"
+            message = (
+                f"an arm moves, but the program does not check right before that {axis.label} is at home"
+            )
             move = steps[first] if first < len(steps) else None
-            yield step_issue(EXTERNAL_AXES, f"{what} ({axis.format_value(axis.home)})", task, move)
+            yield step_issue(EXTERNAL_AXES, f"{message} ({axis.format_value(axis.home)})", task, move)
 
 
 def _check_values(context: Context, task: TaskText, axes: Sequence[TaskAxis]) -> Iterator[Issue]:
-    """Check the values of external axes, and their moves."""
+    """Check the values of a task's external axes, and the moves in which they change, in order."""
     previous: MoveStep | None = None
     moved: set[TaskAxis] = set()  # axes that moved in this setup
     last = {axis.column: axis.home for axis in axes}
-    previous_stage, setup_index, is_clear, confirmation_stage = (
-        -1,
-        -1,
-        False,
-        0,
-    )  # since: stage of the confirmation before the axes move
+    previous_stage, setup_index = -1, -1
+    is_clear = False  # whether the operator has confirmed to keep clear, and only axes have moved since
+    confirmation_stage = 0  # stage of the last confirmation before the axes move
     done_orders: list[tuple[int, int]] = []  # prescribed order of the axes that moved in this setup
     for number, stage in enumerate(context.job.stages):
         index = int(context.spans.of_stage[number])
         for move in stage.moves(task.name):
-            wrong = _target_fault(move, axes, language_of_task(task).external_axes)
-            if wrong:
-                yield step_issue(EXTERNAL_AXES, wrong, task, move)
+            target_fault = _target_fault(move, axes, language_of_task(task).external_axes)
+            if target_fault:
+                yield step_issue(EXTERNAL_AXES, target_fault, task, move)
                 return  # later poses are unknown
             values = {axis: axis.scale * float(move.target.external[axis.column]) for axis in axes}
             coordinated = [axis for axis in axes if axis.follow_fraction is not None and not move.by_joints]
             changed = [axis for axis in axes if abs(values[axis] - last[axis.column]) > AXIS_VALUE_TOLERANCE]
-            moving = [
-                axis for axis in changed if axis not in coordinated
-            ]  # verify.track_along checks the others
-            done_orders, moved, is_clear, setup_index = (
-                (done_orders, moved, is_clear, setup_index)
-                if index == setup_index
-                else ([], set(), False, index)
-            )
+            # verify.track_along checks the coordinated axes.
+            moving = [axis for axis in changed if axis not in coordinated]
+            if index != setup_index:
+                done_orders, moved, is_clear, setup_index = [], set(), False, index
             confirmation_stages = [
                 question.stage
                 for question in context.spans.confirmations[index]
                 if previous_stage < question.stage < number
             ]
-            is_clear, confirmation_stage = (
-                is_clear or bool(confirmation_stages),
-                max(confirmation_stages, default=confirmation_stage),
-            )
-            orders = [
-                motion_order(axes, axis_order, last[axis_order.column], values[axis_order])
-                for axis_order in moving
-            ]
-            in_turn = (
+            is_clear = is_clear or bool(confirmation_stages)
+            confirmation_stage = max(confirmation_stages, default=confirmation_stage)
+            orders = [motion_order(axes, axis, last[axis.column], values[axis]) for axis in moving]
+            is_in_order = (
                 is_clear
                 and not moved & set(moving)
-                and (not done_orders or all(done_orders[-1] < axis_order for axis_order in orders))
+                and (not done_orders or all(done_orders[-1] < order for order in orders))
             )
             done_orders, moved = [*done_orders, *orders], moved | set(moving)
             is_clear = is_clear and bool(moving)  # no other move may come between confirmation and axis moves
             if len(moving) > 1:
-                what = f"{' and '.join(axis.label for axis in moving)} move at the same time, not one by one"
-                yield step_issue(EXTERNAL_AXES, what, task, move)
+                message = (
+                    f"{' and '.join(axis.label for axis in moving)} move at the same time, not one by one"
+                )
+                yield step_issue(EXTERNAL_AXES, message, task, move)
             for axis in axes:
                 value = values[axis]
                 is_moving = axis in moving
                 if previous is None or is_moving:
-                    is_announced = previous is None or in_turn
-                    for what in _check_axis_move(context, task, axis, previous, move):
-                        yield step_issue(EXTERNAL_AXES, what, task, move)
+                    is_announced = previous is None or is_in_order
+                    for fault in _check_axis_move(context, task, axis, previous, move):
+                        yield step_issue(EXTERNAL_AXES, fault, task, move)
                     if stage.synchronised:
                         yield step_issue(
                             EXTERNAL_AXES, f"{axis.label} moves together with other arms", task, move
                         )
                     if not is_announced:
-                        what = (
+                        message = (
                             f"{axis.label} moves within setup {index + 1} without a confirmation to keep "
                             "clear"
                         )
-                        what += ", or out of order" if len(axes) > 1 else ""
-                        yield step_issue(EXTERNAL_AXES, what, task, move)
+                        message += ", or out of order" if len(axes) > 1 else ""
+                        yield step_issue(EXTERNAL_AXES, message, task, move)
                 if is_moving:
                     for other in _arms_away_from_home(context, task, number, confirmation_stage):
                         yield step_issue(EXTERNAL_AXES, f"{axis.label} moves while {other}", task, move)
                 if previous is None and is_moving:
-                    what = f"the first move takes {axis.label} to {axis.format_value(value)}, not home "
-                    yield step_issue(EXTERNAL_AXES, f"{what}({axis.format_value(axis.home)})", task, move)
+                    message = f"the first move takes {axis.label} to {axis.format_value(value)}, not home "
+                    yield step_issue(EXTERNAL_AXES, f"{message}({axis.format_value(axis.home)})", task, move)
                 # Otherwise keep the last value, so that small changes do not add up.
                 if previous is None or is_moving or axis in coordinated:
                     last[axis.column] = value
             previous, previous_stage = move, number
     for axis in axes:
         if abs(last[axis.column] - axis.home) > AXIS_VALUE_TOLERANCE:
-            what = (
+            message = (
                 f"the program ends with {axis.label} at {axis.format_value(last[axis.column])}, not at home "
             )
             yield Issue(
-                EXTERNAL_AXES, f"{what}({axis.format_value(axis.home)})", arm=task.arm.name, file=task.name
+                EXTERNAL_AXES, f"{message}({axis.format_value(axis.home)})", arm=task.arm.name, file=task.name
             )
 
 
 def _check_axis_move(
     context: Context, task: TaskText, axis: TaskAxis, previous: MoveStep | None, move: MoveStep
 ) -> Iterator[str]:
-    """Check a move that changes an external axis: arm folded at home, speed."""
-    ends = [m for m in (previous, move) if m is not None]
-    if not all(at_home(m, task.arm.data, task.arm.home) for m in ends):
+    """Check that the arm is at home before and after a move of an external axis, and the axis' speed.
+
+    Faults are yielded as texts.
+    """
+    ends = [end for end in (previous, move) if end is not None]
+    if not all(at_home(end, task.arm.data, task.arm.home) for end in ends):
         yield f"{axis.label} moves while {task.arm.name} is not at home"
     table = context.problem.cell.turntable
     if axis.station_name in (STOCK_AXIS, TILT_AXIS) and table is not None:
-        rim = max((_max_radius(s, table, axis.station_name) for s in context.setups), default=0.0)
-        max_speed = min(BLIND_AXIS_SPEED_M_S / max(rim, 1e-3), axis.speed)
+        radius = max((_max_radius(s, table, axis.station_name) for s in context.setups), default=0.0)
+        max_speed = min(BLIND_AXIS_SPEED_M_S / max(radius, 1e-3), axis.speed)
     else:
         max_speed = min(BLIND_AXIS_SPEED_M_S, axis.speed)
     speed = axis.speed_in(move)
@@ -215,9 +210,9 @@ def _check_axis_move(
 def _arms_away_from_home(context: Context, task: TaskText, number: int, since: int) -> Iterator[str]:
     """Report other arms that are not at home, or have not been since the operator's confirmation.
 
-    An arm is at home by its last move before stage ``number`` and its moves in it. It has to be so for all
-    of the time since stage ``since``, because from there on all other rules have the axes at their new
-    stations.
+    An arm is at home in stage ``number`` if its last move before it and its moves in it end at home. It must
+    have been at home since stage ``since``, that of the confirmation, because from there on all other rules
+    assume that the axes are at their new stations.
     """
     stages = context.job.stages
     for other in context.job.tasks:
@@ -233,20 +228,20 @@ def _arms_away_from_home(context: Context, task: TaskText, number: int, since: i
 
 
 def _target_fault(move: MoveStep, axes: Sequence[TaskAxis], axis_format: AxisFormat) -> str:
-    """Return what is wrong with the external axes of one target, or an empty text.
+    """Return the fault of the external axes of one target as a text, "" if there is none.
 
     Args:
         move: Move to the target.
         axes: Axes that the task moves.
         axis_format: How the language states external axes.
     """
-    outer, names = move.target.external, " and ".join(axis.label for axis in axes)
-    others = np.delete(outer, [axis.column for axis in axes])
+    external, names = move.target.external, " and ".join(axis.label for axis in axes)
+    others = np.delete(external, [axis.column for axis in axes])
     unused = np.abs(others - UNUSED_AXIS) <= 1e3
-    if not np.isfinite(outer).all() or not (unused | (axis_format.zero_is_unused & (others == 0.0))).all():
+    if not np.isfinite(external).all() or not (unused | (axis_format.zero_is_unused & (others == 0.0))).all():
         return f"the target has values for axes other than {names}, which do not exist"
     for axis in axes:
-        value = float(outer[axis.column])
+        value = float(external[axis.column])
         if abs(value) >= MAX_EXTERNAL_VALUE:
             return f"the target has no value of {axis.label} ({axis_format.names[axis.column]})"
         position = axis.scale * value
@@ -262,7 +257,7 @@ def _target_fault(move: MoveStep, axes: Sequence[TaskAxis], axis_format: AxisFor
 
 
 def _check_carried_bodies(context: Context) -> Iterator[Issue]:
-    """Report bodies of setups that are not where the axes under arms carry those of the problem.
+    """Report bodies of setups that are not where the axes that carry arms take them from the problem's poses.
 
     The positions are sums of the axis motions, computed independently of the planner.
     """
@@ -279,17 +274,18 @@ def _check_carried_bodies(context: Context) -> Iterator[Issue]:
                         for a, b in zip(at_zero[name].shapes, in_setup[name].shapes, strict=True)
                     )
                     if deviation > AXIS_VALUE_TOLERANCE:
-                        what = f"{name} is not where {rail.label} carries it in setup {index + 1}"
-                        yield Issue(EXTERNAL_AXES, what, arm=arm.name)
+                        message = f"{name} is not where {rail.label} carries it in setup {index + 1}"
+                        yield Issue(EXTERNAL_AXES, message, arm=arm.name)
 
 
 # ---- turntables ----
 
 
 def _check_table_arm(context: Context, table: Turntable) -> Iterator[Issue]:
+    """Report a turntable whose arm has no program."""
     if all(task.arm.name != table.arm for task in context.job.tasks):
-        what = f"{table.unit} is moved by the program of {table.arm}, which is missing"
-        yield Issue(EXTERNAL_AXES, what, arm=table.arm)
+        message = f"{table.unit} is moved by the program of {table.arm}, which is missing"
+        yield Issue(EXTERNAL_AXES, message, arm=table.arm)
 
 
 def _check_stock_on_table(context: Context, table: Turntable) -> Iterator[Issue]:
@@ -306,20 +302,20 @@ def _check_stock_on_table(context: Context, table: Turntable) -> Iterator[Issue]
             value = context.stations.get(number, {}).get(STOCK_AXIS, np.nan)
             tilt = context.stations.get(number, {}).get(TILT_AXIS, tilt if table.tilt is None else np.nan)
         if zero_pose is None or stock_pose is None or not np.isfinite(value + tilt):
-            what = f"the programs do not state the position of {table.unit} in setup {index + 1}"
-            yield Issue(EXTERNAL_AXES, what, hint=f"state a value of {table.unit} in each target")
+            message = f"the programs do not state the position of {table.unit} in setup {index + 1}"
+            yield Issue(EXTERNAL_AXES, message, hint=f"state a value of {table.unit} in each target")
             continue
         distance, angle = stock_deviation(table, zero_pose, (value, tilt), stock_pose)
         if distance > 2.0 * FRAME_TOLERANCE_M or angle > 2.0 * FRAME_TOLERANCE_RAD:
             shown = " and ".join(f"{np.rad2deg(v):g}" for v in (value, tilt)[: len(table.axes)])
-            what = f"{table.unit} at {shown} deg puts the block {mm(distance):.4f} mm and "
-            what += f"{np.rad2deg(angle):.4f} deg away from its frame in setup {index + 1}"
-            yield Issue(EXTERNAL_AXES, what, value=mm(distance), limit=mm(FRAME_TOLERANCE_M), unit="mm")
+            message = f"{table.unit} at {shown} deg puts the block {mm(distance):.4f} mm and "
+            message += f"{np.rad2deg(angle):.4f} deg away from its frame in setup {index + 1}"
+            yield Issue(EXTERNAL_AXES, message, value=mm(distance), limit=mm(FRAME_TOLERANCE_M), unit="mm")
         for name in _misplaced_bodies(context, setup, table, tilt):
-            what = (
+            message = (
                 f"{name} is not where {table.unit} at {np.rad2deg(tilt):g} deg puts it in setup {index + 1}"
             )
-            yield Issue(EXTERNAL_AXES, what)
+            yield Issue(EXTERNAL_AXES, message)
 
 
 def zero_stock_pose(context: Context, index: int) -> FloatArray | None:
@@ -333,7 +329,7 @@ def zero_stock_pose(context: Context, index: int) -> FloatArray | None:
 
 
 def _misplaced_bodies(context: Context, setup: Setup, table: Turntable, tilt: float) -> Iterator[str]:
-    """Yield the bodies of a setup that are not where a positioner's tilt puts those of the problem."""
+    """Yield the names of tilted bodies whose poses in a setup do not follow from the tilt [rad]."""
     in_setup = {body.name: body for body in setup.cell.obstacles}
     for body in context.problem.cell.obstacles:
         if table.tilt is not None and body.name in table.tilted_bodies:
@@ -347,7 +343,7 @@ def _misplaced_bodies(context: Context, setup: Setup, table: Turntable, tilt: fl
 def stock_deviation(
     table: Turntable, zero_pose: FloatArray, values: tuple[float, float], stock_pose: FloatArray
 ) -> tuple[float, float]:
-    """Return the deviation of the block from where a positioner puts it.
+    """Return the deviation of the block from the pose in which a turntable or positioner puts it.
 
     The expected pose is the one at values 0, rotated about the turn axis and then about the tilt axis.
 
@@ -358,7 +354,8 @@ def stock_deviation(
         stock_pose: Pose (4, 4) of the block.
 
     Returns:
-        Distance [m] of the origins, and angle [rad, approximately] from the ends of the axes.
+        Distance [m] of the origins, and approximate angle [rad] from the differences of the unit vectors. A
+        rotation by a small angle t moves the ends of three unit vectors by sqrt(2) t together.
     """
     tips = np.concatenate([np.zeros((1, 3)), np.eye(3)])
     expected = zero_pose[:3, 3] + tips @ zero_pose[:3, :3].T
@@ -383,9 +380,9 @@ def rotated_points(axis: RotaryAxis, value: float, points: FloatArray) -> FloatA
 def _max_radius(setup: Setup, table: Turntable, name: str) -> float:
     """Return the largest distance [m] from an axis to what it carries in a setup.
 
-    Carried are block and support, and what is tilted with them. Tilting does not move the block farther
-    from the turn axis, so both are measured where the turn axis is upright. The tilt axis carries the block
-    as the turn axis has it then.
+    An axis carries block and support, and the tilt axis also the bodies that are tilted with them. All are
+    measured with the tilt axis at 0, because tilting does not move the block farther from the turn axis. For
+    the tilt axis, the block has the turn of the setup.
     """
     stock, stock_pose, axis = setup.stock, setup.stock.place, table.axes[name]
     if stock_pose is None:

@@ -1,7 +1,7 @@
 """verify.handshake: two controllers that share only digital signals.
 
-The findings of the model check are put into words: arms, lines of programs, signals, and which waits for
-which.
+The findings of the model check become messages with arms, lines of programs and signals, which state which
+program waits for which signal.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,11 +25,11 @@ from planner.proof.language_contribution import job_issues, language_of_task
 from planner.proof.rule import RuleOutcome, rule, step_issue
 
 MAX_EVENTS_SHOWN = 6
-"""Number of events that are shown of the path to a fault."""
+"""Maximum number of events before a fault that its message shows."""
 
 
 class HandshakeMessages:
-    """Messages about two programs.
+    """Messages about faults that the model check finds in two programs.
 
     Attributes:
         arms: Names of the arms in the order of the check.
@@ -59,7 +59,7 @@ class HandshakeMessages:
         return f"{describe(finding)}.{path}"
 
     def step(self, finding: HandshakeFault) -> tuple[int, ProgramStep | None]:
-        """Return the program and the step at which a fault is best looked for."""
+        """Return the index of the program, and the step, at which a fault is reported."""
         for program in (finding.program, 1 - finding.program):
             action = self._action(program, finding.positions[program])
             if action is not None:
@@ -72,14 +72,16 @@ class HandshakeMessages:
         return f"{self.arms[event.program]} {self._describe_action(event.program, action)}"
 
     def _action(self, program: int, action_index: int) -> AutomatonAction | None:
-        row = self.actions[program]
-        return row[action_index] if action_index < len(row) else None
+        """Return an action of a program, None if the program is at its end."""
+        actions = self.actions[program]
+        return actions[action_index] if action_index < len(actions) else None
 
     def _line_text(self, program: int, action: AutomatonAction) -> str:
         step = self.steps[program][action.line]
         return f"(line {step.line} of {step.module})"
 
     def _describe_action(self, program: int, action: AutomatonAction | None) -> str:
+        """Describe an action that a program has done."""
         if action is None:
             return "is at its end"
         at = self._line_text(program, action)
@@ -101,6 +103,7 @@ class HandshakeMessages:
                 return f"gets the answer that the other arm is ready {at}"
 
     def _describe_state(self, program: int, finding: HandshakeFault) -> str:
+        """Describe the action that a program is about to do at a fault."""
         arm, action = self.arms[program], self._action(program, finding.positions[program])
         if action is None:
             return f"{arm} is at its end"
@@ -164,7 +167,7 @@ HANDSHAKE = "verify.handshake"
 MAX_FAULTS = 20
 """Maximum number of faults that are reported per program."""
 _BOTH_RUNNING_WIRES_WORK: Final = ("works", "works")
-"""State of the running wires of both arms as they should be."""
+"""State of the running wires of both arms if neither is stuck."""
 _MODEL_CASES: Final[tuple[tuple[bool, tuple[RunningWire, RunningWire] | None], ...]] = (
     (True, None),
     (False, None),
@@ -175,8 +178,9 @@ _MODEL_CASES: Final[tuple[tuple[bool, tuple[RunningWire, RunningWire] | None], .
     (True, _BOTH_RUNNING_WIRES_WORK),
     (False, _BOTH_RUNNING_WIRES_WORK),
 )
-"""Cases of the model check: whether the operator obeys, and the state of the running wires.
-Cases that find most at least cost come first, those with stops at any instant last.
+"""Cases of the model check: whether the operator starts and confirms as instructed, and the state of the
+running wires. None stands for programs that are never stopped. Cases that are cheap and find most faults come
+first.
 """
 
 
@@ -189,22 +193,23 @@ def handshake(context: Context) -> RuleOutcome:
     whenever it moves or has power. However two of them are stopped, paused and restarted, none works
     while the other is elsewhere.
     """
-    readings = context.job.automata_by_arm
-    if readings is None:
+    automata = context.job.automata_by_arm
+    if automata is None:
         return RuleOutcome(nothing="one controller")
     wiring = stages.controller_wiring(context.problem)
     issues = _check_unsuitable_work(context)
     issues += _check_wiring(context, wiring)
     for task in context.job.tasks:
         issues += [
-            step_issue(HANDSHAKE, what, task, step) for what, step in readings[task.name].faults[:MAX_FAULTS]
+            step_issue(HANDSHAKE, fault, task, step)
+            for fault, step in automata[task.name].faults[:MAX_FAULTS]
         ]
     if len(context.job.tasks) != 2:
         for task in context.job.tasks:
-            unanswered = [a for a in readings[task.name].actions if a.kind in ("set", "wait")]
-            what = "no other program answers this signal"
+            unanswered = [action for action in automata[task.name].actions if action.kind in ("set", "wait")]
+            message = "no other program answers this signal"
             issues += [
-                step_issue(HANDSHAKE, what, task, task.steps[action.line]) for action in unanswered[:1]
+                step_issue(HANDSHAKE, message, task, task.steps[action.line]) for action in unanswered[:1]
             ]
         return RuleOutcome(tuple(issues), nothing="one program")
     issues += job_issues(HANDSHAKE, context)
@@ -215,64 +220,72 @@ def handshake(context: Context) -> RuleOutcome:
         states += restart_states
     issues += model_issues
     issues += _check_meeting_counts(context) if not model_issues else []
-    meetings = max((reading.interval[-1] for reading in readings.values() if reading.interval), default=0)
+    meetings = max(
+        (automaton.interval[-1] for automaton in automata.values() if automaton.interval), default=0
+    )
     return RuleOutcome(tuple(issues), where=f"{meetings} meetings, {states} states")
 
 
 def _check_model(context: Context, wiring: Wiring, faulty: bool) -> tuple[list[Issue], int]:
-    """Check the product of both automata.
+    """Check all states of both programs together (the product of their automata), case by case.
+
+    The first case with a fault ends the check.
 
     Args:
         context: The proof.
         wiring: Signal wires of the cell.
-        faulty: Whether the programs have faults already. Then only the cheap cases are checked.
+        faulty: Whether the programs are known to have faults. Then only the cheap cases are checked.
 
     Returns:
-        Issues, and the number of states.
+        Issues of the first case with a fault, and the number of states that were examined.
     """
-    readings = context.job.automata_by_arm or {}
+    automata = context.job.automata_by_arm or {}
     tasks = context.job.tasks
     arms = [task.name for task in tasks]
-    words = HandshakeMessages(arms, readings, {task.name: task.steps for task in tasks}, wiring.wires)
-    programs = ProgramProduct([readings[arm].actions for arm in arms])
+    messages = HandshakeMessages(arms, automata, {task.name: task.steps for task in tasks}, wiring.wires)
+    programs = ProgramProduct([automata[arm].actions for arm in arms])
     states = 0
     for gates, running in _MODEL_CASES[:2] if faulty else _MODEL_CASES:
         verdict = check_handshake(programs, len(wiring.wires), gates, running=running)
         states += verdict.states
         issues = []
         for finding in verdict.findings:
-            program, step = words.step(finding)
+            program, step = messages.step(finding)
             early = not gates and running in (None, _BOTH_RUNNING_WIRES_WORK)
             hint = "this happens if the operator starts or confirms too early" if early else None
-            issues.append(step_issue(HANDSHAKE, words.message(finding), tasks[program], step, hint))
+            issues.append(step_issue(HANDSHAKE, messages.message(finding), tasks[program], step, hint))
         if issues:
             return issues, states
     return [], states
 
 
 def _check_meeting_counts(context: Context) -> list[Issue]:
-    """Report programs that are sound by themselves but count different numbers of meetings."""
-    counts = {name: r.interval[-1] for name, r in (context.job.automata_by_arm or {}).items() if r.interval}
+    """Report programs with different numbers of meetings."""
+    counts = {
+        name: automaton.interval[-1]
+        for name, automaton in (context.job.automata_by_arm or {}).items()
+        if automaton.interval
+    }
     if len(set(counts.values())) < 2:
         return []
-    what = ", ".join(f"{name} meets {count} times" for name, count in counts.items())
-    return [Issue(HANDSHAKE, f"the programs have different numbers of meetings: {what}")]
+    count_texts = ", ".join(f"{name} meets {count} times" for name, count in counts.items())
+    return [Issue(HANDSHAKE, f"the programs have different numbers of meetings: {count_texts}")]
 
 
 def _check_wiring(context: Context, wiring: Wiring) -> list[Issue]:
-    """Report faults of the cell's wires, and signals that the controllers share by name only."""
+    """Report faults of the cell's signal wires, and signals of power sources that both controllers switch."""
     issues = [Issue(HANDSHAKE, f"{name} has two wires; each end takes one") for name in wiring.doubled]
     arms = {arm.name for arm in context.problem.cell.arms}
     running_wires = {(wire.source, wire.sink) for wire in wiring.running}
     for task in context.job.tasks:
         for other in context.job.tasks:
             if task is not other and (task.name, other.name) not in running_wires:
-                what = f"no wire tells the controller of {other.name} that the program of {task.name} runs"
-                issues.append(Issue(HANDSHAKE, f"{what}; a stop of {task.name} would go unnoticed"))
+                message = f"no wire tells the controller of {other.name} that the program of {task.name} runs"
+                issues.append(Issue(HANDSHAKE, f"{message}; a stop of {task.name} would go unnoticed"))
     for wire in (*wiring.wires, *wiring.running):
         if not {wire.source, wire.sink} <= arms or wire.source == wire.sink:
-            what = f"the wire from {wire.output} of {wire.source} to {wire.input} of {wire.sink}"
-            issues.append(Issue(HANDSHAKE, f"{what} does not connect the controllers of two arms"))
+            message = f"the wire from {wire.output} of {wire.source} to {wire.input} of {wire.sink}"
+            issues.append(Issue(HANDSHAKE, f"{message} does not connect the controllers of two arms"))
     power: dict[str, str] = {}
     for task in context.job.tasks:
         driven_outputs = wiring.drives[task.name]
@@ -280,24 +293,24 @@ def _check_wiring(context: Context, wiring: Wiring) -> list[Issue]:
             if isinstance(step, SignalStep) and step.signal.lower() not in driven_outputs:
                 first = power.setdefault(step.signal.lower(), task.name)
                 if first != task.name:
-                    what = f"{step.signal} is switched on both controllers, so the wire is ambiguous"
-                    issues.append(step_issue(HANDSHAKE, what, task, step))
+                    message = f"{step.signal} is switched on both controllers, so the wire is ambiguous"
+                    issues.append(step_issue(HANDSHAKE, message, task, step))
                     break
     return issues
 
 
 def _check_unsuitable_work(context: Context) -> list[Issue]:
-    """Report work that does not allow arms to be one step apart."""
+    """Report work for which both arms must be synchronous: joined arms, and work on a moving block."""
     issues = []
     hint = "use one MultiMove controller for both arms"
     for index, setup in enumerate(context.setup_claims):
         number = context.setups[index].number
         for claim in setup.joined:
-            what = (
+            message = (
                 f"setup {number}: a wire joins {' and '.join(claim.joined_arms)}; arms that are one step "
                 "apart would deform it"
             )
-            issues.append(Issue(HANDSHAKE, what, hint=hint))
+            issues.append(Issue(HANDSHAKE, message, hint=hint))
         holder = context.stock_at(index).held_by
         if holder is not None and holder not in {task.name for task in context.job.tasks}:
             holder = None
@@ -305,13 +318,17 @@ def _check_unsuitable_work(context: Context) -> list[Issue]:
             if holder is None or context.spans.of_stage[stage_number] != index or not stage.synchronised:
                 continue
             task = next(task for task in context.job.tasks if task.name == holder)
-            what = f"setup {number}: {holder} moves its held block while the other arm may be one step apart"
-            issues.append(step_issue(HANDSHAKE, what, task, stage.moves(holder)[0], hint))
+            message = (
+                f"setup {number}: {holder} moves its held block while the other arm may be one step apart"
+            )
+            issues.append(step_issue(HANDSHAKE, message, task, stage.moves(holder)[0], hint))
             break
     for task in context.job.tasks:
         for step in task.steps:
             if isinstance(step, MoveStep) and not step.wobj.fixed:
-                what = f"{step.wobj_name} is moved by {step.wobj.unit}, which belongs to another controller"
-                issues.append(step_issue(HANDSHAKE, what, task, step, hint))
+                message = (
+                    f"{step.wobj_name} is moved by {step.wobj.unit}, which belongs to another controller"
+                )
+                issues.append(step_issue(HANDSHAKE, message, task, step, hint))
                 break
     return issues

@@ -27,7 +27,7 @@ BLIND_ROTATION_RATE_RAD_S = np.deg2rad(45.0)
 BLIND_SPEED_FRACTION = 0.10
 """Maximum fraction of each axis' speed from an unknown position, for languages that state fractions."""
 SPEED_ROUNDING_FACTOR = 1.0 + 1e-6
-"""Factor by which speeds may exceed their limit, because they are rounded."""
+"""Ratio of a speed to its limit that is allowed, because speeds are rounded."""
 
 
 @rule("verify.unknown_start")
@@ -46,24 +46,28 @@ def unknown_start(context: Context) -> RuleOutcome:
         skip_reason = outcome.nothing or skip_reason
         if outcome.where:
             arms_by_speed.setdefault(outcome.where, []).append(task.arm.name)
-    words = "; ".join(f"{stated} ({', '.join(arms)})" for stated, arms in arms_by_speed.items())
-    where, nothing = f"start not known: at most {words}", "" if arms_by_speed else skip_reason
+    speeds = "; ".join(f"{stated} ({', '.join(arms)})" for stated, arms in arms_by_speed.items())
+    where = f"start not known: at most {speeds}"
+    nothing = "" if arms_by_speed else skip_reason
     return RuleOutcome(tuple(issues), 100.0 * worst, 100.0, "% of the speed allowed", where, nothing)
 
 
 def _check_axis_fractions(context: Context, task: TaskText) -> RuleOutcome:
-    """Check the axis speed fractions of the first move, a PTP (KRL) or movej (URScript)."""
+    """Check the fractions of the axes' speeds in a task's first move, a PTP (KRL) or movej (URScript)."""
     move = next((step for step in task.steps if isinstance(step, MoveStep)), None)
     if move is None:
         return RuleOutcome()
     if move.speed.axes is None:
-        what = f"{move.kind} does not state fractions of the axes' speeds; use PTP or movej"
-        return unknown_start_outcome(task, move, 0.0, [what])
-    fastest = max(move.speed.axes)
+        message = f"{move.kind} does not state fractions of the axes' speeds; use PTP or movej"
+        return unknown_start_outcome(task, move, 0.0, [message])
+    max_fraction = max(move.speed.axes)
     axis = int(np.argmax(move.speed.axes)) + 1
-    what = f"axis {axis} has {100.0 * fastest:g} % of its speed; allowed: {100.0 * BLIND_SPEED_FRACTION:g} %"
-    faults = [what] if fastest > BLIND_SPEED_FRACTION * SPEED_ROUNDING_FACTOR else []
-    return unknown_start_outcome(task, move, fastest / BLIND_SPEED_FRACTION, faults)
+    message = (
+        f"axis {axis} has {100.0 * max_fraction:g} % of its speed; allowed: {100.0 * BLIND_SPEED_FRACTION:g} "
+        "%"
+    )
+    faults = [message] if max_fraction > BLIND_SPEED_FRACTION * SPEED_ROUNDING_FACTOR else []
+    return unknown_start_outcome(task, move, max_fraction / BLIND_SPEED_FRACTION, faults)
 
 
 def unknown_start_outcome(
@@ -74,8 +78,8 @@ def unknown_start_outcome(
     Args:
         task: The task.
         move: Its first move.
-        fraction: Its speed as a fraction of the allowed one.
-        faults: What is wrong with it.
+        fraction: Speed of the move as a fraction of the allowed speed.
+        faults: Faults of the move, for messages.
     """
     issues = tuple(step_issue(UNKNOWN_START, f"start not known: {fault}", task, move) for fault in faults)
     return RuleOutcome(issues, fraction, where=_describe_speed(move))
@@ -89,12 +93,13 @@ def _describe_speed(move: MoveStep) -> str:
 
 
 _ZERO_LENGTH_M, _ZERO_ROTATION = 1e-8, 1e-9
+"""Distance [m], and difference of joints [rad] or of quaternion entries, below which a move has no length."""
 MAX_TRACK_LEAD_M = 5e-3
 """Distance [m] by which a coordinated track may start to round a corner before its tool does, as in z10.
-The replay starts both at once, so the base deviates by at most a quarter of it.
+The replay starts both roundings at once, so the base deviates by at most a quarter of this distance.
 """
 _ZONE_TOLERANCE_M = 1e-6
-"""Tolerance [m] of zone sizes: coordinates are rounded, and controllers shorten a corner that is larger."""
+"""Tolerance [m] of zone sizes, because coordinates are rounded, and controllers shorten too large corners."""
 
 
 @rule("verify.move_kinds")
@@ -112,15 +117,15 @@ def move_kinds(context: Context) -> RuleOutcome:
 
 
 def _check_accelerations(task: TaskText) -> list[Issue]:
-    """Return the joint moves that require more acceleration of their leading axis than every axis has."""
+    """Report joint moves whose acceleration of the leading axis is more than the weakest axis allows."""
     limit, out = float(np.min(task.arm.data.acceleration)), []
     for step in task.steps:
         if isinstance(step, MoveStep) and step.acceleration is not None and step.acceleration > limit:
             stated_deg, limit_deg = np.rad2deg([step.acceleration, limit])
-            what = (
+            message = (
                 f"the acceleration of the leading axis is {stated_deg:.1f} deg/s^2; allowed: {limit_deg:.1f}"
             )
-            out.append(step_issue("verify.move_kinds", what, task, step))
+            out.append(step_issue("verify.move_kinds", message, task, step))
     return out
 
 
@@ -148,16 +153,16 @@ def zone_size(context: Context) -> RuleOutcome:
             if has_coordinated_track and (
                 track_lead > MAX_TRACK_LEAD_M + _ZONE_TOLERANCE_M or move.zone.linear < 0.0
             ):
-                what = (
+                message = (
                     f"zone {move.zone_name}: the track leaves its path {mm(move.zone.external):g} mm before "
                     f"the target, the tool {mm(move.zone.tcp):g} mm; allowed: {mm(MAX_TRACK_LEAD_M):g} mm "
                     "more than the tool, and no negative length"
                 )
-                issues.append(step_issue("verify.zone_size", what, task, move))
+                issues.append(step_issue("verify.zone_size", message, task, move))
             sizes = (move.zone.tcp, move.zone.turn, move.zone.turn_angle)
             if min(sizes) < 0.0 or max(sizes) <= 0.0:
-                what = f"zone {move.zone_name} has no positive size and is not a stop point"
-                issues.append(step_issue("verify.zone_size", what, task, move))
+                message = f"zone {move.zone_name} has no positive size and is not a stop point"
+                issues.append(step_issue("verify.zone_size", message, task, move))
             adjacent = [length for length in lengths[max(i - 1, 0) : i + 1] if length is not None]
             half = 0.5 * min(adjacent) if adjacent else 0.0
             size = max(move.zone.tcp, move.zone.turn, 0.0)
@@ -179,6 +184,7 @@ def zero_length(context: Context) -> RuleOutcome:
     issues = []
     for stage in context.job.stages:
         rows = [(task, stage.moves(task.name)) for task in context.job.tasks if stage.moves(task.name)]
+        # In a synchronised stage the moves of all arms with one index count together.
         for group in [rows] if stage.synchronised else [[row] for row in rows]:
             for i in range(1, min((len(moves) for _, moves in group), default=0)):
                 still = [(task, moves[i]) for task, moves in group if _is_zero_length(moves[i - 1], moves[i])]
@@ -189,12 +195,13 @@ def zero_length(context: Context) -> RuleOutcome:
                     issues.append(step_issue("verify.zero_length", "the move has zero length", task, move))
                     continue
                 for task, move in still:
-                    what = language_of_task(task).zero_length_fault(move)
-                    issues += [step_issue("verify.zero_length", what, task, move)] if what else []
+                    message = language_of_task(task).zero_length_fault(move)
+                    issues += [step_issue("verify.zero_length", message, task, move)] if message else []
     return RuleOutcome(tuple(issues))
 
 
 def _is_zero_length(a: MoveStep, b: MoveStep) -> bool:
+    """Return whether move ``b`` starts at its own target, because move ``a`` before it ends there."""
     if isinstance(a.target, JointTarget) and isinstance(b.target, JointTarget):
         axis_moves = np.abs(a.target.external - b.target.external).max() > 0.0  # an external axis moves
         return not axis_moves and bool(np.abs(a.target.joints - b.target.joints).max() < _ZERO_ROTATION)

@@ -19,13 +19,13 @@ def order(context: Context) -> RuleOutcome:
     arm = context.job.tasks[0].arm.name
     for index in range(len(context.setups)):
         rank = _ranks(context, index)
-        last_rank, previous = -1, ""
+        last_rank, previous = -1, ""  # rank and label of the last move so far that has a rank
         for node in np.flatnonzero(setups == index):
             label = str(motion.node_segment[node])
             current = rank.get(label, last_rank)
             if current < last_rank:
-                what = f"{label} is cut after {previous}, but must come first"
-                findings.add_at_node(what, arm, node)
+                message = f"{label} is cut after {previous}, but must come first"
+                findings.add_at_node(message, arm, node)
             last_rank, previous = current, label if label in rank else previous
     return findings.outcome_without_value()
 
@@ -35,9 +35,9 @@ def _ranks(context: Context, index: int) -> dict[str, int]:
     out: dict[str, int] = {}
     for group in context.setup_claims[index].groups:
         windows = [claim.segment for claim in group if isinstance(claim, FeedWindow)]
-        fed_keys = {segment.key for segment in windows}
+        cut_keys = {segment.key for segment in windows}
         for segment in windows:
             for phase in segment.all_phases:
-                if phase.key in fed_keys:
+                if phase.key in cut_keys:
                     out.setdefault(phase.key, len(out))
     return out

@@ -1,9 +1,9 @@
 """verify.part_file: the simulated part against the part that the proof itself reads from the part files.
 
-The operations determine what is to be made, in which segments and how well. The surfaces come from the
-proof's own readers (`part_files`) and the problem's numbers. A part is where the problem puts it. If the
-problem leaves that open, one rigid motion, without mirror or scale, has to bring all surfaces at once onto
-what the programs make, within the block.
+The operations determine which surfaces must be produced, in which segments, and with which tolerances. The
+surfaces come from the proof's own readers (`part_files`) and the problem's numbers. A part has the pose that
+the problem states. If the problem leaves the pose open, one rigid motion, without mirror or scale, must bring
+all surfaces at once onto the produced ones, within the block.
 """
 
 import dataclasses
@@ -34,12 +34,12 @@ from planner.proof.rule import RuleOutcome, measured_issue, mm, rule
 PART_FILE: Final = "verify.part_file"
 """Code of this rule."""
 MIN_POINTS: Final = 500
-"""Minimum number of points of a file that are compared."""
+"""Minimum number of points of a surface that are compared."""
 MIN_POINTS_BESIDE_STRIP: Final = 100
 """Minimum number of points that are compared if the operation leaves out a strip along the edge."""
 FRACTION_TOLERANCE: Final = 0.03
-"""Tolerance of the fraction of good points: 600 points estimate a fraction within 3 % (three standard
-deviations at 95 %).
+"""Tolerance of the fraction of points within tolerance. 600 points estimate a fraction of 95 % within 3 %,
+which are three standard deviations.
 """
 READING_TOLERANCE_M: Final = 2e-5
 """Tolerance [m] between two readings of a curve, which follow it within 0.01 mm each."""
@@ -54,11 +54,11 @@ class _PartFileFindings:
     """Findings of the rule so far.
 
     Attributes:
-        issues: What is wrong.
+        issues: Issues that were found.
         point_counts: Number of compared points by file.
-        margin: Smallest margin of the fraction of good points.
-        fraction: Fraction of good points there.
-        limit: Required fraction there.
+        margin: Smallest difference, of all surfaces, of the fraction of good points and the required one.
+        fraction: Fraction of good points of that surface.
+        limit: Required fraction of that surface.
     """
 
     issues: list[Issue] = dataclasses.field(default_factory=list)
@@ -68,7 +68,7 @@ class _PartFileFindings:
     limit: float = 1.0
 
     def record(self, file: str, count: int, fraction: float, limit: float) -> None:
-        """Count points of a file, with the fraction of good points and the required one."""
+        """Record compared points of a file, the fraction of good points, and the required fraction."""
         self.point_counts[file] = self.point_counts.get(file, 0) + count
         if fraction - limit < self.margin:
             self.margin, self.fraction, self.limit = fraction - limit, fraction, limit
@@ -101,31 +101,31 @@ def part_file(context: Context) -> RuleOutcome:
         elif part:
             _compare_surfaces(context, part, findings)
         elif context.problem.part is not None and context.problem.source:  # without: a part built in Python
-            what = (
+            message = (
                 "the problem has a part that its file does not state. State it there, or remove the file "
                 "(source={}) for a problem of values alone"
             )
-            findings.issues.append(Issue(PART_FILE, what, field="part"))
+            findings.issues.append(Issue(PART_FILE, message, field="part"))
     except UnreadError as error:
         findings.issues.append(Issue(PART_FILE, f"{error}; export it again, or convert it", field="part"))
     return findings.outcome()
 
 
 def _compare_surfaces(context: Context, part: Any, findings: _PartFileFindings) -> None:
-    """Compare the surfaces of a part with what the programs make."""
+    """Compare the surfaces of a part as read with the surfaces that the programs produce."""
     block = np.asarray(context.problem.stock.size)
     producers = [
-        produced.surface_producer
-        for produced in of_processes(context.problem)
-        if produced.surface_producer is not None
+        contribution.surface_producer
+        for contribution in of_processes(context.problem)
+        if contribution.surface_producer is not None
     ]
     required = [
-        produced
+        required_surface
         for operation in context.problem.operations
-        for reading in producers
-        for produced in reading.required(operation)
+        for producer in producers
+        for required_surface in producer.required(operation)
     ]
-    names = {produced.name for produced in required}
+    names = {required_surface.name for required_surface in required}
     surfaces = part_surfaces(part, float(block[2]), not names.isdisjoint((ALL_RULED, "edges")))
     pose_in_stock = _stated_pose(part, surfaces, block)
     pairs = _match_surfaces(
@@ -145,10 +145,10 @@ def _compare_surfaces(context: Context, part: Any, findings: _PartFileFindings) 
             continue
         # If guides can be joined in several ways, each of them satisfies the problem.
         comparisons = [
-            _SurfaceComparison(surface, produced, reading.moved(pose_in_stock), pose_in_stock)
-            for reading in surface.samples
+            _SurfaceComparison(surface, produced, samples.moved(pose_in_stock), pose_in_stock)
+            for samples in surface.samples
         ]
-        max(comparisons, key=lambda each: each.fraction).report(findings)
+        max(comparisons, key=lambda candidate: candidate.fraction).report(findings)
 
 
 def _produced_surfaces(
@@ -158,13 +158,13 @@ def _produced_surfaces(
     requested: tuple[Sequence[SurfaceProducer], Sequence[RequiredSurface]],
     findings: _PartFileFindings,
 ) -> list[ProducedSurface]:
-    """Return what the programs make of the required surfaces.
+    """Return the surfaces that the programs produce for the required ones.
 
     Args:
         context: The proof.
         part: The part as the problem file states it.
         surfaces: Surfaces of the part as read.
-        requested: Processes, and the surfaces that are required of them.
+        requested: Processes, and the required surfaces.
         findings: Findings, to which issues are added.
     """
     processes, required = requested
@@ -182,17 +182,19 @@ def _produced_surfaces(
                     name for producer in processes for name in producer.names(context) if form.fullmatch(name)
                 ]
                 if len(required_names) != len(ruled):
-                    what = f"{len(required_names)} outlines are cut; the part as read has {len(ruled)}"
+                    message = f"{len(required_names)} outlines are cut; the part as read has {len(ruled)}"
                     count = len(required_names), len(ruled), None
-                    findings.issues.append(measured_issue(PART_FILE, what, count, field="part.plate"))
+                    findings.issues.append(measured_issue(PART_FILE, message, count, field="part.plate"))
         for name in required_names:
             produced = [
-                each for producer in processes for each in producer.produced(context, required_surface, name)
+                surface
+                for producer in processes
+                for surface in producer.produced(context, required_surface, name)
             ]
             if not produced:
                 segment = Segment(required_surface.kind, name).folded
-                what = f"the problem requires {name}, but no claim covers {segment}"
-                findings.issues.append(Issue(PART_FILE, what, field=str(segment)))
+                message = f"the problem requires {name}, but no claim covers {segment}"
+                findings.issues.append(Issue(PART_FILE, message, field=str(segment)))
             out += produced
     return out
 
@@ -203,19 +205,20 @@ def _match_surfaces(
     pose_in_stock: FloatArray | None,
     findings: _PartFileFindings,
 ) -> list[tuple[PartSurface, ProducedSurface]]:
-    """Match each produced surface with the surface that was read, outlines of a plate by their position.
+    """Match each produced surface with the surface that was read; add issues for surfaces without a match.
 
-    A surface may be made more than once, roughly and then finely. Outlines, which have no names, are made
-    once each.
+    Surfaces are matched by name. A surface may be produced more than once, roughly and then finely. Outlines
+    of a plate, which have no names, are matched by position, each of them once; ``pose_in_stock`` (4, 4) is
+    None if the part's pose is open.
     """
     out: list[tuple[PartSurface, ProducedSurface]] = []
     unmatched = list(surfaces)
-    for item in produced:
-        base = item.name.split("_", 1)[0]
-        named = [surface for surface in surfaces if surface.name == item.name]
-        if named:
-            out.append((named[0], item))
-            unmatched = [surface for surface in unmatched if surface is not named[0]]
+    for surface_made in produced:
+        base = surface_made.name.split("_", 1)[0]
+        same_name = [surface for surface in surfaces if surface.name == surface_made.name]
+        if same_name:
+            out.append((same_name[0], surface_made))
+            unmatched = [surface for surface in unmatched if surface is not same_name[0]]
             continue
         candidates: list[int] = []
         if pose_in_stock is not None:
@@ -224,28 +227,29 @@ def _match_surfaces(
                 for k, surface in enumerate(unmatched)
                 if surface.name == base and base in comparison.OUTLINES
             ]
-            box = _box(item.vertices)
+            box = _box(surface_made.vertices)
             distances = [
                 np.abs(_box(unmatched[k].bound @ pose_in_stock[:3, :3].T + pose_in_stock[:3, 3]) - box).max()
                 for k in candidates
             ]
             candidates = [candidates[int(np.argmin(distances))]] if candidates else []
         if candidates:
-            out.append((unmatched.pop(candidates[0]), item))
+            out.append((unmatched.pop(candidates[0]), surface_made))
             continue
-        what = f"{item.segment} makes {item.name}, which the part as read does not have"
-        findings.issues.append(Issue(PART_FILE, what, field=item.segment))
+        message = f"{surface_made.segment} makes {surface_made.name}, which the part as read does not have"
+        findings.issues.append(Issue(PART_FILE, message, field=surface_made.segment))
     return out
 
 
 def _box(points: FloatArray) -> FloatArray:
+    """Return lower and upper corner (2, D) of the bounding box of points (N, D)."""
     return np.stack([points.min(axis=0), points.max(axis=0)])
 
 
 def _stated_pose(part: Any, surfaces: Sequence[PartSurface], block: FloatArray) -> FloatArray | None:
     """Return the part's frame (4, 4) in the block's frame, or None if the problem leaves it open.
 
-    Outlines are in the middle of the plate, rotated by a quarter turn if they only fit so.
+    The outlines of a plate are in its middle, rotated by a quarter turn if they fit only with this rotation.
     """
     stated_pose = part.get("in_stock")
     if stated_pose is not None and not isinstance(stated_pose, str):
@@ -264,9 +268,10 @@ def _stated_pose(part: Any, surfaces: Sequence[PartSurface], block: FloatArray) 
 def _find_pose(
     surfaces: Sequence[PartSurface], pairs: Sequence[tuple[PartSurface, ProducedSurface]], block: FloatArray
 ) -> FloatArray:
-    """Find the pose of a part, in the middle of the block, that fits best to what is made.
+    """Find the pose (4, 4) of a part, in the middle of the block, that fits best to the produced surfaces.
 
-    All ways in which the guides of its surfaces may be joined are tried.
+    All ways in which the guides of its surfaces may be joined are tried, first from initial poses by axes of
+    inertia, then from all orientations.
     """
     if any(surface.part_of for surface in surfaces):
         surface, produced = pairs[0]
@@ -275,20 +280,21 @@ def _find_pose(
             on_triangles(surface.facets, np.arange(len(surface.facets)) + 1, _TARGET_POINTS),
         )
     target = [comparison.claimed_points(produced, _TARGET_POINTS // len(pairs)) for _, produced in pairs]
-    bound, centre = np.concatenate([s.bound for s in surfaces]), np.array([0.0, 0.0, 0.5 * block[2]])
+    bound = np.concatenate([surface.bound for surface in surfaces])
+    centre = np.array([0.0, 0.0, 0.5 * block[2]])
     candidates = []
     join_variants = range(max(len(surface.samples) for surface, _ in pairs))
     for all_around, k in itertools.product((False, True), join_variants):
         source = [surface.samples[min(k, len(surface.samples) - 1)] for surface, _ in pairs]
         candidate = comparison.aligned_pose(source, target, bound, centre, all_around)
         fractions = [
-            _SurfaceComparison(surface, produced, reading.moved(candidate), candidate).fraction
-            for (surface, produced), reading in zip(pairs, source, strict=True)
+            _SurfaceComparison(surface, produced, samples.moved(candidate), candidate).fraction
+            for (surface, produced), samples in zip(pairs, source, strict=True)
         ]
         candidates.append((min(fractions), candidate))
         if candidates[-1][0] >= max(produced.required.fraction for _, produced in pairs) - FRACTION_TOLERANCE:
             break
-    return max(candidates, key=lambda produced: produced[0])[1]
+    return max(candidates, key=lambda candidate: candidate[0])[1]
 
 
 def _check_found_pose(
@@ -297,8 +303,8 @@ def _check_found_pose(
     """Check that a part without a stated pose fits into the block, and that a front faces up."""
     front = next((surface for surface in surfaces if surface.name == "front"), None)
     if front is not None and float((front.samples[0].normals @ pose_in_stock[2, :3]).mean()) <= 0.0:
-        what = "the front of the part as read does not face up"
-        findings.issues.append(Issue(PART_FILE, what, field="part.in_stock"))
+        message = "the front of the part as read does not face up"
+        findings.issues.append(Issue(PART_FILE, message, field="part.in_stock"))
     if any(surface.part_of for surface in surfaces):
         return
     low, high = _box(
@@ -314,18 +320,18 @@ def _check_found_pose(
 
 
 class _SurfaceComparison:
-    """One reading of a surface, in the block's frame, against what is made.
+    """Comparison of a surface as read, in the block's frame, with the produced surface.
 
     Attributes:
         surface: Surface of the part.
-        produced: What the programs make.
-        points: Points of the surface.
-        deviation: Deviation (N,) [m] of what is made at the points.
+        produced: Surface that the programs produce.
+        points: Points of the surface as read.
+        deviation: Deviation (N,) [m] of the produced surface at the points, NaN where nothing is produced.
         limit: Allowed deviation [m].
         required: Required fraction of good points.
-        counts: Which points (N,) are off the edge strip and count.
-        good: Which points (N,) are within the limit.
-        fraction: Fraction of good points.
+        counts: Whether the points count, because they are not in the strip along the edge (N,).
+        good: Whether the deviation is within the limit (N,).
+        fraction: Fraction of good points among those that count.
     """
 
     def __init__(
@@ -350,9 +356,11 @@ class _SurfaceComparison:
             MIN_POINTS_BESIDE_STRIP if produced.required.margin > 0.0 else min(MIN_POINTS, len(self.good))
         )
         if count < min_count:
-            what = f"{count} points of {surface.name} of {surface.file} were compared; required: {min_count}"
+            message = (
+                f"{count} points of {surface.name} of {surface.file} were compared; required: {min_count}"
+            )
             findings.issues.append(
-                Issue(PART_FILE, what, field=produced.segment, value=count, limit=min_count)
+                Issue(PART_FILE, message, field=produced.segment, value=count, limit=min_count)
             )
         if self.fraction < self.required:
             deviation = np.where(self.counts, self.deviation, 0.0)
@@ -364,11 +372,11 @@ class _SurfaceComparison:
 
 @dataclasses.dataclass(frozen=True)
 class _FileDifference:
-    """Difference between a file and what is made in a segment.
+    """Difference between a file and the surface that is produced in a segment.
 
     Attributes:
         file: Name of the file.
-        segment: Segment that makes the surface.
+        segment: Segment that produces the surface.
         fraction: Fraction of points within the limit.
         required: Required fraction.
         limit: Allowed deviation [m].
@@ -385,42 +393,40 @@ class _FileDifference:
 
         Args:
             points: Points (N,) of the surface.
-            deviation: Deviations (N,) [m], NaN where nothing is made.
+            deviation: Deviations (N,) [m], NaN where nothing is produced.
         """
         k = int(np.argmax(np.where(np.isfinite(deviation), np.abs(deviation), -1.0)))
         missing = int((~np.isfinite(deviation)).sum())
         position = ", ".join(f"{mm(v):.2f}" for v in points.points[k])
-        what = (
+        message = (
             f"{self.file} as read: {100 * self.fraction:.1f} % of {len(deviation)} points are within "
             f"{mm(self.limit):.3g} mm of what is made in {self.segment}; required: {100 * self.required:g} %"
         )
         if np.isfinite(deviation[k]):
-            what += (
+            message += (
                 f"; row {points.row[k]} at {position} mm in the block deviates by "
                 f"{mm(float(deviation[k])):.3f} mm"
             )
         if missing:
-            what += f"; {missing} of them are not reached"
+            message += f"; {missing} of them are not reached"
         return measured_issue(
-            PART_FILE, what, measure_in_percent(self.fraction, self.required), field=self.segment
+            PART_FILE, message, measure_in_percent(self.fraction, self.required), field=self.segment
         )
 
 
 def _check_strip(
     surface: PartSurface, produced: ProducedSurface, pose_in_stock: FloatArray, findings: _PartFileFindings
 ) -> None:
-    """Check that what is made of a strip lies on the surface that was read, within the tolerance of the
-    problem.
-    """
+    """Check that the produced part of a strip lies on the surface as read, within the problem's tolerance."""
     if not produced.along_strips:
         return
     claimed_points = comparison.claimed_points(produced, MIN_POINTS)
     deviation = produced.deviation(claimed_points)
     points = claimed_points.points + deviation[:, None] * claimed_points.normals
-    known = np.isfinite(deviation)
+    is_produced = np.isfinite(deviation)
     facets = surface.facets @ pose_in_stock[:3, :3].T + pose_in_stock[:3, 3]
     distances = np.full(len(points), np.nan)
-    distances[known] = comparison.distance_to_facets(points[known], facets)
+    distances[is_produced] = comparison.distance_to_facets(points[is_produced], facets)
     limit = produced.required.tolerance + surface.spare + READING_TOLERANCE_M
     required = produced.required.fraction - FRACTION_TOLERANCE
     fraction = float((distances <= limit).mean())

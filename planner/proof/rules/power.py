@@ -52,7 +52,10 @@ def signals(context: Context) -> RuleOutcome:
 
 
 def _possibly_left_on(context: Context, power_signals: set[str]) -> list[Issue]:
-    """Report power that an earlier run may have left on when a task first asks or moves."""
+    """Report signals of power sources that a task does not switch off before it first asks or moves.
+
+    An earlier run may have left them on.
+    """
     issues = []
     for task in context.job.tasks:
         switched_off: set[str] = set()
@@ -63,15 +66,17 @@ def _possibly_left_on(context: Context, power_signals: set[str]) -> list[Issue]:
             elif isinstance(step, SignalStep) and step.signal.lower() in power_signals:
                 name = step.signal.lower()
                 if name not in switched_off and (first is not None or step.value):
-                    what = f"{step.signal} is not switched off first; an earlier run may have left it on"
-                    issues.append(step_issue("verify.signals", what, task, step))
+                    message = f"{step.signal} is not switched off first; an earlier run may have left it on"
+                    issues.append(step_issue("verify.signals", message, task, step))
                 switched_off.add(name)
     return issues
 
 
 def all_steps(context: Context) -> Iterator[tuple[int, TaskText, ProgramStep]]:
-    """Yield stage number, task and step of all tasks, stage by stage. Only one task switches within a
-    stage.
+    """Yield the steps of all tasks, stage by stage, each with the number of its stage and its task.
+
+    In a stage the tasks follow one another. This is the order in time of switches, as only one task switches
+    within a stage.
     """
     for number, stage in enumerate(context.job.stages):
         for task in context.job.tasks:

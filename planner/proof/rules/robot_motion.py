@@ -30,11 +30,13 @@ from planner.proof.rule import RuleOutcome, mm, rule
 from planner.proof.rules.setups_and_frames import at_home
 
 MAX_JOINT_STEP_RAD = np.deg2rad(8.0)
-"""Joint step [rad] between two samples (4 ms) above which the joint has changed its solution instead of
+"""Joint step [rad] between two samples (4 ms) above which the joint jumps to another solution instead of
 moving.
 """
 TCP_SPEED_FACTOR = 1.10
-"""Factor by which the replay's ramps may exceed the planned speed between targets."""
+"""Ratio of the tool speed to its limit that is allowed, because ramps of the replay exceed the planned
+speed.
+"""
 MAX_UNTIMED_ROTATION_RATE_RAD_S = np.deg2rad(90.0)
 """Maximum rotation rate [rad/s] that may be stated for moves without a time, because parts of a tool far
 from its TCP move with the rotation.
@@ -58,6 +60,7 @@ def corners(context: Context) -> RuleOutcome:
 def _motion_faults(
     context: Context, code: str, kinds: tuple[str, ...], hint: str | None = None
 ) -> RuleOutcome:
+    """Return the faults of the replay of some kinds as the issues of a rule."""
     findings = Findings(code, context)
     for fault in context.motion.faults:
         if fault.kind in kinds:
@@ -76,8 +79,8 @@ def continuity(context: Context) -> RuleOutcome:
             edges = zip(moves[-1:], ("last",), strict=False)
         for move, word in edges:
             if not at_home(move, task.arm.data, task.arm.home):
-                what = f"the {word} move of {task.arm.name} is not a joint move to home"
-                findings.add_at_step(what, task, move)
+                message = f"the {word} move of {task.arm.name} is not a joint move to home"
+                findings.add_at_step(message, task, move)
     for arm, q in context.motion.q.items():
         jumps = np.zeros(max(len(q) - 1, 0), dtype=bool)
         for angle in q.T:  # one axis at a time to limit memory: a long motion has many samples
@@ -161,6 +164,15 @@ def joint_acceleration(context: Context) -> RuleOutcome:
 def _check_rates(
     context: Context, code: str, word: str, rates: Callable[[str, int | slice], FloatArray], unit: str
 ) -> RuleOutcome:
+    """Check joint speeds or accelerations against the robots' limits.
+
+    Args:
+        context: The proof.
+        code: Code of the rule.
+        word: ``speed`` or ``acceleration``.
+        rates: Function for the rates (S, J) or (S,) of an arm's axes.
+        unit: Unit of the rates in messages.
+    """
     findings, motion = Findings(code, context, worst=0.0), context.motion
     for task in context.job.tasks:
         machine, arm = task.arm.data, task.arm.name
@@ -174,10 +186,10 @@ def _check_rates(
             fraction, line = trajectory_peaks(task, word == "speed")
             findings.note_highest(fraction, f"{arm}, line {line}")
             if fraction > 1.0 and not over.any():
-                what = (
+                message = (
                     f"between two points a joint of {arm} would need {100.0 * fraction:.1f} % of its {word}"
                 )
-                findings.add(what, arm=arm, line=line, file=min(task.files))
+                findings.add(message, arm=arm, line=line, file=min(task.files))
         nodes = np.unique(motion.node[over])
         fraction = np.abs(rates(arm, slice(None))) / limit if len(nodes) else np.zeros((0, len(limit)))
         for node in nodes[:200]:
@@ -264,9 +276,7 @@ def tcp_speed(context: Context) -> RuleOutcome:
 
 
 def _timed_moves(context: Context) -> BoolArray:
-    """Return the moves (K,) in which an arm runs by a stated time, or by stated fractions of its axes'
-    speeds.
-    """
+    """Return flags (K,) of the moves for which the text states a time, or fractions of the axes' speeds."""
     motion = context.motion
     out = np.zeros(len(motion.node_segment), dtype=bool)
     for number, stage in enumerate(context.job.stages):
@@ -279,12 +289,12 @@ def _timed_moves(context: Context) -> BoolArray:
 
 
 def straight_nodes(context: Context, arm: str) -> BoolArray:
-    """Return the nodes (K,) that the arm reaches by a straight move."""
+    """Return flags (K,) of the nodes that the arm reaches by a straight move."""
     return context.get(_STRAIGHT_NODES)[arm]
 
 
 def _straight_nodes(context: Context) -> dict[str, BoolArray]:
-    """Return the nodes (K,) that each arm reaches by a straight move."""
+    """Return flags (K,) of the nodes that each arm reaches by a straight move, by the name of the arm."""
     stages, out = context.motion.node_stage, {}
     for task in context.job.tasks:
         lines = context.motion.node_line[task.arm.name]
@@ -297,7 +307,7 @@ def _straight_nodes(context: Context) -> dict[str, BoolArray]:
 
 
 _STRAIGHT_NODES: Final[Fact[Context, dict[str, BoolArray]]] = Fact("straight nodes", _straight_nodes)
-"""Nodes (K,) that each arm reaches by a straight move."""
+"""Flags (K,) of the nodes that each arm reaches by a straight move, by the name of the arm."""
 
 
 def trajectory_peaks(task: TaskText, speed: bool) -> tuple[float, int]:
@@ -310,7 +320,7 @@ def trajectory_peaks(task: TaskText, speed: bool) -> tuple[float, int]:
         speed: Whether the limit is that of speed, rather than of acceleration.
 
     Returns:
-        Fraction of the limit, and the line of the point after the cubic.
+        Fraction of the limit, and the line of the point at the end of the cubic.
     """
     robot = task.arm.data
     steps = [step for step in task.steps if isinstance(step, MoveStep)]
@@ -323,16 +333,15 @@ def trajectory_peaks(task: TaskText, speed: bool) -> tuple[float, int]:
     first = (6.0 * mean - 4.0 * start_velocity - 2.0 * v) / span
     last = (2.0 * start_velocity + 4.0 * v - 6.0 * mean) / span
     if speed:
-        extremum = np.clip(
-            first / np.where(first == last, np.inf, first - last), 0.0, 1.0
-        )  # zero acceleration
+        # The speed is largest at an end, or at the extremum where the acceleration is 0.
+        extremum = np.clip(first / np.where(first == last, np.inf, first - last), 0.0, 1.0)
         middle = start_velocity + span * extremum * (first + 0.5 * extremum * (last - first))
         fraction = np.abs(np.stack([start_velocity, v, middle])).max(axis=0) / robot.velocity
     else:
         fraction = np.maximum(np.abs(first), np.abs(last)) / robot.acceleration
     max_fractions = fraction.max(axis=1)
-    worst = int(np.argmax(max_fractions))
-    return float(max_fractions[worst]), steps[worst].line
+    worst_index = int(np.argmax(max_fractions))
+    return float(max_fractions[worst_index]), steps[worst_index].line
 
 
 MIN_DRAKE_SAMPLES: Final = 1000
@@ -342,7 +351,7 @@ of them.
 LINK_POSE_TOLERANCE: Final = 1e-9
 """Tolerance between two computations of a link's pose [m, and each entry of the rotation]."""
 TCP_TOLERANCE_M: Final = 1e-6
-"""Tolerance [m] between a tool in Drake and in the replay: the text rounds the figures of the tool."""
+"""Tolerance [m] between a tool in Drake and in the replay, because the text rounds the values of the tool."""
 
 
 @rule("verify.robot_model")
@@ -355,21 +364,22 @@ def robot_model(context: Context) -> RuleOutcome:
     names = {arm.robot: arm.data for cell in cells for arm in cell.arms}
     for name, data in sorted(names.items()):
         try:
-            differing = arm_model.compare_with_catalogue(arm_model.robot_machine(data))
+            differences = arm_model.compare_with_catalogue(arm_model.robot_machine(data))
         except TandemError as error:
             findings.issues += error.issues
             continue
-        for what in differing:
-            findings.add(f"the robot {name}: {what}", hint=arm_model.robot_hint(data))
-    for given, data in _robots_from_files(context.problem.source, context.problem.cell):
-        for what in arm_model.compare_with_problem(given, data):
-            findings.add(f"the robot {data.name}: {what}", hint=arm_model.robot_hint(data))
+        for difference in differences:
+            findings.add(f"the robot {name}: {difference}", hint=arm_model.robot_hint(data))
+    for stated, data in _robots_from_files(context.problem.source, context.problem.cell):
+        for difference in arm_model.compare_with_problem(stated, data):
+            findings.add(f"the robot {data.name}: {difference}", hint=arm_model.robot_hint(data))
     return findings.outcome_without_value(where=", ".join(sorted(names)))
 
 
 def _robots_from_files(
     source: Mapping[str, Any], cell: Cell
 ) -> Iterator[tuple[Mapping[str, Any], RobotData]]:
+    """Yield each robot with a file of the user: the entry that the problem states for it, and its data."""
     stated = source.get("cell", {}).get("arms", []) if isinstance(source.get("cell"), Mapping) else []
     for arm, stated_arm in zip(cell.arms, stated, strict=False):
         if arm.custom_data is not None:
@@ -400,8 +410,9 @@ def kinematics(context: Context) -> RuleOutcome:
 def _compare_poses(
     context: Context, model: CellModel, index: int, rows: IntArray, findings: Findings
 ) -> None:
-    """Report bodies of a setup whose poses at samples ``rows`` (K,) differ between two computations, at
-    their worst sample each.
+    """Compare the poses of bodies of a setup at samples ``rows`` (K,) with those that Drake computes.
+
+    Each body whose poses differ is reported once, at its worst sample.
     """
     motion, model = context.motion, model.with_bases(context.track_base_poses(index, rows))
     at_home = {arm.name: np.tile(arm.home, (len(rows), 1)) for arm in model.cell.arms}
@@ -413,17 +424,17 @@ def _compare_poses(
     if held is not None and held.arm in motion.q:
         replayed["stock"], tools["stock"] = context.stock_poses(index, rows), np.eye(4)
     drake_tools = {name: drake[name] @ tool for name, tool in tools.items()}
-    for words, ours, theirs, limit in (
+    for sources, poses, drake_poses, limit in (
         ("according to its URDF chain and to Drake", _chain_poses(model, q), drake, LINK_POSE_TOLERANCE),
         ("according to the clearance bounds and to Drake", model.poses(q), drake, LINK_POSE_TOLERANCE),
         ("according to the replay and to Drake", replayed, drake_tools, TCP_TOLERANCE_M),
     ):
-        for name in sorted(ours.keys() & theirs.keys()):
-            deviation = np.abs(ours[name] - theirs[name]).reshape(len(rows), -1).max(axis=1)
+        for name in sorted(poses.keys() & drake_poses.keys()):
+            deviation = np.abs(poses[name] - drake_poses[name]).reshape(len(rows), -1).max(axis=1)
             k = int(np.argmax(np.where(np.isfinite(deviation), deviation, np.inf)))
             findings.note_highest(deviation[k])
             if not deviation[k] <= limit:
-                message = f"{name} has two poses that differ by {mm(deviation[k]):.6f} mm, {words}"
+                message = f"{name} has two poses that differ by {mm(deviation[k]):.6f} mm, {sources}"
                 arm = name.split("/")[0] if name.split("/")[0] in motion.q else next(iter(motion.q))
                 findings.add_at_sample(message, arm, rows[k], measure_in_mm(deviation[k], limit), (name,))
 
@@ -444,13 +455,14 @@ def _drake_poses(model: CellModel, q: Mapping[str, FloatArray]) -> dict[str, Flo
 
 
 def _body_names(joints: int) -> tuple[str, ...]:
-    """Return the bodies of an arm with this number of joints, from base to tool."""
+    """Return the names of the bodies of an arm with this number of joints, from base to tool."""
     return ("base_link", *(f"link_{i + 1}" for i in range(joints)), "tool")
 
 
 def _chain_poses(model: CellModel, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Return the poses (K, 4, 4) of the links and the flange, in which the tool's body is, from the URDF
-    chains.
+    """Return the poses (K, 4, 4) of the links in the world by the URDF chains.
+
+    The pose of the flange has the name of the tool's body, whose frame it is.
     """
     out = {}
     for arm, rows in q.items():

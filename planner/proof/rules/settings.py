@@ -39,23 +39,23 @@ def motion_settings(context: Context) -> RuleOutcome:
     issues = []
     for task in context.job.tasks:
         # With a handshake, a program may stop before its first move to drop its running wire.
-        first = next((step for step in task.steps if isinstance(step, MoveStep)), None)
-        moved = context.job.automata_by_arm is None
+        first_move = next((step for step in task.steps if isinstance(step, MoveStep)), None)
+        stop_matters = context.job.automata_by_arm is None
         for step in task.steps:
-            moved |= step is first
+            stop_matters |= step is first_move
             if isinstance(step, WaitStep) and (step.seconds or 0.0) < 0.0:
                 issues.append(step_issue("verify.motion_settings", "a wait has a negative time", task, step))
             if not isinstance(step, SettingStep):
                 continue
-            full = all(value == 100.0 for value in step.values)
-            if (step.kind == "AccSet" and not full) or (step.kind == "VelSet" and _slows_down(step)):
+            is_full = all(value == 100.0 for value in step.values)
+            if (step.kind == "AccSet" and not is_full) or (step.kind == "VelSet" and _slows_down(step)):
                 issues.append(step_issue("verify.motion_settings", slow_message, task, step))
             if step.kind == "SingArea" and step.switches != ("off",):
-                what = "SingArea lets the tool leave its path near singularities"
-                issues.append(step_issue("verify.motion_settings", what, task, step, "SingArea\\Off"))
-            if step.kind in _PATH_INSTRUCTIONS and (moved or step.kind != "Stop" or step.switches):
-                what = f"{step.kind} between moves: the motion no longer follows from the text"
-                issues.append(step_issue("verify.motion_settings", what, task, step))
+                message = "SingArea lets the tool leave its path near singularities"
+                issues.append(step_issue("verify.motion_settings", message, task, step, "SingArea\\Off"))
+            if step.kind in _PATH_INSTRUCTIONS and (stop_matters or step.kind != "Stop" or step.switches):
+                message = f"{step.kind} between moves: the motion no longer follows from the text"
+                issues.append(step_issue("verify.motion_settings", message, task, step))
     return RuleOutcome(tuple(issues))
 
 

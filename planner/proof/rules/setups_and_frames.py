@@ -1,7 +1,7 @@
-"""Rules on what is mounted or placed where, setup by setup, and who confirms it.
+"""Rules on tools, frames and loads in each setup, and on the confirmation of setups.
 
 verify.tool_data, work_object, held_frame, load, base_frames: tools, work objects, held work, loads and
-bases. verify.setup: who confirms setups, and what is where in each of them.
+bases. verify.setup: description and confirmation of setups.
 """
 
 import numpy as np
@@ -32,14 +32,16 @@ from planner.proof.setups import (
     single_spaced,
     stock_unmoved,
 )
-from planner.tooling import Tool as WantedTool
+from planner.tooling import Tool as ExpectedTool
 
 FRAME_TOLERANCE_M = 1e-6
-"""Tolerance [m] between the position of a written frame and of the problem's: its last decimal."""
+"""Tolerance [m] between the position of a frame in the text and in the problem: the last decimal of the
+text.
+"""
 FRAME_TOLERANCE_RAD = 1e-6
-"""Tolerance [rad] between the rotation of a written frame and of the problem's."""
+"""Tolerance [rad] between the rotation of a frame in the text and in the problem."""
 MASS_TOLERANCE_KG = 1e-3
-"""Tolerance [kg] of masses: the last decimal."""
+"""Tolerance [kg] of masses: the last decimal of the text."""
 CENTRE_TOLERANCE_M = 1e-5
 """Tolerance [m] of each coordinate of a centre of gravity."""
 INERTIA_TOLERANCE_KG_M2 = 5e-6
@@ -47,7 +49,7 @@ INERTIA_TOLERANCE_KG_M2 = 5e-6
 addition.
 """
 LOAD0_MASS_KG = 0.001
-"""Mass [kg] of load0."""
+"""Mass [kg] of load0, with which RAPID states that nothing is held."""
 
 
 @rule("verify.tool_data")
@@ -72,14 +74,20 @@ def tool_data(context: Context) -> RuleOutcome:
     return findings.outcome(mm, "mm", FRAME_TOLERANCE_M)
 
 
-def _tool_faults(tool: Tool, expected: WantedTool) -> tuple[float, list[str]]:
-    shift, turn = _pose_difference(tool.pose, expected.tcp)
+def _tool_faults(tool: Tool, expected: ExpectedTool) -> tuple[float, list[str]]:
+    """Compare a tool in the text with the expected one.
+
+    Returns:
+        Distance [m] of the TCPs, and all faults as texts.
+    """
+    shift, rotation_angle = _pose_difference(tool.pose, expected.tcp)
     faults = []
-    if shift > FRAME_TOLERANCE_M or turn > FRAME_TOLERANCE_RAD:
-        what = (
-            f"its TCP is {mm(shift):.4f} mm and {np.rad2deg(turn):.4f} deg away from that of {expected.name}"
+    if shift > FRAME_TOLERANCE_M or rotation_angle > FRAME_TOLERANCE_RAD:
+        message = (
+            f"its TCP is {mm(shift):.4f} mm and {np.rad2deg(rotation_angle):.4f} deg away from that of "
+            f"{expected.name}"
         )
-        faults.append(what)
+        faults.append(message)
     if not tool.held:
         faults.append("it is not held by the robot")
     if abs(tool.load.mass - expected.mass) > MASS_TOLERANCE_KG:
@@ -101,22 +109,27 @@ def work_object(context: Context) -> RuleOutcome:
         if not wobj.fixed:
             continue  # moving frames are checked by verify.held_frame
         if move.in_world:
-            shift, turn = _pose_difference(wobj.user @ wobj.object, np.eye(4))
-            if shift > FRAME_TOLERANCE_M or turn > FRAME_TOLERANCE_RAD:
-                what = f"{move.wobj_name} is {mm(shift):.4f} mm and {np.rad2deg(turn):.4f} deg off the world"
-                findings.add_at_step(what, task, move)
+            shift, rotation_angle = _pose_difference(wobj.user @ wobj.object, np.eye(4))
+            if shift > FRAME_TOLERANCE_M or rotation_angle > FRAME_TOLERANCE_RAD:
+                message = (
+                    f"{move.wobj_name} is {mm(shift):.4f} mm and {np.rad2deg(rotation_angle):.4f} deg off "
+                    "the world"
+                )
+                findings.add_at_step(message, task, move)
             continue
         if wobj.held or wobj.unit or not move.wobj_name:
-            what = f"{move.wobj_name or 'a work object in a move'} is held, moved by a unit or has no name"
-            findings.add_at_step(what, task, move)
+            message = f"{move.wobj_name or 'a work object in a move'} is held, moved by a unit or has no name"
+            findings.add_at_step(message, task, move)
         stock_frame = context.stock_frames[index]
-        shift, turn = _pose_difference(
+        shift, rotation_angle = _pose_difference(
             wobj.user @ wobj.object, np.eye(4) if stock_frame is None else stock_frame
         )
         findings.note_highest(shift)
-        if shift > FRAME_TOLERANCE_M or turn > FRAME_TOLERANCE_RAD:
-            what = f"{move.wobj_name} is {mm(shift):.4f} mm away from the block's frame in setup {index + 1}"
-            findings.add_at_step(what, task, move)
+        if shift > FRAME_TOLERANCE_M or rotation_angle > FRAME_TOLERANCE_RAD:
+            message = (
+                f"{move.wobj_name} is {mm(shift):.4f} mm away from the block's frame in setup {index + 1}"
+            )
+            findings.add_at_step(message, task, move)
     for index in range(len(context.setups)):
         if context.stock_at(index).held_by is None:
             _check_stock_frame(findings, index)
@@ -128,25 +141,24 @@ def _check_stock_frame(findings: Findings, index: int) -> None:
     context = findings.context
     stock, stock_frame = context.stock_at(index), context.stock_frames[index]
     if stock_frame is None:
-        what = f"the programs do not state the block's frame in setup {index + 1}"
-        findings.add(what, hint="state stock.place if no work is in its frame")
+        message = f"the programs do not state the block's frame in setup {index + 1}"
+        findings.add(message, hint="state stock.place if no work is in its frame")
         return
     expected = stock.place
     source = "the problem's"
     if expected is None and index and stock_unmoved(context.problem, context.setups[index]):
-        expected, source = (
-            context.stock_frames[index - 1],
-            "that of the setup before, since which nothing moves it",
-        )
+        expected = context.stock_frames[index - 1]
+        source = "that of the setup before, since which nothing moves it"
     if expected is not None:
-        shift, turn = _pose_difference(stock_frame, expected)
-        if shift > FRAME_TOLERANCE_M or turn > FRAME_TOLERANCE_RAD:
+        shift, rotation_angle = _pose_difference(stock_frame, expected)
+        if shift > FRAME_TOLERANCE_M or rotation_angle > FRAME_TOLERANCE_RAD:
             message = (
                 f"the block's frame in setup {index + 1} is {mm(shift):.4f} mm and "
-                f"{np.rad2deg(turn):.4f} deg away from {source}"
+                f"{np.rad2deg(rotation_angle):.4f} deg away from {source}"
             )
             findings.add(message, measure_in_mm(shift, FRAME_TOLERANCE_M))
     elif not stock.is_attitude_free:
+        # Length of the difference of the vertical unit vectors: about the tilt angle [rad] if it is small.
         tilt = float(np.linalg.norm((stock_frame[:3, :3] @ stock.attitude.T)[2, :] - [0.0, 0.0, 1.0]))
         if tilt > 2.0 * FRAME_TOLERANCE_RAD:
             findings.add(
@@ -162,8 +174,8 @@ def held_frame(context: Context) -> RuleOutcome:
     findings = Findings("verify.held_frame", context, worst=0.0)
     units = {task.arm.name: task.unit for task in context.job.tasks}
     holders = (context.stock_holder(index) for index in range(len(context.setups)))
-    lost = sorted({held.arm for held in holders if held is not None} - set(units))
-    for arm in lost:
+    holders_without_program = sorted({held.arm for held in holders if held is not None} - set(units))
+    for arm in holders_without_program:
         findings.add(f"{arm} holds the block, but has no program")
     for number, stage, task, moves in context.moves():
         index = int(context.spans.of_stage[number])
@@ -183,20 +195,20 @@ def held_frame(context: Context) -> RuleOutcome:
                 faults.append(f"the block is held by {held.arm}, but {move.wobj_name} is fixed")
             else:
                 tool = context.setups[index].cell.arm(held.arm).tool
-                shift, turn = _pose_difference(wobj.object, tool.tcp)
+                shift, rotation_angle = _pose_difference(wobj.object, tool.tcp)
                 findings.note_highest(shift)
                 if wobj.held:
                     faults.append(f"{move.wobj_name} is held by its own robot")
                 if wobj.unit.lower() != units.get(held.arm, "").lower():
                     faults.append(f"{move.wobj_name} is moved by '{wobj.unit}', not by {units.get(held.arm)}")
-                if shift > FRAME_TOLERANCE_M or turn > FRAME_TOLERANCE_RAD:
+                if shift > FRAME_TOLERANCE_M or rotation_angle > FRAME_TOLERANCE_RAD:
                     faults.append(
-                        f"{move.wobj_name} is {mm(shift):.4f} mm and {np.rad2deg(turn):.4f} deg away from "
-                        f"the TCP of {held.arm}"
+                        f"{move.wobj_name} is {mm(shift):.4f} mm and {np.rad2deg(rotation_angle):.4f} deg "
+                        f"away from the TCP of {held.arm}"
                     )
                 if max(_pose_difference(wobj.user, np.eye(4))) > 1e-9:
-                    what = "is not zero, but the controller sets the user frame of a moving work object"
-                    faults.append(f"the user frame of {move.wobj_name} {what}")
+                    message = "is not zero, but the controller sets the user frame of a moving work object"
+                    faults.append(f"the user frame of {move.wobj_name} {message}")
                 if not stage.synchronised:
                     faults.append("work on a held block runs outside a synchronised block")
             for fault in faults:
@@ -229,12 +241,12 @@ def load(context: Context) -> RuleOutcome:
                 if isinstance(step, MoveStep):
                     unconfirmed = bool(confirmations) and number < confirmations[0].stage
                     if expected is not None and loaded_setup != index and not unconfirmed:
-                        what = f"{name} moves the block of setup {index + 1} without its load"
-                        findings.add_at_step(what, task, step, "call GripLoad first")
+                        message = f"{name} moves the block of setup {index + 1} without its load"
+                        findings.add_at_step(message, task, step, "call GripLoad first")
                         loaded_setup = index
                     if expected is None and loaded_setup is not None:
-                        what = f"{name} still has the load of a block that it no longer holds"
-                        findings.add_at_step(what, task, step, "call GripLoad load0 first")
+                        message = f"{name} still has the load of a block that it no longer holds"
+                        findings.add_at_step(message, task, step, "call GripLoad load0 first")
                         loaded_setup = None
     held_at_all = any(setup.stock_holders for setup in context.setup_claims)
     return findings.outcome_without_value("" if held_at_all else "nothing is held")
@@ -243,7 +255,11 @@ def load(context: Context) -> RuleOutcome:
 def _load_fault(
     step: CarryStep, expected: HoldsStock | None, stock: Stock, index: int
 ) -> tuple[str, int | None]:
-    """Return what is wrong with a load, and the setup whose block it is, None for no load."""
+    """Return the fault of a load as a text, "" if there is none, and the setup whose block the load is.
+
+    The setup is None if the step removes the load. ``expected`` is the claim on the held block, None if no
+    block is held.
+    """
     if expected is None:
         is_load0 = abs(step.load.mass) <= LOAD0_MASS_KG + 1e-9
         return ("" if is_load0 else f"a load of {step.load.mass:g} kg, but no block is held"), None
@@ -251,11 +267,10 @@ def _load_fault(
         return f"the load is {step.load.mass:g} kg; the block is {expected.mass:.4f} kg", index
     if np.abs(step.load.centre - expected.cog).max() > CENTRE_TOLERANCE_M:
         return "the load's centre of gravity is not the block's", index
-    turn, grip = rotation(step.load.axes), expected.grip[:3, :3]
-    stated_inertia, expected_inertia = (
-        (turn * step.load.inertia) @ turn.T,
-        (grip * _block_inertia(stock, expected.mass)) @ grip.T,
-    )
+    # Inertia matrices about the centre: R diag(i) R^T with the principal axes R and moments i.
+    load_axes, grip = rotation(step.load.axes), expected.grip[:3, :3]
+    stated_inertia = (load_axes * step.load.inertia) @ load_axes.T
+    expected_inertia = (grip * _block_inertia(stock, expected.mass)) @ grip.T
     if (
         np.abs(stated_inertia - expected_inertia).max()
         > INERTIA_TOLERANCE_KG_M2 + 0.01 * np.abs(expected_inertia).max()
@@ -282,18 +297,19 @@ def base_frames(context: Context) -> RuleOutcome:
             continue
         if task.arm.base_auto:
             continue
-        shift, turn = _pose_difference(declared, task.arm.base)
+        shift, rotation_angle = _pose_difference(declared, task.arm.base)
         findings.note_highest(shift)
-        if shift > FRAME_TOLERANCE_M or turn > FRAME_TOLERANCE_RAD:
+        if shift > FRAME_TOLERANCE_M or rotation_angle > FRAME_TOLERANCE_RAD:
             message = (
-                f"the base of {task.arm.name} is {mm(shift):.4f} mm and {np.rad2deg(turn):.4f} deg away "
-                "from the problem's"
+                f"the base of {task.arm.name} is {mm(shift):.4f} mm and {np.rad2deg(rotation_angle):.4f} deg "
+                "away from the problem's"
             )
             findings.add_at_step(message, task, None)
     return findings.outcome(mm, "mm", FRAME_TOLERANCE_M)
 
 
 def _pose_difference(a: FloatArray, b: FloatArray) -> tuple[float, float]:
+    """Return the distance [m] of the origins of two poses (4, 4), and the angle [rad] between them."""
     relative = inverse(a) @ b
     return float(np.linalg.norm(a[:3, 3] - b[:3, 3])), float(np.linalg.norm(log_rotation(relative[:3, :3])))
 
@@ -312,18 +328,18 @@ def setup(context: Context) -> RuleOutcome:
     for index, current in enumerate(context.setups):
         if not current.steps:
             if index:
-                what = f"setup {current.number} changes the cell, but has no steps to confirm"
-                issues.append(Issue("verify.setup", what, hint="name the setup's steps"))
+                message = f"setup {current.number} changes the cell, but has no steps to confirm"
+                issues.append(Issue("verify.setup", message, hint="name the setup's steps"))
             continue
         confirmations = context.spans.confirmations[index]
         if len(confirmations) != 1:
             count = f"{len(confirmations)} times" if confirmations else "never"
-            what = f"the confirmation of setup {current.number} is asked for {count}; required: once"
+            message = f"the confirmation of setup {current.number} is asked for {count}; required: once"
             step = confirmations[1] if confirmations else None
             issues.append(
-                _question_issue(step, what)
+                _question_issue(step, message)
                 if step
-                else Issue("verify.setup", what, hint=current.confirmation)
+                else Issue("verify.setup", message, hint=current.confirmation)
             )
             continue
         (confirmation,) = confirmations
@@ -336,21 +352,19 @@ def setup(context: Context) -> RuleOutcome:
             issues.append(
                 _question_issue(confirmation, f"setup {current.number} continues without a press of OK")
             )
-        shown, expected = (
-            shown_characters(context.job, confirmation),
-            "".join(normalised_text(step) for step in current.steps),
-        )
+        shown = shown_characters(context.job, confirmation)
+        expected = "".join(normalised_text(step) for step in current.steps)
         if shown != expected:
             missing = next((step for step in current.steps if normalised_text(step) not in shown), None)
-            what = "with texts other than its steps" if missing is None else f"without: {missing}"
-            issues.append(_question_issue(confirmation, f"setup {current.number} is confirmed {what}"))
+            fault = "with texts other than its steps" if missing is None else f"without: {missing}"
+            issues.append(_question_issue(confirmation, f"setup {current.number} is confirmed {fault}"))
         issues += _arms_not_at_rest(context, confirmation, current.number, first=index == 0)
     issues += _misplaced_confirmations(context)
     return RuleOutcome(tuple(issues), nothing="" if any(s.steps for s in context.setups) else "one setup")
 
 
 def _unconfirmed_move(context: Context) -> list[Issue]:
-    """Report a first move that no operator has confirmed."""
+    """Report the first move of an arm if no operator has confirmed anything before it."""
     for stage in context.job.stages:
         confirmed = False
         for task in context.job.tasks:
@@ -359,8 +373,8 @@ def _unconfirmed_move(context: Context) -> list[Issue]:
                     confirmed = True
                     break
                 if isinstance(step, MoveStep):
-                    what = "an arm moves, but the operator was not asked before whether its path is clear"
-                    return [step_issue("verify.setup", what, task, step, "ask the operator first")]
+                    message = "an arm moves, but the operator was not asked before whether its path is clear"
+                    return [step_issue("verify.setup", message, task, step, "ask the operator first")]
         if confirmed:
             return []
     return []
@@ -369,7 +383,10 @@ def _unconfirmed_move(context: Context) -> list[Issue]:
 def _arms_not_at_rest(
     context: Context, confirmation: OperatorQuestion, number: int, first: bool
 ) -> list[Issue]:
-    """Report arms that move at the confirmation, are not at home, or moved before the first confirmation."""
+    """Report arms that may move at a confirmation, or that are not at home at it.
+
+    Before the ``first`` confirmation all moves of an arm must have ended at home.
+    """
     issues = []
     stage = context.job.stages[confirmation.stage]
     if stage.synchronised or any(stage.moves(task.name) for task in context.job.tasks):
@@ -378,11 +395,13 @@ def _arms_not_at_rest(
         )
     for task in context.job.tasks:
         machine = task.arm.data
-        moves = [m for earlier in context.job.stages[: confirmation.stage] for m in earlier.moves(task.name)]
-        not_home = [m for m in (moves if first else moves[-1:]) if not at_home(m, machine, task.arm.home)]
+        earlier_stages = context.job.stages[: confirmation.stage]
+        moves = [move for earlier in earlier_stages for move in earlier.moves(task.name)]
+        checked_moves = moves if first else moves[-1:]
+        not_home = [move for move in checked_moves if not at_home(move, machine, task.arm.home)]
         if not_home:
-            what = f"{task.arm.name} is not at home when setup {number} is confirmed"
-            issues.append(step_issue("verify.setup", what, task, not_home[-1], "move it home first"))
+            message = f"{task.arm.name} is not at home when setup {number} is confirmed"
+            issues.append(step_issue("verify.setup", message, task, not_home[-1], "move it home first"))
     return issues
 
 
@@ -395,11 +414,14 @@ def at_home(move: MoveStep, machine: RobotData, home: FloatArray) -> bool:
 
 
 def _misplaced_confirmations(context: Context) -> list[Issue]:
-    """Report other questions with a setup's words, and setup texts in program parts that the proof does not
-    follow.
+    """Report other questions that contain the words of a setup's confirmation.
+
+    Also reported are confirmations in branches, error handlers and UNDO, which are not on the straight path.
     """
-    with_steps = [s for s in context.setups if s.steps]
-    confirmation_ids = {id(q.step) for confirmations in context.spans.confirmations for q in confirmations}
+    with_steps = [current for current in context.setups if current.steps]
+    confirmation_ids = {
+        id(question.step) for confirmations in context.spans.confirmations for question in confirmations
+    }
     issues = [
         _question_issue(
             question, f"a question other than the confirmation of setup {current.number} has its words"
@@ -410,13 +432,15 @@ def _misplaced_confirmations(context: Context) -> list[Issue]:
     ]
     for task in context.job.tasks:
         branches = [step for step in task.steps if isinstance(step, ChoiceStep)]
-        hidden = [s for choice in branches for s in _branch_steps(choice)]
-        hidden += [s for block in (task.handlers, task.undos) for steps in block.values() for s in steps]
+        side_steps = [step for choice in branches for step in _branch_steps(choice)]
+        side_steps += [
+            step for block in (task.handlers, task.undos) for steps in block.values() for step in steps
+        ]
         issues += [
             step_issue(
                 "verify.setup", f"a branch asks for the confirmation of setup {current.number}", task, step
             )
-            for step in hidden
+            for step in side_steps
             for current in with_steps
             if isinstance(step, MessageStep) and _contains_text(step, current.confirmation)
         ]
@@ -424,14 +448,16 @@ def _misplaced_confirmations(context: Context) -> list[Issue]:
 
 
 def _branch_steps(choice: ChoiceStep) -> list[ProgramStep]:
+    """Return all steps of a branch, with those of the branches inside it."""
     return [
-        s
+        inner_step
         for step in choice.steps
-        for s in ([step, *_branch_steps(step)] if isinstance(step, ChoiceStep) else [step])
+        for inner_step in ([step, *_branch_steps(step)] if isinstance(step, ChoiceStep) else [step])
     ]
 
 
 def _contains_text(step: MessageStep, confirmation: str) -> bool:
+    """Return whether a message contains the text of a confirmation, on one or several lines."""
     return (
         normalised_text(confirmation) in normalised_text(" ".join(step.lines))
         or single_spaced(confirmation) in step.text

@@ -33,9 +33,11 @@ PAIR_TIME_TOLERANCE = 0.01
 MAX_MOVE_ID = 2**23
 """Largest move ID. Larger whole numbers are not exact in single precision."""
 MIN_MOVE_TIME_S = 0.005
-"""Minimum time [s] of a move. A controller that cannot plan as fast stops instead, even inside the foam."""
+"""Minimum time [s] of a move. A controller that cannot plan fast enough stops instead, even inside the
+foam.
+"""
 SPEED_SLACK_FACTOR = 1.01
-"""Factor by which distance / time may exceed the stated speed, because both are rounded."""
+"""Ratio of distance / time to the stated speed that is allowed, because both are rounded."""
 
 
 @rule("verify.task_list")
@@ -60,24 +62,25 @@ def sync_order(context: Context) -> RuleOutcome:
     Each synchronised block is closed.
     """
     findings = Findings("verify.sync_order", context)
-    rows = [(task, sync_points(task)) for task in context.job.tasks]
-    first = rows[0][1] if rows else ()
+    steps_by_task = [(task, sync_points(task)) for task in context.job.tasks]
+    first = steps_by_task[0][1] if steps_by_task else ()
     expected = [(step.kind, step.ident.lower()) for step in first]
-    for task, row in rows:
-        points = [(step.kind, step.ident.lower()) for step in row]
+    for task, steps in steps_by_task:
+        points = [(step.kind, step.ident.lower()) for step in steps]
         if points != expected:
             differ = (k for k, (a, b) in enumerate(zip(points, expected, strict=False)) if a != b)
             i = next(differ, min(len(points), len(expected)))
             message = f"synchronisation point {i + 1} of {task.name} is not that of the other task"
-            findings.add_at_step(message, task, row[i] if i < len(row) else None)
+            findings.add_at_step(message, task, steps[i] if i < len(steps) else None)
         seen: set[str] = set()
         in_block = False
-        for step in row:
+        for step in steps:
             if step.ident.lower() in seen:
                 findings.add_at_step(
                     f"syncident {step.ident} is used again; each one may be used once", task, step
                 )
             seen.add(step.ident.lower())
+            # A block opens only outside a block. It closes, and nothing else happens, only inside one.
             if (step.kind == "SyncMoveOn") == in_block or (step.kind == "SyncMoveUndo"):
                 if step.kind == "WaitSyncTask" and not in_block:
                     continue
@@ -90,6 +93,7 @@ def sync_order(context: Context) -> RuleOutcome:
 
 
 def _synchronised_blocks(context: Context) -> list[tuple[JobStage, dict[str, tuple[MoveStep, ...]]]]:
+    """Return the synchronised stages, each with the moves of every task by its name."""
     tasks = context.job.tasks
     return [
         (stage, {task.name: stage.moves(task.name) for task in tasks})
@@ -99,7 +103,7 @@ def _synchronised_blocks(context: Context) -> list[tuple[JobStage, dict[str, tup
 
 
 def _move_pairs(context: Context) -> list[tuple[TaskText, MoveStep, TaskText, MoveStep]]:
-    """Return the moves that run together: of the first task and of each other one."""
+    """Return the pairs of moves that run together: a move of the first task and one of another task."""
     tasks = context.job.tasks
     out = []
     for _, moves in _synchronised_blocks(context):
@@ -114,7 +118,7 @@ def move_count(context: Context) -> RuleOutcome:
     """All tasks have the same number of moves in a block."""
     findings = Findings("verify.move_count", context, worst=0)
     for stage, moves in _synchronised_blocks(context):
-        counts = {name: len(row) for name, row in moves.items()}
+        counts = {name: len(task_moves) for name, task_moves in moves.items()}
         findings.note_highest(max(counts.values()) - min(counts.values()))
         if len(set(counts.values())) > 1:
             listed = ", ".join(f"{name} has {n} moves" for name, n in counts.items())
@@ -199,7 +203,11 @@ def move_time(context: Context) -> RuleOutcome:
 
 
 def _compare_times(a_task: TaskText, a: MoveStep, b_task: TaskText, b: MoveStep) -> Iterator[Issue]:
-    """Report two moves that run together and whose times differ. At least one of them states speeds."""
+    """Report the shorter of two moves that run together if their times differ.
+
+    At least one of them states speeds instead of a time. A move that is as slow as its language allows is not
+    reported.
+    """
     if a.time is None or b.time is None:
         return
     for task, move, other in ((a_task, a, b), (b_task, b, a)):
@@ -208,8 +216,8 @@ def _compare_times(a_task: TaskText, a: MoveStep, b_task: TaskText, b: MoveStep)
             move.time < (1.0 - PAIR_TIME_TOLERANCE) * other.time if move.time and other.time else False
         )
         if too_short and not (slowest and slowest(move)):
-            what = f"the move takes {move.time:.5f} s, but that of the other arm {other.time:.5f} s"
-            yield step_issue("verify.move_time", what, task, move)
+            message = f"the move takes {move.time:.5f} s, but that of the other arm {other.time:.5f} s"
+            yield step_issue("verify.move_time", message, task, move)
 
 
 def _too_short_message(time: float) -> str:
@@ -243,8 +251,9 @@ def speed_data(context: Context) -> RuleOutcome:
 
 
 def straight_distance(a: MoveStep, b: MoveStep) -> float | None:
-    """Return the distance [m] between the targets of two straight moves in one frame, or None if the text
-    gives none.
+    """Return the distance [m] between the positions of two targets in one frame.
+
+    It is None if a target is not a pose, or if the frames differ.
     """
     if (
         isinstance(a.target, RobTarget | StatusTarget)
@@ -299,10 +308,11 @@ def stop_before_logic(context: Context) -> RuleOutcome:
 
 
 def _is_allowed_meanwhile(step: ProgramStep) -> bool:
-    """Return whether a task may do a step while another one moves: a message, a setting or a load."""
+    """Return whether a step of a task is allowed while another task moves: a message, a setting or a load."""
     is_message = isinstance(step, MessageStep) and not step.confirm
     return is_message or isinstance(step, CarryStep | CallStep) or _is_neutral_setting(step)
 
 
 def _is_neutral_setting(step: ProgramStep) -> bool:
+    """Return whether a step is a setting of the motion that needs no stop."""
     return isinstance(step, SettingStep) and step.kind in ("ConfL", "ConfJ", "SingArea", "AccSet", "VelSet")

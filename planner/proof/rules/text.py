@@ -2,8 +2,8 @@
 
 verify.syntax, declarations, pers_literal, names, line_length, module_size, decimals, files, digest.
 
-Modified targets are recognised by their digits, which are known per language. If a rule fails next to a
-modified target, the issue names it as the likely cause.
+Modified targets are recognised by their digits, which each language writes in its own way. If a rule fails at
+or next to a modified target, the issue names the target as the likely cause.
 """
 
 import dataclasses
@@ -26,9 +26,11 @@ from planner.proof.rule import RuleOutcome, rule, target_label
 QUATERNION_TOLERANCE: Final = 1e-5
 """Tolerance of the norm of a quaternion from 1."""
 _REWRITTEN_FRACTION = 0.5
-"""If more than this fraction of a task's targets look modified, all were written like that."""
+"""Fraction of a task's targets above which targets that look modified do not count as modified, because
+another program wrote all of them.
+"""
 _MAX_TARGETS_NAMED = 3
-"""Maximum number of modified targets that are named if a rule does not say where it failed."""
+"""Maximum number of modified targets that an issue names."""
 
 
 class ModifiedTarget(NamedTuple):
@@ -38,7 +40,7 @@ class ModifiedTarget(NamedTuple):
         number: Index of the move among the moves of its task.
         file: File with the numbers of the target.
         line: Line of the numbers.
-        name: What to call the target.
+        name: Name of the target in messages.
     """
 
     number: int
@@ -52,8 +54,8 @@ class ModifiedTargets(NamedTuple):
 
     Attributes:
         changed: Modified targets by arm.
-        moves: {arm: {(module, line): [(index of the move, name of its target)]}}.
-        targets: Number of targets.
+        moves: Moves by arm and by line: {arm: {(module, line): [(index of the move, name of its target)]}}.
+        targets: Number of all targets.
     """
 
     changed: dict[str, tuple[ModifiedTarget, ...]]
@@ -67,10 +69,11 @@ def find_modified_targets(job: JobText) -> ModifiedTargets:
     moves: dict[str, dict[tuple[str, int], list[tuple[int, str | None]]]] = {}
     total = 0
     for task in job.tasks:
-        rows = {file: _target_lines(file, text) for file, text in task.files.items()}
-        count = sum(len(modified) for modified in rows.values())
+        lines_by_file = {file: _target_lines(file, text) for file, text in task.files.items()}
+        count = sum(len(lines) for lines in lines_by_file.values())
         total += count
-        is_minority = sum(sum(modified.values()) for modified in rows.values()) <= _REWRITTEN_FRACTION * count
+        modified_count = sum(sum(lines.values()) for lines in lines_by_file.values())
+        is_minority = modified_count <= _REWRITTEN_FRACTION * count
         moves_by_line = moves.setdefault(task.arm.name, {})
         modified: list[ModifiedTarget] = []
         steps = [step for step in task.steps if isinstance(step, MoveStep)]
@@ -78,16 +81,16 @@ def find_modified_targets(job: JobText) -> ModifiedTargets:
         for number, step in enumerate(steps):
             moves_by_line.setdefault((step.module, step.line), []).append((number, target_label(step)))
             file, line = _target_location(task, step, target_files)
-            if is_minority and rows.get(file, {}).get(line):
+            if is_minority and lines_by_file.get(file, {}).get(line):
                 modified.append(ModifiedTarget(number, file, line, target_label(step) or f"line {line}"))
         changed[task.arm.name] = tuple(modified)
     return ModifiedTargets(changed, moves, total)
 
 
 def modified_targets_note(job: JobText) -> str:
-    """Return a sentence on how many targets look modified, empty for none."""
+    """Return a text with the number of targets that look modified, "" for none."""
     modified_targets = find_modified_targets(job)
-    lines = {(c.file, c.line) for group in modified_targets.changed.values() for c in group}
+    lines = {(target.file, target.line) for group in modified_targets.changed.values() for target in group}
     return (
         f"{len(lines)} of {modified_targets.targets} targets rounded since they were written" if lines else ""
     )
@@ -99,8 +102,8 @@ def with_pendant_cause(modified_targets: ModifiedTargets, issue: Issue) -> Issue
     if not causes:
         return issue
     names = ", ".join(f"{c.name} ({c.file}, line {c.line})" for c in causes[:_MAX_TARGETS_NAMED])
-    what = "was" if len(causes) == 1 else "were"
-    hint = f"likely cause: {names} {what} changed on the pendant, as the digits show; plan again"
+    verb = "was" if len(causes) == 1 else "were"
+    hint = f"likely cause: {names} {verb} changed on the pendant, as the digits show; plan again"
     return dataclasses.replace(issue, hint=f"{hint}; {issue.hint}" if issue.hint else hint)
 
 
@@ -111,14 +114,18 @@ def with_language_cause(issue: Issue) -> Issue:
 
 
 def _likely_causes(modified_targets: ModifiedTargets, issue: Issue) -> list[ModifiedTarget]:
-    """Return the modified targets that may have caused an issue."""
+    """Return the modified targets that may have caused an issue.
+
+    They are at, directly before or directly after the move of the issue. If there are none, targets of other
+    arms with the name of the issue's target count. For an issue without a line, all targets of its arm count.
+    """
     if issue.line is None:
         groups = (
             [modified_targets.changed.get(issue.arm, ())]
             if issue.arm in modified_targets.changed
             else modified_targets.changed.values()
         )
-        return [c for group in groups for c in group]
+        return [target for group in groups for target in group]
     module = (issue.file or "").rpartition("/")[2]
     numbers: set[int] = set()
     arms = [issue.arm] if issue.arm in modified_targets.moves else list(modified_targets.moves)
@@ -128,17 +135,19 @@ def _likely_causes(modified_targets: ModifiedTargets, issue: Issue) -> list[Modi
                 numbers |= {number for number, name in moves_here if issue.target in (None, name)}
     adjacent = {number + step for number in numbers for step in (-1, 0, 1)}
     adjacent_targets = [
-        c for arm in arms for c in modified_targets.changed[arm or ""] if c.number in adjacent
+        target for arm in arms for target in modified_targets.changed[arm or ""] if target.number in adjacent
     ]
     if adjacent_targets or issue.target is None:
         return adjacent_targets
     # The other arm may hold the other end of the wire, or the work.
-    others = (c for arm, group in modified_targets.changed.items() if arm not in arms for c in group)
-    return [c for c in others if c.name == issue.target]
+    others = (
+        target for arm, group in modified_targets.changed.items() if arm not in arms for target in group
+    )
+    return [target for target in others if target.name == issue.target]
 
 
 def _target_lines(file: str, text: str) -> dict[int, bool]:
-    """Return the lines on which targets are, and whether one of them looks modified."""
+    """Return the lines with targets, each with whether one of its targets looks modified."""
     out: dict[int, bool] = {}
     line, seen = 1, 0
     for position, is_changed in language_contribution.language_of_file(file).targets_in(text):
@@ -148,7 +157,7 @@ def _target_lines(file: str, text: str) -> dict[int, bool]:
 
 
 def decimals_of(number: str) -> int:
-    """Return the number of decimals of a number, without its exponent."""
+    """Return the number of decimals that a written number has, with its exponent resolved."""
     mantissa, _, exponent = number.strip().upper().partition("E")
     shift = int(exponent) if re.fullmatch(r"[+-]?\d{1,3}", exponent) else 0
     return max(len(mantissa.partition(".")[2]) - shift, 0)
@@ -163,6 +172,7 @@ def _target_location(task: TaskText, step: MoveStep, target_files: dict[str, str
     return file, int(line)
 
 
+# Kinds of reading faults, in any language, by the rule that reports them. All others belong to verify.syntax.
 _DECLARATION = frozenset({"undeclared", "unknown_procedure", "type", "no_value"})
 _PERS = frozenset({"pers_literal"})
 _NAMES = frozenset({"name_form", "name_length", "name_reserved", "name_duplicate"})
@@ -171,14 +181,16 @@ _SIZES = frozenset({"file_size"})
 _NUMBERS = frozenset({"number", "quaternion"})
 _FILES = frozenset({"name_file"})
 _OTHER_KINDS = _DECLARATION | _PERS | _NAMES | _LINES | _SIZES | _NUMBERS | _FILES
-"""Kinds of reading faults, in any language, by the rule that reports them. All others belong to syntax."""
+"""Kinds of reading faults that rules other than verify.syntax report."""
 
 
 def _reading_faults(context: Context, code: str, kinds: Collection[str], hint: str) -> RuleOutcome:
+    """Return the reading faults of some kinds as the outcome of a rule."""
     return _faults_outcome(code, [fault for fault in context.job.faults if fault.kind in kinds], hint)
 
 
 def _faults_outcome(code: str, faults: Iterable[TextFault], hint: str) -> RuleOutcome:
+    """Return faults as the outcome of a rule, whose value is their number."""
     issues = tuple(
         Issue(code, fault.message, file=fault.file, line=fault.line, field=fault.code, hint=hint)
         for fault in faults
@@ -190,17 +202,19 @@ def _faults_outcome(code: str, faults: Iterable[TextFault], hint: str) -> RuleOu
 def syntax(context: Context) -> RuleOutcome:
     """The text is RAPID, KRL, URScript or a trajectory file, and has one straight path of execution."""
     job = context.job
-    faults = [*(f for f in job.faults if f.kind not in _OTHER_KINDS), *job.flow_faults]
+    faults = [*(fault for fault in job.faults if fault.kind not in _OTHER_KINDS), *job.flow_faults]
     faults += [
-        f
+        fault
         for task in job.tasks
         for file, text in task.files.items()
-        for f in unexpected_characters(file, text)
+        for fault in unexpected_characters(file, text)
     ]
     outcome = _faults_outcome("verify.syntax", faults, "write the programs again with Tandem")
     notes = tuple(
-        Issue("verify.syntax", n.message, Severity.WARNING, file=n.file, line=n.line, field=n.code)
-        for n in job.notes
+        Issue(
+            "verify.syntax", note.message, Severity.WARNING, file=note.file, line=note.line, field=note.code
+        )
+        for note in job.notes
     )
     return dataclasses.replace(outcome, issues=(*outcome.issues, *notes))
 
@@ -218,7 +232,9 @@ def persistent_data(context: Context) -> RuleOutcome:
     """PERS data have literals and are not shared between tasks, which would let one task change another."""
     outcome = _reading_faults(context, "verify.pers_literal", _PERS, "give PERS data a literal")
     shared = [
-        i for task in context.job.tasks for i in check_task("verify.pers_literal", context, task).issues
+        issue
+        for task in context.job.tasks
+        for issue in check_task("verify.pers_literal", context, task).issues
     ]
     return dataclasses.replace(outcome, issues=(*outcome.issues, *shared))
 
@@ -278,15 +294,20 @@ def files(context: Context) -> RuleOutcome:
     """
     arms = context.problem.cell.arms
     sharing = {arm.name for arm in arms if (reader := reader_of(arm)) and reader.sharing is Sharing.FILE}
-    shared = tuple(ending for arm in arms if arm.name in sharing for ending in program_suffixes(arm))
+    shared_suffixes = tuple(ending for arm in arms if arm.name in sharing for ending in program_suffixes(arm))
     issues = [
-        Issue("verify.files", f.message, file=f.file, line=f.line, hint=_rename_hint(f, shared))
-        for f in context.job.faults
-        if f.kind in _FILES
+        Issue(
+            "verify.files",
+            fault.message,
+            file=fault.file,
+            line=fault.line,
+            hint=_rename_hint(fault, shared_suffixes),
+        )
+        for fault in context.job.faults
+        if fault.kind in _FILES
     ]
-    has_unread_file = any(
-        f.file.endswith(shared) for f in context.job.faults
-    )  # the file exists but was not read
+    # A file with a fault exists, although it was not read.
+    has_unread_file = any(fault.file.endswith(shared_suffixes) for fault in context.job.faults)
     names = task_names(context.problem)
     read = {task.name for task in context.job.tasks}
     used = {arm for operation in context.problem.operations for arm in operation.arms}
@@ -313,10 +334,10 @@ def digest(context: Context) -> RuleOutcome:
     """The programs were written for this very problem."""
     findings = Findings("verify.digest", context)
     for task in context.job.tasks:
-        text = task.text.digest
-        if text != context.problem.digest:
+        stated_digest = task.text.digest
+        if stated_digest != context.problem.digest:
             message = (
-                f"task {task.name} states the problem {text[:12] or '(none)'}..., "
+                f"task {task.name} states the problem {stated_digest[:12] or '(none)'}..., "
                 f"this problem is {context.problem.digest[:12]}..."
             )
             findings.add(message, file=task.name, hint="plan this problem again")

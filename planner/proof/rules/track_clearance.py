@@ -1,9 +1,9 @@
 """verify.track_way: clearance while tracks, gantries, turntables and positioners move between stations.
 
-Distances are those of the planner's own distance queries. The poses that the queries had of carried bodies
-are compared with independent sums and rotations. That carried bodies keep their distance from all
-stationary bodies, except those that support them, is checked along the lines on which the distances were
-found: for any line, the extents of two convex shapes along it prove a distance between them.
+The distances are those of the planner's distance queries. The poses of carried bodies in the queries are
+compared with independent sums and rotations. The distances of carried bodies from all stationary bodies,
+except for those that support them, are then checked along the lines on which the queries found them: for any
+line, the extents of two convex shapes along it prove a distance between them.
 """
 
 import dataclasses
@@ -46,15 +46,15 @@ from planner.proof.rules.setups_and_frames import FRAME_TOLERANCE_M, FRAME_TOLER
 _CODE = "verify.track_way"
 """Code of the rule."""
 MAX_SUPPORT_ABOVE_FOOT_M = 2e-3
-"""Maximum height [m] above the foot of a base of the body on which the base slides."""
+"""Height [m] above the foot of a base up to which the body on which the base slides may extend."""
 MIN_UPRIGHT_PART = 0.5
-"""Minimum part of a base's z axis that is square to the motion, for the base to have a foot on which it
-slides.
+"""Minimum length of the component of a base's z axis perpendicular to the motion. If it is shorter, the base
+has no foot on which it slides.
 """
 POSE_TOLERANCE = 1e-6
-"""Tolerance [m, -] within which poses of bodies are equal."""
+"""Tolerance [m, and each entry of the rotation] within which poses of bodies are equal."""
 MAX_LEVEL_HEIGHT = 1e-9
-"""Maximum height of the unit vector of an axis that counts as horizontal."""
+"""Maximum z component of the unit vector of an axis that counts as horizontal."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,8 +85,8 @@ def track_clearance(context: Context) -> RuleOutcome:
     findings, query_count = Findings(_CODE, context, worst=np.inf), 0
     values = context.problem.axis_homes
     for index, setup in enumerate(context.setups):
-        for what in _check_model_poses(context, models(index), setup):
-            findings.add(what)
+        for fault in _check_model_poses(context, models(index), setup):
+            findings.add(fault)
         for axis, ends in _moving_axes(context, index, setup, values):
             model = _model_before(context, models(index), setup, values)
             move = AxisMove(axis=axis, ends=ends, values=values)
@@ -150,8 +150,9 @@ def track_clearance(context: Context) -> RuleOutcome:
 def _moving_axes(
     context: Context, index: int, setup: Setup, values: dict[str, float]
 ) -> list[tuple[TaskAxis, tuple[float, float]]]:
-    """Return the axes that move before a setup, in the order of the text, with start and end values [m,
-    rad].
+    """Return the axes that move before setup ``index``, in the order of the text.
+
+    Each has its start and end value [m, rad]. ``values`` are those of all axes before, by name.
     """
     table, moving = context.problem.cell.turntable, []
     for arm in setup.cell.arms:
@@ -171,8 +172,9 @@ def _moving_axes(
 def _coordinated_tracks(
     context: Context, index: int, setup: Setup
 ) -> list[tuple[TaskAxis, tuple[float, float]]]:
-    """Return the coordinated tracks of a setup, each with the smallest and largest value [m] of its
-    straight moves.
+    """Return the coordinated tracks of setup ``index``.
+
+    Each has the smallest and the largest value [m] in its arm's straight moves, within its range.
     """
     out = []
     for task in context.job.tasks if setup.operations else ():
@@ -184,16 +186,15 @@ def _coordinated_tracks(
                 for move in moves
                 if not move.by_joints and abs(move.target.external[axis.column]) < MAX_EXTERNAL_VALUE
             ]
-            if (
-                axis.follow_fraction is not None and values
-            ):  # verify.external_axes reports values beyond the range
+            # verify.external_axes reports values beyond the range.
+            if axis.follow_fraction is not None and values:
                 low, high = np.clip([min(values), max(values)], axis.low, axis.high).tolist()
                 out.append((axis, (low, high)))
     return out
 
 
 def _base_pose(context: Context, arm: Arm, values: Mapping[str, float]) -> FloatArray:
-    """Return the base pose (4, 4) of an arm at values [m] of the axes under it."""
+    """Return the base pose (4, 4) of an arm at values [m] of the axes that carry it, by name."""
     out = np.array(context.bases[arm.name])
     out[:3, 3] += axis_translation(arm, values)
     return out
@@ -202,7 +203,10 @@ def _base_pose(context: Context, arm: Arm, values: Mapping[str, float]) -> Float
 def _base_motion(
     model: CellModel, setup: Setup, axis: TaskAxis, ends: tuple[float, float], limit: float
 ) -> AxisMotionCheck:
-    """Return the motion of a base alone. The rest of the arm is checked while it works (verify.clearance)."""
+    """Return the motion of the base of a coordinated track over its range in a setup.
+
+    Pairs without the base are not measured. The rest of the arm is checked while it works (verify.clearance).
+    """
     homes = {other.name: other.home for other in setup.cell.arms}
     bodies = sorted({solid.body for solid in model.solids})
     all_pairs = frozenset(map(frozenset, itertools.combinations(bodies, 2)))
@@ -210,7 +214,10 @@ def _base_motion(
 
 
 def _arrival(context: Context, index: int, arm: str, axis: TaskAxis, value: float) -> tuple[int, int]:
-    """Return the first stage of a setup, and the move in it, at which an axis of an arm has a value."""
+    """Return the number of the stage, and the index of the move in it, with which an axis reaches a value.
+
+    It is the first such move of setup ``index``. Without one, the result is after all stages.
+    """
     for number, _, task, moves in context.moves():
         if task.arm.name == arm and int(context.spans.of_stage[number]) == index:
             values = [axis.scale * float(move.target.external[axis.column]) for move in moves]
@@ -221,8 +228,9 @@ def _arrival(context: Context, index: int, arm: str, axis: TaskAxis, value: floa
 
 
 def _model_before(context: Context, model: CellModel, setup: Setup, values: dict[str, float]) -> CellModel:
-    """Return the model of a setup with all axes at the values ``values`` that they have before one of them
-    moves.
+    """Return the model of a setup with all axes at ``values``, which they have before one of them moves.
+
+    ``model`` has the axes at the values of the setup.
     """
     arms_on_axes = [arm for arm in setup.cell.arms if arm.linear_axes]
     model = model.with_bases({arm.name: _base_pose(context, arm, values) for arm in arms_on_axes})
@@ -274,7 +282,7 @@ def _check_query_poses(
         motion: The motion with its queries.
 
     Returns:
-        What is wrong, or an empty text.
+        The fault as a text, "" if there is none.
     """
     axis, ends, values = move.axis, move.ends, move.values
     first, last = motion.samples[0].value, motion.samples[-1].value
@@ -326,11 +334,13 @@ def _check_carried_poses(
     """Compare the poses of a base and of carried bodies in the distance queries with sums of axis motions.
 
     The expected pose is that of the problem at value 0, moved by the sum of all values times their
-    directions.
+    directions. The result is the fault as a text, "" if there is none.
     """
     foot, names = f"{arm.name}/base_link", list(arm.axes_by_name)
     carried = {
-        body for on in names[names.index(axis.station_name) :] for body in arm.axes_by_name[on].carries
+        body
+        for axis_name in names[names.index(axis.station_name) :]
+        for body in arm.axes_by_name[axis_name].carries
     }
     in_setup = {body.name: body for body in cell.obstacles}
     for query in motion.samples:
@@ -352,28 +362,32 @@ def _check_carried_poses(
 
 
 def _carried_shapes(context: Context, arm: Arm, values: Mapping[str, float]) -> dict[str, FloatArray]:
-    """Return the shape poses (K, 4, 4) of the bodies on the axes under an arm, at axis values [m]."""
+    """Return the poses of the shapes of bodies that the axes of an arm carry, at axis values [m] by name.
+
+    The poses (K, 4, 4) in the world are by the name of the body. They are those of the problem, moved by the
+    sum of the axis motions.
+    """
     zero = {body.name: body for body in context.problem.cell.obstacles}
     out = {}
-    for on, rail in arm.axes_by_name.items():
+    for axis_name, rail in arm.axes_by_name.items():
         for name in rail.carries:
             out[name] = np.stack([shape.pose for shape in zero[name].shapes])
-            out[name][:, :3, 3] += axis_translation(arm, values, on)
+            out[name][:, :3, 3] += axis_translation(arm, values, axis_name)
     return out
 
 
 def _check_model_poses(context: Context, model: CellModel, setup: Setup) -> Iterator[str]:
-    """Check the poses of carried bodies in the model of a setup.
+    """Check the poses of carried bodies in the model of a setup, and yield faults as texts.
 
     They are checked in the proof's model, and in Drake, which measures some of the distances.
     """
-    known = model.poses({})
+    model_poses = model.poses({})
     drake = model.checker.UpdatePositions(np.concatenate([model.cell.arm(a).home for a in model.arms]))
     in_setup = {body.name: body for body in model.cell.obstacles}
     for arm in setup.cell.arms:
         for name, expected in _carried_shapes(context, arm, arm.axis_values).items():
             drake_pose = model.plant.EvalBodyPoseInWorld(drake, model.body(name)).GetAsMatrix4()
-            for pose in (known[name][0], np.asarray(drake_pose)):
+            for pose in (model_poses[name][0], np.asarray(drake_pose)):
                 shape_poses = np.stack([pose @ shape.pose for shape in in_setup[name].shapes])
                 if float(np.abs(shape_poses - expected).max()) > POSE_TOLERANCE:
                     yield f"{name} is not where the axes under it put it in setup {setup.number}"
@@ -388,13 +402,12 @@ def _check_carried_clearance(
     motion: AxisMotionCheck,
     limit: float,
 ) -> str:
-    """Check that the base of an arm, or what it carries along, keeps ``limit`` [m] on a motion that the
-    queries passed.
+    """Check that all bodies that a linear axis carries keep ``limit`` [m] from stationary bodies.
 
-    Some pairs of shapes are left out. For the base these are shapes of obstacles that end below its foot:
-    below a plane along the motion, in which the foot stays. For carried bodies these are shapes of
-    obstacles along which they slide, beside such a plane, over all of the axis' range. What moves up or
-    down keeps its distance from the floor at both ends; a base may stand on it.
+    Some pairs of shapes are left out. For the base of the arm these are shapes of obstacles that end below
+    its foot: below a plane along the motion, in which the foot stays. For carried bodies these are shapes of
+    obstacles along which they slide, beside such a plane, over the whole range of the axis. Bodies that move
+    up or down must keep their distance from the floor at both ends; a base may stand on it.
 
     Args:
         context: The proof.
@@ -405,7 +418,7 @@ def _check_carried_clearance(
         limit: Required clearance [m].
 
     Returns:
-        What comes too close, or an empty text.
+        Text about the bodies that come too close, "" if none do.
     """
     arm, foot = model.cell.arm(str(axis.arm)), f"{axis.arm}/base_link"
     direction = np.array(axis.direction)
@@ -419,11 +432,11 @@ def _check_carried_clearance(
     if not carried:
         return ""
     on_axis = {body: on for on, rail in arm.axes_by_name.items() for body in rail.carries}
-    model_shifts = {
-        on: axis_translation(arm, arm.axis_values, on) for on in names
-    }  # translations in the cell of the model
+    # Translations of the bodies in the cell of the model, by the axis that carries them.
+    model_shifts = {name: axis_translation(arm, arm.axis_values, name) for name in names}
 
     def placed(query: AxisSample) -> list[FloatArray]:
+        """Return the poses (4, 4) of the carried shapes at a query."""
         current = {**values, axis.station_name: query.value}
         base, out = _base_pose(context, arm, current), []
         for solid in carried:
@@ -454,13 +467,14 @@ def _check_carried_clearance(
         ],
         dtype=bool,
     )
-    supports = {body.name for body in model.cell.obstacles}  # neither block and support nor what others carry
+    # Bodies that may support others: obstacles that no axis of another arm carries.
+    supports = {body.name for body in model.cell.obstacles}
     supports -= {
         name
-        for solid_b in model.cell.arms
-        if solid_b != arm
-        for on in solid_b.linear_axes
-        for name in on.carries
+        for other_arm in model.cell.arms
+        if other_arm != arm
+        for linear_axis in other_arm.linear_axes
+        for name in linear_axis.carries
     }
     start_value = motion.samples[0].value
     travel = axis.low - start_value, axis.high - start_value  # over the axis' range, not only this motion
@@ -494,12 +508,11 @@ def _check_carried_clearance(
 def _check_stock_clearance(
     model: CellModel, table: Turntable, tilt: float, axis: TaskAxis, motion: AxisMotionCheck, limit: float
 ) -> str:
-    """Check that what an axis under the block carries keeps ``limit`` [m] on a motion that the queries
-    passed.
+    """Check that the bodies that a turn axis or tilt axis carries keep ``limit`` [m] from stationary bodies.
 
-    The poses of carried bodies are those of the queries. Left out is the plate while it turns. Of plate and
-    bracket while they tilt, shapes are left out that no tilt can bring together: one of them is round about
-    the axis, or both lie one after the other along it.
+    The poses of carried bodies are those of the queries. The plate of the turntable is left out while it
+    turns. While plate and bracket tilt, pairs of their shapes and others are left out that no tilt brings
+    closer: one shape is round about the axis, or both lie one after the other along it.
 
     Args:
         model: Model of the cell before the motion.
@@ -510,7 +523,7 @@ def _check_stock_clearance(
         limit: Required clearance [m].
 
     Returns:
-        What comes too close, or an empty text.
+        Text about the bodies that come too close, "" if none do.
     """
     pivot = table.axes[axis.station_name]
     ends = np.stack([pivot.centre, pivot.centre + pivot.axis])

@@ -1,7 +1,7 @@
 """Rules on time that passes while nothing moves.
 
-verify.power_idle: how long arms may stand with the power of a wire or a spindle on. verify.meeting_time:
-how long tasks wait where they meet.
+verify.power_idle: time for which arms stand still while the power of a wire or a spindle is on.
+verify.meeting_time: time for which tasks wait where they meet.
 """
 
 import dataclasses
@@ -35,20 +35,20 @@ POWER_IDLE = "verify.power_idle"
 MEETING_TIME = "verify.meeting_time"
 """Code of the rule on waits at meetings."""
 MAX_IDLE_FACTOR = 1.1
-"""Factor by which power may be on longer than stated before anything moves."""
+"""Ratio of the time with the power on to the stated time that is allowed while nothing moves."""
 IDLE_SPARE_S = 0.5
-"""Time [s] by which power may be on longer in addition to :data:`MAX_IDLE_FACTOR`, because statements take
-time, too.
+"""Time [s] for which power may be on in addition to :data:`MAX_IDLE_FACTOR`, because statements take time,
+too.
 """
 MAX_SLOW_FACTOR = 2.0
 """Maximum ratio between the time of a move with a hot wire and the time at the lowest feed."""
 RAMP_TIME_S = 5.0
-"""Time [s] by which a move with a hot wire may take longer in addition to :data:`MAX_SLOW_FACTOR`.
-Short moves and rotations of a tool take the time of their ramps.
+"""Time [s] that a move with a hot wire may take in addition to :data:`MAX_SLOW_FACTOR`, because short moves
+and rotations of a tool take the time of their ramps.
 """
 TRAVEL_SPARE_S = 1.0
-"""Time [s] by which waits for external axes may be shorter than the axes' motion, because texts have
-rounded speeds.
+"""Time [s] by which waits for external axes may be shorter than the motion of the axes, because speeds in the
+text are rounded.
 """
 MAX_ISSUES_SHOWN = 50
 """Maximum number of issues of one task."""
@@ -56,13 +56,13 @@ MAX_ISSUES_SHOWN = 50
 
 @dataclasses.dataclass(frozen=True)
 class _Slot:
-    """What tasks do between one motion and the next in a stage.
+    """Steps of the tasks between one move and the next in a stage.
 
     Attributes:
-        stage: Index of the stage.
-        steps: Steps by task.
-        motion_follows: Whether a motion follows.
-        segment: Key of the segment of the motion before, as the text names it, empty for none.
+        stage: Number of the stage.
+        steps: Steps of each task by its name.
+        motion_follows: Whether a move follows.
+        segment: Key of the segment of the previous move, as the text names it, "" for none.
     """
 
     stage: int
@@ -76,9 +76,9 @@ class _Power:
     """State of a signal while the slots are traversed.
 
     Attributes:
-        on: Whether it is on.
-        switching_task: Task that switched it on since the last motion.
-        on_time: Time [s] for which it has been on since the last motion.
+        on: Whether the signal is on.
+        switching_task: Name of the task that has switched it on since the last move, "" if none has.
+        on_time: Time [s] for which it has been on since the last move.
     """
 
     on: bool = False
@@ -99,11 +99,11 @@ def power_idle(context: Context) -> RuleOutcome:
     for signal in sorted({claim.signal.lower(): claim.signal for claim in context.contacts}.values()):
         for tasks in job.group_by_controller(context.problem, context.job.tasks):
             controller_tasks = frozenset(task.name for task in tasks)
-            walk = _PowerWalk(context, signal, controller_tasks, dwells)
+            checker = _PowerWalk(context, signal, controller_tasks, dwells)
             for slot in slots:
-                walk.process(slot)
-            issues += [*walk.issues[:MAX_ISSUES_SHOWN], *_slow_moves(context, signal, controller_tasks)]
-            worst = max(worst, walk.worst)
+                checker.process(slot)
+            issues += [*checker.issues[:MAX_ISSUES_SHOWN], *_slow_moves(context, signal, controller_tasks)]
+            worst = max(worst, checker.worst)
     issues += _unclaimed_power(context)
     if not context.contacts:
         return RuleOutcome(tuple(issues), nothing="no power")
@@ -115,9 +115,9 @@ def _unclaimed_power(context: Context) -> list[Issue]:
     signal = context.problem.cell.controller.wire_signal
     if any(claim.signal.lower() == signal.lower() for claim in context.contacts):
         return []
-    what = f"{signal} is switched on, but no operation of the problem has a wire or drive on it"
+    message = f"{signal} is switched on, but no operation of the problem has a wire or drive on it"
     return [
-        step_issue(POWER_IDLE, what, task, step)
+        step_issue(POWER_IDLE, message, task, step)
         for task in context.job.tasks
         for step in task.steps
         if isinstance(step, SignalStep) and step.signal.lower() == signal.lower() and step.value
@@ -125,7 +125,7 @@ def _unclaimed_power(context: Context) -> list[Issue]:
 
 
 def _slots(context: Context) -> Iterator[_Slot]:
-    """Yield all slots of the job in the order in which they pass."""
+    """Yield all slots in order of time. Tasks without moves in a stage act in the first slot of its moves."""
     segment = ""
     for number, stage in enumerate(context.job.stages):
         movers = [task.name for task in context.job.tasks if stage.moves(task.name)]
@@ -142,24 +142,25 @@ def _slots(context: Context) -> Iterator[_Slot]:
 
 
 def _segment(stage: JobStage, task: str, i: int) -> str:
+    """Return the key of the segment of a task's move i in a stage, or of its last move."""
     moves = stage.moves(task)
     return segment_of_name(moves[min(i, len(moves) - 1)].procedure).key
 
 
 class _PowerWalk:
-    """Traverses the slots with one signal of the controller that runs some tasks.
+    """Follows one signal of one controller through all slots, and collects the issues.
 
     Attributes:
         context: The proof.
         signal: Name of the signal.
         key: Name of the signal in lower case.
-        dwells: Longest stated wait [s] by setup and segment.
+        dwells: Longest stated wait [s] by the index of the setup and the key of the segment.
         controller_tasks: Names of the controller's tasks.
         tasks: All tasks by name.
-        mounted: Stages in which a wire is mounted.
+        mounted: Numbers of the stages in which a wire joins the arms.
         power: State of the signal.
-        issues: What is wrong.
-        worst: Largest time with power as a fraction of the allowed one.
+        issues: Issues that were found.
+        worst: Largest time with power as a fraction of the allowed time.
     """
 
     def __init__(
@@ -178,27 +179,36 @@ class _PowerWalk:
         self.worst = 0.0
 
     def process(self, slot: _Slot) -> None:
-        """Process one slot. Other tasks count if they keep a task waiting that has left the power on."""
+        """Process one slot.
+
+        First the steps of the task that switches the signal count. If it leaves the power on, the steps of
+        the other tasks count, too, because the switching task waits for them.
+        """
         power = self.power
-        switches = next(
-            (n for n, steps in slot.steps.items() if n in self.controller_tasks and self._switched(steps)), ""
+        switching_task = next(
+            (
+                name
+                for name, steps in slot.steps.items()
+                if name in self.controller_tasks and self._switched(steps)
+            ),
+            "",
         )
         switched_on = 0.0
         elapsed = 0.0
-        for step in slot.steps.get(switches, ()):
+        for step in slot.steps.get(switching_task, ()):
             if isinstance(step, SignalStep) and step.signal.lower() == self.key:
                 if step.value and not power.on:
-                    switched_on, power.switching_task = elapsed, switches
+                    switched_on, power.switching_task = elapsed, switching_task
                 elif power.on and not step.value:
                     power.on_time += elapsed - switched_on
                     self._check_on_time(slot)
                 power.on = bool(step.value)
             elif power.on:
-                self._check_unbounded(slot, switches, step)
+                self._check_unbounded(slot, switching_task, step)
             elapsed += dwell_time([step])
         if power.on:
             for name, steps in slot.steps.items():
-                for step in steps if name != switches else ():
+                for step in steps if name != switching_task else ():
                     self._check_unbounded(slot, name, step)
             power.on_time += max(dwell_time(list(steps)) for steps in slot.steps.values()) - switched_on
             self._check_on_time(slot)
@@ -209,7 +219,7 @@ class _PowerWalk:
         return any(isinstance(step, SignalStep) and step.signal.lower() == self.key for step in steps)
 
     def _check_on_time(self, slot: _Slot) -> None:
-        """Report power that has been on for too long since the last motion."""
+        """Report power that has been on for too long since the last move."""
         setup = int(self.context.spans.of_stage[slot.stage])
         contacts = self.context.setup_claims[setup].contacts
         heat = (claim.heat_up for claim in contacts if claim.signal.lower() == self.key)
@@ -220,14 +230,16 @@ class _PowerWalk:
         if self.power.on_time <= allowed:
             return
         name, step = _longest_wait(slot)
-        what = f"{self.signal} is on for {self.power.on_time:g} s while nothing moves; allowed: {allowed:g} s"
+        message = (
+            f"{self.signal} is on for {self.power.on_time:g} s while nothing moves; allowed: {allowed:g} s"
+        )
         hint = "switch it off before, or wait as long as the problem says"
-        issue = step_issue(POWER_IDLE, what, self.tasks[name], step, hint)
+        issue = step_issue(POWER_IDLE, message, self.tasks[name], step, hint)
         self.issues.append(dataclasses.replace(issue, value=self.power.on_time, limit=allowed, unit="s"))
         self.power.on_time = 0.0
 
     def _check_unbounded(self, slot: _Slot, name: str, step: ProgramStep) -> None:
-        """Report a step with the power on whose end is unknown."""
+        """Report a step of a task that may take any time, or stop the program, while the power is on."""
         if isinstance(step, MessageStep) and step.confirm:
             if name == self.power.switching_task and slot.stage in self.mounted:
                 return  # an elastic wire is tensioned while hot, before it moves
@@ -243,9 +255,10 @@ class _PowerWalk:
         elif isinstance(step, ChoiceStep) and _may_stop_with_power(step, self.key):
             self._fault(name, step, f"may stop on {step.condition}")
 
-    def _fault(self, name: str, step: ProgramStep, what: str) -> None:
-        what = f"{name} {what} while {self.signal} is on"
-        self.issues.append(step_issue(POWER_IDLE, what, self.tasks[name], step, "switch it off before"))
+    def _fault(self, name: str, step: ProgramStep, action: str) -> None:
+        """Add an issue about a step in which task ``name`` does an ``action`` while the signal is on."""
+        message = f"{name} {action} while {self.signal} is on"
+        self.issues.append(step_issue(POWER_IDLE, message, self.tasks[name], step, "switch it off before"))
 
 
 def _takes_time(step: ProgramStep) -> bool:
@@ -268,6 +281,7 @@ def _may_stop_with_power(choice: ChoiceStep, key: str) -> bool:
 
 
 def _longest_wait(slot: _Slot) -> tuple[str, ProgramStep | None]:
+    """Return the longest wait in a slot, and its task. Without waits it is None, with the first task."""
     waits = [
         (step.pause, name, step)
         for name, steps in slot.steps.items()
@@ -289,8 +303,9 @@ def _longest_dwells(context: Context) -> dict[tuple[int, str], float]:
 
 
 def _slow_moves(context: Context, signal: str, controller_tasks: Collection[str]) -> list[Issue]:
-    """Report moves with a wire heated by the tasks ``controller_tasks`` that take much longer than at the
-    lowest feed.
+    """Report moves that take much longer than at the lowest feed while a wire is hot.
+
+    The wire is heated by ``signal`` of the controller with the tasks ``controller_tasks``.
     """
     motion = context.motion
     if not len(motion.node_sample):
@@ -314,18 +329,18 @@ def _slow_moves(context: Context, signal: str, controller_tasks: Collection[str]
         max_times = MAX_SLOW_FACTOR * path / min_feed + RAMP_TIME_S
         for k in np.flatnonzero(motion.node_duration[rows] > max_times)[:MAX_ISSUES_SHOWN]:
             duration = float(motion.node_duration[rows[k]])
-            what = (
+            message = (
                 f"{signal} is on while a move of {mm(path[k]):.2f} mm takes {duration:g} s; at the lowest "
                 "feed "
             )
-            what += f"it takes {path[k] / min_feed:.2f} s"
-            issue = node_issue(POWER_IDLE, what, motion, next(iter(motion.tcp)), int(rows[k]))
+            message += f"it takes {path[k] / min_feed:.2f} s"
+            issue = node_issue(POWER_IDLE, message, motion, next(iter(motion.tcp)), int(rows[k]))
             issues.append(dataclasses.replace(issue, value=duration, limit=float(max_times[k]), unit="s"))
     return issues
 
 
 def _path_lengths(context: Context, arm: str, lever: float) -> FloatArray:
-    """Return the maximum path (K,) [m] in each move of a point at ``lever`` [m] from the TCP."""
+    """Return upper bounds (K,) [m] of the path in each move of points at ``lever`` [m] from the TCP."""
     motion = context.motion
     rows = motion.node_sample
     previous = np.concatenate([[0], rows[:-1]])
@@ -346,54 +361,64 @@ def meeting_time(context: Context) -> RuleOutcome:
     for task in context.job.tasks:
         for point in sync_points(task):
             if point.limited:
-                what = (
+                message = (
                     f"{point.kind} {point.ident} has a time limit and ends the run if the other task is late"
                 )
-                issues.append(step_issue(MEETING_TIME, what, task, point, "remove \\TimeOut"))
+                issues.append(step_issue(MEETING_TIME, message, task, point, "remove \\TimeOut"))
     if context.job.automata_by_arm is not None and len(context.job.tasks) == 2:
         issues += _check_handshake_waits(context)
     return RuleOutcome(tuple(issues))
 
 
 def _check_handshake_waits(context: Context) -> Iterator[Issue]:
-    """Report waits for the other controller that are too short for its work before, or longer than anything
-    takes.
+    """Report waits for the other controller that are too short or too long.
+
+    A wait is too short if the other program may legitimately take longer before it answers: for a question to
+    its operator, for its moves, or for external axes. It is too long if nothing takes that long.
     """
-    readings, handshake = context.job.automata_by_arm or {}, context.problem.cell.controller.handshake
+    automata, handshake = context.job.automata_by_arm or {}, context.problem.cell.controller.handshake
     tasks = context.job.tasks
     for task, other in (tasks, tasks[::-1]):
-        own_reading, other_reading = readings[task.name], readings[other.name]
-        asks = _intervals_with(other, other_reading, _asks)
-        midway = asks.copy() if language_of_task(other).restarts is not None else set[int]()
-        asks |= _intervals_with(other, other_reading, _moves) - _intervals_with(task, own_reading, _moves)
-        travels = _travel_times(context, other, other_reading)
+        automaton, other_automaton = automata[task.name], automata[other.name]
+        long_intervals = _intervals_with(other, other_automaton, _asks)
+        midway = long_intervals.copy() if language_of_task(other).restarts is not None else set[int]()
+        long_intervals |= _intervals_with(other, other_automaton, _moves) - _intervals_with(
+            task, automaton, _moves
+        )
+        travels = _travel_times(context, other, other_automaton)
         max_wait = (
             max(handshake.patience, handshake.timeout) + 1.0 + _busy_time(other) + sum(travels.values())
         )
         watched = stages.controller_wiring(context.problem).running_inputs.get(task.name, frozenset())
-        for step, interval in _protocol_waits(task, own_reading, handshake.kind, watched, midway):
-            min_wait = handshake.patience if interval in asks else min(handshake.timeout, handshake.patience)
+        for step, interval in _protocol_waits(task, automaton, handshake.kind, watched, midway):
+            min_wait = (
+                handshake.patience
+                if interval in long_intervals
+                else min(handshake.timeout, handshake.patience)
+            )
             min_wait += max(travels.get(interval, 0.0) - TRAVEL_SPARE_S, 0.0)
             if step.seconds is None:
-                what = f"{task.name} may wait for {step.signal} forever; state a time limit"
-                yield step_issue(MEETING_TIME, what, task, step)
+                message = f"{task.name} may wait for {step.signal} forever; state a time limit"
+                yield step_issue(MEETING_TIME, message, task, step)
             elif not min_wait <= step.seconds <= max_wait:
-                what = f"{task.name} waits for {step.signal} for {step.seconds:g} s; "
-                what += f"allowed: {min_wait:g} to {max_wait:.0f} s"
-                yield step_issue(MEETING_TIME, what, task, step, "see timeout and patience of the handshake")
+                message = f"{task.name} waits for {step.signal} for {step.seconds:g} s; "
+                message += f"allowed: {min_wait:g} to {max_wait:.0f} s"
+                yield step_issue(
+                    MEETING_TIME, message, task, step, "see timeout and patience of the handshake"
+                )
 
 
 def _intervals_with(
-    task: TaskText, reading: ProgramAutomaton, chosen: Callable[[ProgramStep], bool]
+    task: TaskText, automaton: ProgramAutomaton, chosen: Callable[[ProgramStep], bool]
 ) -> set[int]:
-    """Return the intervals between meetings in which a program has the chosen steps."""
-    return {n for n, step in zip(reading.interval, task.steps, strict=True) if chosen(step)}
+    """Return the numbers of the intervals between meetings in which a program has a chosen step."""
+    return {number for number, step in zip(automaton.interval, task.steps, strict=True) if chosen(step)}
 
 
-def _travel_times(context: Context, task: TaskText, reading: ProgramAutomaton) -> dict[int | None, float]:
-    """Return the time [s] for which a task moves external axes, by intervals between meetings."""
+def _travel_times(context: Context, task: TaskText, automaton: ProgramAutomaton) -> dict[int | None, float]:
+    """Return the time [s] for which a task moves external axes, by the number of the interval."""
     out: dict[int | None, float] = {}
-    for number, step in zip(reading.interval, task.steps, strict=True):
+    for number, step in zip(automaton.interval, task.steps, strict=True):
         seconds = context.travel_times.get(id(step), 0.0)
         if seconds > 0.0:
             out[number] = out.get(number, 0.0) + seconds
@@ -402,29 +427,30 @@ def _travel_times(context: Context, task: TaskText, reading: ProgramAutomaton) -
 
 def _protocol_waits(
     task: TaskText,
-    reading: ProgramAutomaton,
+    automaton: ProgramAutomaton,
     kind: HandshakeKind,
     watched: Collection[str],
     midway: Collection[int],
 ) -> Iterator[tuple[WaitStep, int | None]]:
-    """Yield the waits of the protocol, each with the interval of the other program that it may last.
+    """Yield the waits of the handshake, each with the interval of the other program for which it may last.
 
-    In that interval the other program works before it arrives. It is None where both have arrived, and at
-    the start of the leading program, which the operator ensures. A check whether the other program runs (an
-    input in ``watched``) lasts as long as the meeting after it may. Whether the other one is stopped is
-    checked at the start, when somebody stops it.
+    In this interval the other program works before it arrives at the meeting. It is None if both have
+    arrived, and at the start of the leading program, for which the operator ensures that the other one is
+    ready. A check that the other program runs (an input in ``watched`` at 1) may last as long as the next
+    wait. A check that the other program is stopped has no interval, because it is done at the start, when an
+    operator stops it.
 
     Args:
-        task: Task whose waits are meant.
-        reading: Its actions and intervals.
+        task: Task that waits.
+        automaton: Actions and intervals of its program.
         kind: Kind of the handshake.
         watched: Inputs of running wires, in lower case.
         midway: Meetings during which the other program asks a question, so that the follower waits there.
     """
     last_signal: SignalStep | None = None
     checks: list[WaitStep] = []
-    protocol_steps = zip(reading.protocol, reading.interval, task.steps, strict=True)
-    for step, number in [(step, number) for mine, number, step in protocol_steps if mine]:
+    protocol_steps = zip(automaton.protocol, automaton.interval, task.steps, strict=True)
+    for step, number in [(step, number) for is_protocol, number, step in protocol_steps if is_protocol]:
         if isinstance(step, SignalStep):
             last_signal = step
         elif isinstance(step, WaitStep) and step.signal.lower() in watched:
@@ -433,9 +459,8 @@ def _protocol_waits(
             else:
                 yield step, None
         elif isinstance(step, WaitStep):
-            leads = (
-                last_signal is not None and last_signal.value == step.value
-            )  # it requests and waits for the answer
+            # The leading program sets its signal and waits until the other one answers with the same value.
+            leads = last_signal is not None and last_signal.value == step.value
             both_arrived = kind == "four_phase" and not step.value
             waiting_interval = number - 1 if leads else number
             is_held = both_arrived and not leads and number in midway

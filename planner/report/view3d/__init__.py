@@ -17,17 +17,19 @@ FILM_MODULES: Final = (*THREE_MODULES, "film.js")
 
 
 def bundle_script(main_script: str, modules: Sequence[str] = MODULES) -> str:
-    """Bundle a script with the modules that it imports, without three.js.
+    """Return a script and the modules that it imports as one script without imports and exports.
+
+    three.js is not included: see :func:`three_js`.
 
     Args:
         main_script: Text of the script.
-        modules: Names of the modules.
+        modules: File names of the modules, in the order of their dependencies.
     """
     texts = [*((FOLDER / name).read_text("utf-8") for name in modules), main_script]
-    whole = "\n".join(
+    joined = "\n".join(
         re.sub(r'^import .* from "\./[\w./]+";\n', "", text, flags=re.MULTILINE) for text in texts
     )
-    return "(() => {\n" + re.sub(r"^export ", "", whole, flags=re.MULTILINE) + "})();\n"
+    return "(() => {\n" + re.sub(r"^export ", "", joined, flags=re.MULTILINE) + "})();\n"
 
 
 @functools.cache
@@ -54,10 +56,13 @@ def three_js() -> str:
 
 
 def _object_fields(names: str, swapped: bool = False) -> str:
-    """Convert an export list, "local as exported, ...", to object fields, or an import list to a pattern."""
+    """Convert a list "a as b, c" of an export to fields "b:a,c:c" of an object.
+
+    ``swapped`` is for a list of an import: the result "a:b,c:c" is a pattern that unpacks an object.
+    """
     out = []
     for name in filter(None, (part.strip() for part in names.split(","))):
-        local_name, _, exported_name = name.partition(" as ")
-        local_name, exported_name = local_name.strip(), (exported_name or local_name).strip()
-        out.append(f"{local_name}:{exported_name}" if swapped else f"{exported_name}:{local_name}")
+        before_as, _, after_as = name.partition(" as ")
+        before_as, after_as = before_as.strip(), (after_as or before_as).strip()
+        out.append(f"{before_as}:{after_as}" if swapped else f"{after_as}:{before_as}")
     return ",".join(out)

@@ -1,4 +1,4 @@
-"""Download of programs: all files of a folder on a controller, by their names in it."""
+"""Download of programs: all files of a folder on a controller, by their paths in that folder."""
 
 from pathlib import PurePosixPath
 
@@ -14,55 +14,59 @@ MAX_BYTES = 500_000_000
 
 
 def folder(store: Store, name: str) -> str:
-    """Folder that an upload of the result ``name`` created: that name, possibly with a number.
+    """Return the folder that an upload of the result ``name`` created: that name, or that name and a number.
 
     Raises:
         TandemError: ``upload.missing`` if there is none, or more than one.
     """
     names = store.listing("") or {}
     matching = [
-        one for one, deeper in names.items() if deeper and one.removeprefix(name).strip("_0123456789") == ""
+        entry
+        for entry, is_folder in names.items()
+        if is_folder and entry.removeprefix(name).strip("_0123456789") == ""
     ]
-    matching = sorted(one for one in matching if one == name or one.startswith(f"{name}_"))
+    matching = sorted(entry for entry in matching if entry == name or entry.startswith(f"{name}_"))
     if len(matching) == 1:
         return matching[0]
-    what = (
+    text = (
         f"{name}: no such folder on the controller"
         if not matching
         else f"the controller has more than one: {', '.join(matching)}"
     )
-    raise issue_error("upload.missing", f"{what}; name the right one with --there")
+    raise issue_error("upload.missing", f"{text}; name the right one with --there")
 
 
 def fetch(store: Store, folder: str) -> dict[str, bytes]:
-    """Fetch all files in a folder, by their names in it.
+    """Fetch the contents of all files in a folder and its subfolders, by their paths in it.
 
     Raises:
-        TandemError: ``upload.missing``.
+        TandemError: ``upload.missing`` if there is no such folder, it has no files, or it is too large;
+            ``upload.controller`` for an invalid file name.
     """
     out: dict[str, bytes] = {}
-    todo, count, size = [""], 0, 0
-    while todo:
-        inner = todo.pop()
-        listing = store.listing(f"{folder}/{inner}".rstrip("/"))
+    subfolders, count, size = [""], 0, 0
+    while subfolders:
+        subfolder = subfolders.pop()
+        listing = store.listing(f"{folder}/{subfolder}".rstrip("/"))
         if listing is None:
-            what = f"{folder}: no such folder on the controller; give --there the folder that upload reported"
-            raise issue_error("upload.missing", what)
-        for name, deeper in listing.items():
-            path = f"{inner}/{name}".lstrip("/")
-            odd = PurePosixPath(name).name != name or name in (".", "..") or "\\" in name
-            if odd or not name.isprintable():
+            text = f"{folder}: no such folder on the controller; give --there the folder that upload reported"
+            raise issue_error("upload.missing", text)
+        for name, is_folder in listing.items():
+            path = f"{subfolder}/{name}".lstrip("/")
+            # a name that would lead out of the folder must not be written to disk
+            is_invalid = PurePosixPath(name).name != name or name in (".", "..") or "\\" in name
+            if is_invalid or not name.isprintable():
                 raise issue_error("upload.controller", f"{name!r} is not a valid file name")
             count += 1
-            if deeper:
-                todo.append(path)
+            if is_folder:
+                subfolders.append(path)
             elif (content := store.read(f"{folder}/{path}")) is not None:
                 out[path] = content
                 size += len(content)
             if count > MAX_FILES or size > MAX_BYTES or path.count("/") > MAX_DEPTH:
-                what = f"{folder}: over {MAX_FILES} files and folders, {MAX_BYTES / 1e6:g} MB or {MAX_DEPTH} "
-                what += "nested folders; give --there the folder that upload reported"
-                raise issue_error("upload.missing", what)
+                text = f"{folder}: over {MAX_FILES} files and folders, {MAX_BYTES / 1e6:g} MB or {MAX_DEPTH} "
+                text += "nested folders; give --there the folder that upload reported"
+                raise issue_error("upload.missing", text)
     if not out:
         raise issue_error("upload.missing", f"{folder}: it has no files")
     return out

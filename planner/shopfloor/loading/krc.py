@@ -1,11 +1,11 @@
-"""Comparison of what the programs need of a KUKA controller with its own files.
+"""Comparison of what programs require of a KUKA controller with the controller's own files.
 
-It is made where a share or folder has these files.
+The files are compared if the share or folder that programs are sent to contains them.
 
 `$config.dat` (R1/System) has TOOL_DATA, BASE_DATA and LOAD_DATA with their names in TOOL_NAME[n,], BASE_NAME
 and LOAD_NAME. `$machine.dat` (R1/Mada) has $ROBROOT. Paths and format follow public archives of KRC2 and
-KRC4; they have not been tested on a controller. Tandem's programs bring their own frames under their own
-names. A tool of the same name must therefore be equal, and one of another name means nothing.
+KRC4; they have not been tested on a controller. Tandem's programs define their own frames under their own
+names. So a tool of the same name must be equal, and other tools are irrelevant.
 """
 
 import re
@@ -28,7 +28,7 @@ ROOTS: Final = ("", "R1", "KRC/R1", "KRC/ROBOTER/KRC/R1", "..", "../..")
 FILES: Final = {"$config.dat": "System", "$machine.dat": "Mada"}
 """Files that are searched, and their folder in R1."""
 NOT_THERE: Final = "mode, version and model of the controller, inputs and outputs: a folder contains none"
-"""Data for which no file is read."""
+"""What no file states, so that it is not compared."""
 _BASE_ON_TRACK: Final = (
     "base frame and track: on a track $ROBROOT has no effect; the program itself checks $ROBROOT_C"
 )
@@ -44,9 +44,9 @@ _TABLES: Final = {"t": "TOOL", "b": "BASE", "l": "LOAD"}
 
 
 def compare(store: Store, files: Mapping[str, bytes], arms: Sequence[Arm]) -> ComparisonResult:
-    """Compare the data of a KUKA arm's program ``files`` with the files of the controller.
+    """Compare base, tools, bases and loads of KUKA programs with the files of the controller.
 
-    These are base, tools, bases and loads. Everything else is reported as not compared.
+    Everything else is reported as not compared. ``files`` has the contents of the program files by name.
 
     Raises:
         TandemError: ``upload.controller`` if the folder cannot be read.
@@ -54,33 +54,35 @@ def compare(store: Store, files: Mapping[str, bytes], arms: Sequence[Arm]) -> Co
     if not any(arm.data.family == "KUKA" for arm in arms):
         what = "base frame, tools, signals, options and mode of the controller: a folder contains none"
         return ComparisonResult((), (unread(what),), ())
-    out, lost, agreed = list[Issue](), [NOT_THERE], list[str]()
+    differs: list[Issue] = []
+    not_compared = [NOT_THERE]
+    agreed: list[str] = []
     machine, config = (_read_file(store, name) for name in ("$machine.dat", "$config.dat"))
     texts = [program_text.decode(content, name) for name, content in files.items() if kind(name) == "krl"]
-    fault = _BASE_ON_TRACK if any("$ROBROOT_C" in text for text in texts) else _foot(machine)
+    fault = _BASE_ON_TRACK if any("$ROBROOT_C" in text for text in texts) else _robroot_fault(machine)
     if fault is None:
         agreed.append("$ROBROOT")
     elif fault.startswith("$ROBROOT is"):
-        out.append(Issue("upload.differs", fault, field="$ROBROOT"))
+        differs.append(Issue("upload.differs", fault, field="$ROBROOT"))
     else:
-        lost.append(fault)
-    program_data = [match_text.groups() for text in texts for match_text in _PROGRAM_DATUM.finditer(text)]
+        not_compared.append(fault)
+    program_data = [match.groups() for text in texts for match in _PROGRAM_DATUM.finditer(text)]
     if config is None:
-        lost.append("tools, bases and loads: R1/System has no $config.dat")
+        not_compared.append("tools, bases and loads: R1/System has no $config.dat")
     else:
         for word, name, value in program_data:
             compared, same = _datum(config, word.upper(), name, value)
             if same:
                 agreed.append(compared)
             elif compared.startswith("!"):
-                out.append(Issue("upload.differs", compared[1:], field=name))
+                differs.append(Issue("upload.differs", compared[1:], field=name))
             else:
-                lost.append(compared)
-    return ComparisonResult(tuple(out), tuple(unread(what) for what in lost), tuple(agreed))
+                not_compared.append(compared)
+    return ComparisonResult(tuple(differs), tuple(unread(what) for what in not_compared), tuple(agreed))
 
 
 def _read_file(store: Store, name: str) -> str | None:
-    """Text of one of ``FILES``; the case of its name and folders is ignored."""
+    """Return the text of one of ``FILES``, whatever the case of its name and folders, or None."""
     for root in ROOTS:
         path: str | None = ""
         for step in (*root.split("/"), FILES[name], name):
@@ -90,8 +92,8 @@ def _read_file(store: Store, name: str) -> str | None:
                 path = f"{path}/..".lstrip("/")
                 continue
             listing = _listing(store, path)
-            real = next((one for one in listing if one.lower() == step.lower()), None)
-            path = None if real is None else f"{path}/{real}".lstrip("/")
+            entry = next((entry for entry in listing if entry.lower() == step.lower()), None)
+            path = None if entry is None else f"{path}/{entry}".lstrip("/")
         content = store.read(path) if path else None
         if content is not None:
             return program_text.decode(content, name)
@@ -99,7 +101,7 @@ def _read_file(store: Store, name: str) -> str | None:
 
 
 def _listing(store: Store, path: str) -> dict[str, bool]:
-    """Content of a folder; empty if it is above the given folder and not accessible."""
+    """Return the entries of a folder; none if it is above the store's folder and not accessible."""
     try:
         return store.listing(path) or {}
     except TandemError:
@@ -108,8 +110,8 @@ def _listing(store: Store, path: str) -> dict[str, bool]:
         return {}
 
 
-def _foot(machine: str | None) -> str | None:
-    """Fault of $ROBROOT, which the programs require at zero; None if there is none."""
+def _robroot_fault(machine: str | None) -> str | None:
+    """Return what is wrong with $ROBROOT in $machine.dat; None if it is zero, as programs require."""
     if machine is None:
         return "base frame ($ROBROOT): R1/Mada has no $machine.dat"
     match = _ROOT.search(machine)
@@ -117,29 +119,33 @@ def _foot(machine: str | None) -> str | None:
     if match is None or pose is None:
         return "base frame: $machine.dat has no readable $ROBROOT"
     shift = float(np.linalg.norm(pose[:3, 3]))
-    turn = turn_deg(pose[:3, :3], np.eye(3))
-    if shift <= BASE_SHIFT and turn <= BASE_TURN:
+    angle = turn_deg(pose[:3, :3], np.eye(3))
+    if shift <= BASE_SHIFT and angle <= BASE_TURN:
         return None
-    return f"$ROBROOT is off zero by {shift:.3f} mm, {turn:.4f} deg; the programs require zero"
+    return f"$ROBROOT is off zero by {shift:.3f} mm, {angle:.4f} deg; the programs require zero"
 
 
 def _pose(text: str) -> FloatArray | None:
-    """A frame (4, 4) [mm] from its six components; angles A, B, C [deg] about z, y, x."""
-    parts = {name.upper(): float(number) for name, number in _FRAME.findall(text.upper())}
-    if parts.keys() != set("XYZABC"):
+    """Return a frame (4, 4) [mm] from its components, with A, B, C [deg] about z, y, x, or None."""
+    components = {name.upper(): float(number) for name, number in _FRAME.findall(text.upper())}
+    if components.keys() != set("XYZABC"):
         return None
-    return from_rpy([parts[k] for k in "XYZ"], np.deg2rad([parts[k] for k in "CBA"]))
+    return from_rpy([components[axis] for axis in "XYZ"], np.deg2rad([components[axis] for axis in "CBA"]))
 
 
 def _datum(config: str, word: str, name: str, value: str) -> tuple[str, bool]:
-    """Text about one of Tandem's data, beginning with ! if it differs; and whether it agrees."""
+    """Compare a datum of the programs with the text of $config.dat.
+
+    ``word`` is its type, FRAME or LOAD; the first letter of its ``name`` selects the table. Returns what was
+    compared with the result, beginning with ! if it differs; and whether it agrees.
+    """
     table = _TABLES[name[0].lower()]
     entries: dict[str, dict[int, str]] = {"DATA": {}, "NAME": {}}
     for kind_, column, number, text in _ENTRY.findall(config):
         if kind_.upper() == table:
             entries[column.upper()][int(number)] = text.strip('"')
-    plain = name[2:].lower()
-    named = [k for k, text in entries["NAME"].items() if text.strip().lower() in (name.lower(), plain)]
+    short_name = name[2:].lower()
+    named = [k for k, text in entries["NAME"].items() if text.strip().lower() in (name.lower(), short_name)]
     for number in named:
         stored_value = entries["DATA"].get(number)
         if stored_value is None:
@@ -151,18 +157,18 @@ def _datum(config: str, word: str, name: str, value: str) -> tuple[str, bool]:
             return f"!{name}: {table}_DATA[{number}] of that name differs: {difference_text}", False
     if named:
         return f"{name} ({table}_DATA[{', '.join(map(str, named))}])", True
-    same = [
+    same_value = [
         k for k, text in entries["DATA"].items() if word == "FRAME" and _value_difference(value, text) is None
     ]
-    if same:
-        return f"{name} ({table}_DATA[{same[0]}] by value)", True
+    if same_value:
+        return f"{name} ({table}_DATA[{same_value[0]}] by value)", True
     return f"{name}: no {table}_DATA has that name or value; the program defines it", False
 
 
 def _value_difference(planned: str, actual: str) -> str | None:
-    """Return the deviation of a frame from the planned one; None if both print equally."""
+    """Return how a frame differs from the planned one; None if by at most 0.001 mm and 0.001 deg."""
     a, b = _pose(planned), _pose(actual)
     if a is None or b is None:
         return difference(planned, actual)
-    shift, turn = float(np.linalg.norm(a[:3, 3] - b[:3, 3])), turn_deg(a[:3, :3], b[:3, :3])
-    return None if shift <= 1e-3 and turn <= 1e-3 else f"off by {shift:.3f} mm, {turn:.3f} deg"
+    shift, angle = float(np.linalg.norm(a[:3, 3] - b[:3, 3])), turn_deg(a[:3, :3], b[:3, :3])
+    return None if shift <= 1e-3 and angle <= 1e-3 else f"off by {shift:.3f} mm, {angle:.3f} deg"

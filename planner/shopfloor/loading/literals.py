@@ -1,4 +1,4 @@
-"""Comparison of program text as a controller may print it again: numbers by value, spaces and case ignored.
+"""Comparison of program text after a controller saved it: numbers by value; spaces and case are ignored.
 
 A controller that saves a module prints 160.0000 as 160, 9E9 as 9E+09, and single precision with six or seven
 digits. None of that is a change.
@@ -21,25 +21,30 @@ _NUMBER: Final = re.compile(r"(?<![\w$.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+
 
 @dataclasses.dataclass(frozen=True)
 class TextShape:
-    """A piece of text: its ``words`` with # for each number outside of strings, and the ``numbers``."""
+    """A text without its way of printing.
+
+    Attributes:
+        words: Text with # for each number outside of strings.
+        numbers: These numbers, in order.
+    """
 
     words: str
     numbers: tuple[float, ...]
 
     def same(self, other: "TextShape") -> bool:
-        """Whether two texts differ at most in how they are printed."""
+        """Whether two texts are equal, apart from how they are printed."""
         return self.words == other.words and not self.differing_numbers(other)
 
     def differing_numbers(self, other: "TextShape") -> tuple[int, ...]:
-        """Indices of numbers that differ, for two shapes with the same words."""
+        """Return the indices of numbers that differ from those of a shape with the same words."""
         pairs = enumerate(zip(self.numbers, other.numbers, strict=True))
         return tuple(k for k, (a, b) in pairs if not equal(a, b))
 
     @property
     def key(self) -> tuple[str, tuple[str, ...]]:
-        """Key that is equal for equal texts.
+        """Key for a search of equal texts.
 
-        Different prints of the same numbers mostly have the same key.
+        Different prints of the same numbers have the same key, except rarely at the limit of rounding.
         """
         return self.words, tuple(f"{number:.5g}" for number in self.numbers)
 
@@ -50,32 +55,32 @@ def equal(first: float, second: float) -> bool:
 
 
 def text_shape(text: str) -> TextShape:
-    """Shape of RAPID or KRL text: upper case outside of strings, single spaces between words."""
+    """Return the shape of RAPID or KRL text: upper case outside of strings, spaces only between words."""
     numbers: list[float] = []
     parts = []
     for part in _STRING.split(text):
         if part.startswith('"'):
             parts.append(part)
             continue
-        numbers += [float(found) for found in _NUMBER.findall(part)]
-        plain = " ".join(_NUMBER.sub("#", part).upper().split())
-        parts.append(re.sub(r" ?([^\w$#]) ?", r"\1", plain))
+        numbers += [float(number) for number in _NUMBER.findall(part)]
+        normalised = " ".join(_NUMBER.sub("#", part).upper().split())
+        parts.append(re.sub(r" ?([^\w$#]) ?", r"\1", normalised))
     return TextShape("".join(parts), tuple(numbers))
 
 
 def difference(planned: str, actual: str) -> str | None:
-    """Difference of two values, by words and by the largest difference of numbers; None if there is none."""
+    """Describe how two values differ, with the largest difference of numbers; None if they are equal."""
     first, second = text_shape(planned), text_shape(actual)
-    shown = f"on the controller {actual.strip()[:160]}, planned {planned.strip()[:160]}"
+    values_text = f"on the controller {actual.strip()[:160]}, planned {planned.strip()[:160]}"
     if first.words != second.words:
-        return shown
+        return values_text
     differing = first.differing_numbers(second)
     if not differing:
         return None
     max_difference = max(abs(first.numbers[k] - second.numbers[k]) for k in differing)
-    return f"{len(differing)} of {len(first.numbers)} numbers, by up to {max_difference:.4g} ({shown})"
+    return f"{len(differing)} of {len(first.numbers)} numbers, by up to {max_difference:.4g} ({values_text})"
 
 
 def turn_deg(first: FloatArray, second: FloatArray) -> float:
-    """Angle [deg] between two rotations (3, 3), accurate near 0 too."""
+    """Return the angle [deg] between two rotations (3, 3), which is accurate also near 0."""
     return float(np.degrees(np.linalg.norm(log_rotation(first.T @ second))))

@@ -1,9 +1,6 @@
-"""Programs split into statements that a person may change.
+"""Programs split into pieces that a person may change: RAPID into statements, KRL into lines.
 
-RAPID is split by statements, KRL by lines, each with its place.
-
-Nothing is judged and no text is refused here: whatever was typed at a pendant is split. Whether it is a valid
-program is for the proof.
+Any text is accepted, whatever was typed at a pendant. Whether it is a valid program is decided by the proof.
 """
 
 import dataclasses
@@ -23,7 +20,7 @@ _RAPID_BLOCK: Final = re.compile(
     r"|BACKWARD|IF\b.*\bTHEN|ELSEIF\b.*\bTHEN|ELSE|WHILE\b.*\bDO|FOR\b.*\bDO|TEST|CASE|DEFAULT)\b[^;]*",
     re.IGNORECASE | re.DOTALL,
 )
-"""Block keywords that end without a semicolon."""
+"""Block keywords, which have no semicolon at their end."""
 _OPENS: Final = re.compile(
     r"(?:LOCAL\s+)?(?:PROC|FUNC\s+\w+|TRAP|GLOBAL\s+DEF|DEF|DEFFCT\s+\w+)\s+(\w+)", re.I
 )
@@ -36,14 +33,14 @@ MOVE: Final = re.compile(
 
 @dataclasses.dataclass(frozen=True)
 class Piece:
-    """A statement.
+    """A statement or a comment.
 
     Attributes:
-        line: Its first line, from 1.
+        line: Number of its first line, from 1.
         text: Its text in one line.
-        shape: Its shape.
-        routine: The routine that contains it; "" outside of any.
-        target: For a move its number in the routine, from 1.
+        shape: Shape of its text.
+        routine: Name of the routine that contains it; "" outside of any.
+        target: For a move, its number among the moves of the routine, from 1; else None.
     """
 
     line: int
@@ -54,10 +51,10 @@ class Piece:
 
     @property
     def location(self) -> str:
-        """Place of the statement for users."""
-        inside = f"{self.routine}, " if self.routine else ""
+        """Location of the statement, for users."""
+        prefix = f"{self.routine}, " if self.routine else ""
         return (
-            f"{inside}target {self.target} (line {self.line})" if self.target else f"{inside}line {self.line}"
+            f"{prefix}target {self.target} (line {self.line})" if self.target else f"{prefix}line {self.line}"
         )
 
     @property
@@ -67,44 +64,45 @@ class Piece:
 
 
 def kind(name: str) -> str:
-    """Return ``rapid`` or ``krl`` by a file's suffix, "" for files that are compared as bytes."""
+    """Return the language of a file, ``rapid`` or ``krl``, by its suffix; "" if it is not a program."""
     ending = PurePosixPath(name).suffix.lower()
     return "rapid" if ending in RAPID.endings else "krl" if ending in KRL.file_endings else ""
 
 
 def pieces(name: str, text: str) -> list[Piece]:
-    """Statements of a program file, in order; any line ends."""
-    plain = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
-    found = _rapid(plain) if kind(name) == "rapid" else _lines(plain)
+    """Split the text of a program file ``name``, with any line ends, into its statements in order."""
+    normalised = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
+    statements = _rapid(normalised) if kind(name) == "rapid" else _lines(normalised)
     out: list[Piece] = []
     routine, count = "", 0
-    for line, statement in found:
-        one = " ".join(statement.split())
-        if opened := _OPENS.match(one):
+    for line, raw in statements:
+        statement = " ".join(raw.split())
+        if opened := _OPENS.match(statement):
             routine, count = opened.group(1), 0
-        move = MOVE.match(one) is not None
-        count += move
-        out.append(Piece(line, one, text_shape(one), routine, count if move else None))
-        if _CLOSES.match(one):
+        is_move = MOVE.match(statement) is not None
+        count += is_move
+        out.append(Piece(line, statement, text_shape(statement), routine, count if is_move else None))
+        if _CLOSES.match(statement):
             routine = ""
     return out
 
 
 def _lines(text: str) -> list[tuple[int, str]]:
-    """KRL lines, without empty ones and the header (&REL, with which the controller counts revisions)."""
+    """Return the numbered lines of KRL text without empty ones and the header, whose lines start with &."""
     lines = enumerate(text.split("\n"), 1)
     return [(k, line) for k, line in lines if line.strip() and not line.lstrip().startswith("&")]
 
 
 def _rapid(text: str) -> list[tuple[int, str]]:
-    """RAPID statements and comments with their first lines.
+    """Return the statements and comments of RAPID text with the numbers of their first lines.
 
-    A controller may break and join lines when it saves a module.
+    They do not depend on line breaks, because a controller may break and join lines when it saves a module.
     """
     out: list[tuple[int, str]] = []
     line, start, open_text = 1, 1, ""
 
     def close() -> None:
+        """End the statement ``open_text``, unless it is empty or a header."""
         nonlocal open_text
         if open_text.strip() and not (not out and _RAPID_HEADER.fullmatch(open_text)):
             out.append((start, open_text))

@@ -21,14 +21,14 @@ _UNIX: Final = re.compile(
     r"(?P<folder>[-dl])[rwxsStT-]{9}\S?\s+(?:\S+\s+){4,7}?(?:\d{4}|\d\d?:\d\d)\s(?P<name>.+)"
 )
 _DOS: Final = re.compile(r"\d[\d-]+\s+\d\d?:\d\d\s*(?:[AP]M)?\s+(?P<folder><DIR>|\d+)\s+(?P<name>.+)")
-"""Lines of LIST as UNIX and DOS servers print them."""
+"""Lines of the FTP command LIST as UNIX and DOS servers print them."""
 
 
 class Store(Protocol):
-    """Folders and files of a controller, by names with ``/``; "" is the given folder."""
+    """Folders and files of a controller, by names with ``/`` relative to the store's folder, which is ""."""
 
     def listing(self, folder: str) -> dict[str, bool] | None:
-        """{name: whether it is a folder}; None if there is no such folder."""
+        """Return whether each entry of a folder is a folder, by name; None if there is no such folder."""
 
     def make(self, folder: str) -> None:
         """Create a folder in an existing one."""
@@ -37,26 +37,26 @@ class Store(Protocol):
         """Write a file.
 
         Raises:
-            TandemError: ``upload.write``.
+            TandemError: ``upload.write`` if it cannot be written.
         """
 
     def read(self, name: str) -> bytes | None:
-        """Content of a file; None if there is none."""
+        """Return the content of a file; None if there is no such file."""
 
     def remove(self, name: str) -> bool:
-        """Delete a file or an empty folder; returns whether it is gone."""
+        """Delete a file or an empty folder, and return whether it no longer exists."""
 
     def close(self) -> None:
         """Close the connection."""
 
 
 class MountedFolder:
-    """A mounted folder."""
+    """A store in a folder of this machine, such as a mounted share."""
 
     def __init__(self, root: Path) -> None:
         if not root.is_dir():
-            what = f"{root}: no such folder; mount the controller's share, or correct the path"
-            raise issue_error("upload.controller", what)
+            text = f"{root}: no such folder; mount the controller's share, or correct the path"
+            raise issue_error("upload.controller", text)
         self.root = root
 
     def listing(self, folder: str) -> dict[str, bool] | None:
@@ -107,34 +107,38 @@ class MountedFolder:
 
 
 def _unread(path: Path, error: OSError) -> TandemError:
-    what = f"{path} cannot be read ({error.strerror or error})"
-    return issue_error("upload.controller", what, hint="check that the share is mounted, and its permissions")
+    text = f"{path} cannot be read ({error.strerror or error})"
+    return issue_error("upload.controller", text, hint="check that the share is mounted, and its permissions")
 
 
 WIRE: Final = "latin-1"
-"""Encoding of FTP lines, in which each byte is one letter. Names are UTF-8 (RFC 2640) where possible. Other
-servers, such as those on Windows, use bytes that are not UTF-8 in lists and replies.
+"""Encoding of FTP lines, in which each byte is one character.
+
+Names are UTF-8 (RFC 2640) if possible. Some servers, such as those on Windows, use bytes that are not UTF-8
+in lists and replies.
 """
 
 
 def _text(line: str) -> str:
-    """Text from a server. Bytes that are not UTF-8 are escaped so that :func:`_wire` restores them."""
+    """Decode a line of a server. Bytes that are not UTF-8 are escaped so that :func:`_wire` restores them."""
     return line.encode(WIRE, "replace").decode("utf-8", "surrogateescape")
 
 
 def _error_text(error: Exception) -> str:
-    """Text of an error, from a server or from this machine, for display."""
+    """Return the text of an error, from a server or from this machine, for display."""
     return str(error).encode(WIRE, "replace").decode("utf-8", "replace") or type(error).__name__
 
 
 def _wire(text: str) -> str:
-    """Text as it is sent.
+    """Encode a text for the connection; the inverse of :func:`_text`.
 
-    Raises ``TandemError`` (``upload.address``) for control characters, which would be commands of their own.
+    Raises ``TandemError`` (``upload.address``) for control characters, which could start further commands.
     """
     if any(ord(letter) < 32 for letter in text):
-        what = "names, users and passwords for FTP must not contain control characters, such as line breaks"
-        raise issue_error("upload.address", what)
+        message = (
+            "names, users and passwords for FTP must not contain control characters, such as line breaks"
+        )
+        raise issue_error("upload.address", message)
     return text.encode("utf-8", "surrogateescape").decode(WIRE)
 
 
@@ -145,19 +149,20 @@ class _Channel(ftplib.FTP_TLS):
     url = ""
 
     def ntransfercmd(self, cmd: str, rest: int | str | None = None) -> tuple[socket.socket, int | None]:
-        """See the base class."""
-        made, size = super().ntransfercmd(cmd, rest)
-        self.trust.check(made, self.url)
-        return made, size
+        """Open a data connection as the base class does, and check its certificate."""
+        connection, size = super().ntransfercmd(cmd, rest)
+        self.trust.check(connection, self.url)
+        return connection, size
 
 
 class Ftp:
-    """A folder of an FTP server, ``ftp://HOST[:PORT]/FOLDER``.
+    """A store in a folder of an FTP server, ``ftp://HOST[:PORT]/FOLDER``.
 
-    The password is sent in plain text, except with ``ftps``.
+    The password is sent in plain text, except with ``ftps``. ``timeout`` [s] is that of each wait.
 
     Raises:
-        TandemError: ``upload.*``.
+        TandemError: ``upload.address`` for an invalid URL, ``upload.login`` if user, folder or certificate is
+            refused, ``upload.controller`` if the server is unreachable.
     """
 
     def __init__(self, url: str, login: Login, timeout: float, trust: Trust | None = None) -> None:
@@ -181,27 +186,29 @@ class Ftp:
             link.cwd(_wire(unquote(parts.path)) or "/")
             self._root = _text(link.pwd()).rstrip("/")
         except ftplib.error_perm as error:
-            what = f"{url}: user {login.user!r} or the folder is refused ({_error_text(error)[:60]})"
-            raise issue_error("upload.login", what) from error
+            message = f"{url}: user {login.user!r} or the folder is refused ({_error_text(error)[:60]})"
+            raise issue_error("upload.login", message) from error
         except ssl.SSLCertVerificationError as error:
-            what = f"the certificate of {self._url} is not trusted ({error.verify_message})"
+            message = f"the certificate of {self._url} is not trusted ({error.verify_message})"
             hint = "give --ca FILE, or --fingerprint SHA256 for a self-signed one that you have checked"
-            raise issue_error("upload.login", what, hint=hint) from error
+            raise issue_error("upload.login", message, hint=hint) from error
         except ftplib.all_errors as error:
-            what = f"{url} cannot be reached ({_error_text(error)}), waited up to {timeout:g} s"
+            message = f"{url} cannot be reached ({_error_text(error)}), waited up to {timeout:g} s"
             hint = "check that the server is on and reachable, and try again"
-            raise issue_error("upload.controller", what, hint=hint) from error
+            raise issue_error("upload.controller", message, hint=hint) from error
         self._link = link
 
     def _secure(self, trust: Trust, timeout: float) -> _Channel:
+        """Return a channel with TLS that is not connected yet."""
         link = _Channel(timeout=timeout, context=trust.context(), encoding=WIRE)
-        link.trust, link.url = trust, self._url
+        link.trust = trust
+        link.url = self._url
         return link
 
     def listing(self, folder: str) -> dict[str, bool] | None:
         """See :class:`Store`.
 
-        By MLSD (RFC 3659) if the server supports it, else by LIST as UNIX or DOS print it.
+        It uses MLSD (RFC 3659) if the server supports it, else LIST.
         """
         path = self._path(folder)
         try:
@@ -222,6 +229,7 @@ class Ftp:
             raise self._gone(path, error) from error
 
     def _listed(self, path: str) -> dict[str, bool]:
+        """Return the entries of the current folder by the command LIST; ``path`` is for messages."""
         lines: list[str] = []
         try:
             self._link.retrlines("LIST", lines.append)
@@ -235,12 +243,12 @@ class Ftp:
         for line in map(_text, lines):
             if line.startswith("total "):
                 continue
-            found = _UNIX.match(line) or _DOS.match(line)
-            if found is None:
-                what = f"{self._url}{path}: a line of its file list cannot be parsed: {line[:80]!r}"
-                raise issue_error("upload.controller", what)
-            if found["name"] not in (".", ".."):
-                out[found["name"]] = found["folder"] in ("d", "<DIR>")
+            entry = _UNIX.match(line) or _DOS.match(line)
+            if entry is None:
+                message = f"{self._url}{path}: a line of its file list cannot be parsed: {line[:80]!r}"
+                raise issue_error("upload.controller", message)
+            if entry["name"] not in (".", ".."):
+                out[entry["name"]] = entry["folder"] in ("d", "<DIR>")
         return out
 
     def make(self, folder: str) -> None:
@@ -278,16 +286,17 @@ class Ftp:
 
     def remove(self, name: str) -> bool:
         """See :class:`Store`."""
-        for gone in (self._link.delete, self._link.rmd):
+        for delete in (self._link.delete, self._link.rmd):
             try:
-                gone(_wire(self._path(name)))
+                delete(_wire(self._path(name)))
             except ftplib.error_perm:
                 continue
             except ftplib.all_errors:
                 return False
             return True
-        above, _, own = name.rpartition("/")
-        return own not in (self.listing(above) or {})
+        # both are refused: it may not exist
+        parent, _, own_name = name.rpartition("/")
+        return own_name not in (self.listing(parent) or {})
 
     def close(self) -> None:
         """See :class:`Store`."""
@@ -297,13 +306,17 @@ class Ftp:
         return f"{self._root}/{name}" if name else self._root or "/"
 
     def _gone(self, path: str, error: Exception) -> TandemError:
-        what = f"{self._url}{path}: {_error_text(error)}"
-        return issue_error("upload.controller", what, hint="check that the server answers, and try again")
+        """Return the error that a folder or file cannot be read."""
+        message = f"{self._url}{path}: {_error_text(error)}"
+        return issue_error("upload.controller", message, hint="check that the server answers, and try again")
 
 
 def _unwritten(name: str, error: Exception) -> TandemError:
-    why = error.strerror if isinstance(error, OSError) and error.strerror else _error_text(error)
-    full = is_disk_full(error) or re.search(r"\b(?:452|552)\b|space|quota", str(error), re.IGNORECASE)
-    what = f"{name} could not be written ({why})" + ("; the disk is full" if full else "")
-    hint = "free disk space, then send again" if full else "check free space and permissions, then send again"
-    return issue_error("upload.write", what, hint=hint)
+    """Return the error that a folder or file cannot be written, and whether the disk is full."""
+    reason = error.strerror if isinstance(error, OSError) and error.strerror else _error_text(error)
+    is_full = is_disk_full(error) or re.search(r"\b(?:452|552)\b|space|quota", str(error), re.IGNORECASE)
+    text = f"{name} could not be written ({reason})" + ("; the disk is full" if is_full else "")
+    hint = (
+        "free disk space, then send again" if is_full else "check free space and permissions, then send again"
+    )
+    return issue_error("upload.write", text, hint=hint)

@@ -22,7 +22,7 @@ from planner.issue_codes import format_message
 from planner.issues import TandemError, issue_error
 
 SUFFIXES: Final = (".ply", ".xyz", ".txt", ".stl", ".obj")
-"""Supported suffixes."""
+"""Suffixes of supported files."""
 UNITS: Final = {name: LENGTH_UNITS[name] for name in ("mm", "cm", "m", "in")}
 """Units [m] of a scan's lengths."""
 TEXTS: Final = (".xyz", ".txt")
@@ -32,8 +32,9 @@ MAX_BYTES: Final = 600_000_000
 MIN_POINTS: Final = 1_000
 """Minimum number of points that show a part's shape."""
 MIN_EXTENT_RATIO: Final = 0.2
+"""Minimum ratio of the extent of a scan to that of the sheet."""
 MAX_EXTENT_RATIO: Final = 5.0
-"""Allowed ratio of the extent of a scan to that of the sheet."""
+"""Maximum ratio of the extent of a scan to that of the sheet."""
 MAX_POINTS: Final = 20_000_000
 """Maximum number of points of a scan."""
 VERTEX: Final = re.compile(rb"^v[ \t](.*)$", re.MULTILINE)
@@ -50,8 +51,8 @@ class Cloud:
 
     Attributes:
         file: Name of the file.
-        digest: Its SHA-256.
-        points: (N, 3) [m] points in the scan's frame.
+        digest: SHA-256 of the file.
+        points: Points (N, 3) [m] in the scan's frame.
         dropped: Number of points that were not finite, or repeated corners of an STL file.
         unit: Unit [m] of the file's lengths.
     """
@@ -67,7 +68,8 @@ def read(path: Path, unit: float) -> Cloud:
     """Read a scan whose lengths are in ``unit`` metres.
 
     Raises:
-        TandemError: scan.file.
+        TandemError: ``scan.file`` if the file is missing, unsupported, too large or unreadable, or has too
+            few or too many points.
     """
     if not is_file(path):
         raise _refused(path, missing_file_reason(path), "check the path")
@@ -77,8 +79,8 @@ def read(path: Path, unit: float) -> Cloud:
         )
     size = path.stat().st_size
     if size > MAX_BYTES:
-        what = f"got {size / 1e6:.0f} MB, allowed {MAX_BYTES / 1e6:.0f} MB"
-        raise _refused(path, what, "export every second point")
+        message = f"got {size / 1e6:.0f} MB, allowed {MAX_BYTES / 1e6:.0f} MB"
+        raise _refused(path, message, "export every second point")
     data = path.read_bytes()
     try:
         points = _points(path.suffix.lower(), data)
@@ -88,34 +90,35 @@ def read(path: Path, unit: float) -> Cloud:
         raise _refused(path, f"cannot be read ({reason})", hint) from error
     count = len(points)
     if count > MAX_POINTS:
-        what = f"got {count} points, allowed {MAX_POINTS}"
-        raise _refused(path, what, "export fewer of them")
+        message = f"got {count} points, allowed {MAX_POINTS}"
+        raise _refused(path, message, "export fewer of them")
     points = points[np.isfinite(points).all(axis=1)] * unit
     if path.suffix.lower() == ".stl":  # repeats each vertex for each of its faces
-        points = _once(points)
+        points = _unique(points)
     if len(points) < MIN_POINTS:
-        what = f"got {len(points)} points, allowed {MIN_POINTS} or more"
-        raise _refused(path, what, "export the whole scan as points or as a mesh")
+        message = f"got {len(points)} points, allowed {MIN_POINTS} or more"
+        raise _refused(path, message, "export the whole scan as points or as a mesh")
     return Cloud(path.name, hashlib.sha256(data).hexdigest(), points, count - len(points), unit)
 
 
-def _points(kind: str, data: bytes) -> FloatArray:
-    if kind in TEXTS:
+def _points(suffix: str, data: bytes) -> FloatArray:
+    """Return the points or vertices (N, 3) of a file's content, in its unit. Readers raise any exception."""
+    if suffix in TEXTS:
         return _table(data)
-    if kind == ".obj":
+    if suffix == ".obj":
         return _table(b"\n".join(VERTEX.findall(data.replace(b"\r", b"\n"))))
     import trimesh  # imported here because it takes half a second
 
-    loaded = trimesh.load(io.BytesIO(data), kind[1:], process=False)
+    loaded = trimesh.load(io.BytesIO(data), suffix[1:], process=False)
     points = getattr(loaded, "vertices", ())  # a file without any is read as an empty scene
     return np.asarray(points, dtype=np.float64).reshape(-1, 3)
 
 
-def _once(points: FloatArray) -> FloatArray:
-    """Unique points (N, 3), in the order of their first occurrence.
+def _unique(points: FloatArray) -> FloatArray:
+    """Return the unique points (N, 3), in the order of their first occurrence.
 
-    One number per point, mixed from the bits of its coordinates, is sorted, in a fifth of the time of sorting
-    rows. A collision among a million points is rarer than once in ten million files.
+    One hash per point, mixed from the bits of its coordinates, is sorted, which takes a fifth of the time of
+    sorting points. A collision among a million points is rarer than once in ten million files.
     """
     bits = (points + 0.0).view(np.uint64)  # turns -0.0 into 0.0
     mixed = np.zeros(len(points), dtype=np.uint64)
@@ -128,9 +131,10 @@ def _once(points: FloatArray) -> FloatArray:
 
 
 def _table(data: bytes) -> FloatArray:
-    """The first three columns (N, 3) of a text.
+    """Return the first three columns (N, 3) of a text.
 
-    Lines that begin with # or //, and a header or count, are left out.
+    Lines that begin with # or //, and a first line with names or a count, are skipped. Raises ``ValueError``
+    if there are no points, or decimal commas.
     """
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         data = data.decode("utf-16").encode()
@@ -144,38 +148,41 @@ def _table(data: bytes) -> FloatArray:
         del lines[0]
     if DECIMAL_COMMAS.match(lines[0]):
         raise ValueError("it has decimal commas; use decimal points: 12.5 instead of 12,5")
-    for mark in (b";", b","):
-        if mark in lines[0]:
-            lines = [line.replace(mark, b" ") for line in lines]
+    for separator in (b";", b","):
+        if separator in lines[0]:
+            lines = [line.replace(separator, b" ") for line in lines]
     values = np.loadtxt(io.BytesIO(b"\n".join(lines)), usecols=(0, 1, 2), ndmin=2)
     return np.asarray(values, dtype=np.float64)
 
 
 def require_size(cloud: Cloud, longest: float) -> None:
-    """Require that a scan is about as large as the sheet.
+    """Require that a scan is about as large as the sheet; otherwise its unit is wrong.
 
-    A scan may show only part of the sheet, or the table around it.
+    The limits are wide, because a scan may show only part of the sheet, or the table around it.
 
     Args:
         cloud: Points of the scan.
         longest: Longer side [m] of the sheet.
 
     Raises:
-        TandemError: scan.unit.
+        TandemError: ``scan.unit`` if it is not.
     """
     low, high = np.percentile(cloud.points, (2, 98), axis=0)
     extent = float((high - low).max())
     if not MIN_EXTENT_RATIO * longest <= extent <= MAX_EXTENT_RATIO * longest:
-        what = (
+        message = (
             f"{cloud.file}: its points are {extent / MM:.4g} mm across in the stated unit, the sheet is "
             f"{longest / MM:g} mm; allowed are {MIN_EXTENT_RATIO:g} to {MAX_EXTENT_RATIO:g} times that"
         )
-        like = [name for name, one in UNITS.items() if 0.8 <= extent * one / cloud.unit / longest <= 1.25]
-        what += f"; in {like[0]!r} the sizes would match" if len(like) == 1 else ""
+        # units in which the scan would be as large as the sheet
+        matching = [
+            name for name, metres in UNITS.items() if 0.8 <= extent * metres / cloud.unit / longest <= 1.25
+        ]
+        message += f"; in {matching[0]!r} the sizes would match" if len(matching) == 1 else ""
         hint = "state the unit that the scanner writes (--unit), or name the result folder of this part"
-        raise issue_error("scan.unit", what, field="unit", value=extent / MM, unit="mm", hint=hint)
+        raise issue_error("scan.unit", message, field="unit", value=extent / MM, unit="mm", hint=hint)
 
 
-def _refused(path: Path, what: str, hint: str) -> TandemError:
-    message = format_message("scan.file", file=path.name, fault=what)
+def _refused(path: Path, fault: str, hint: str) -> TandemError:
+    message = format_message("scan.file", file=path.name, fault=fault)
     return issue_error("scan.file", message, file=str(path), hint=hint)

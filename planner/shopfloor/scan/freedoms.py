@@ -1,9 +1,9 @@
-"""Uncertainty of a scan's pose: with marks that agree, or without marks.
+"""Uncertainty of a scan's pose, with and without marks.
 
 A flat determines height and tilt. Position and rotation in the plane of the flat follow from marks only. The
-formed part would determine them too, but it springs back by what is to be measured. Without marks the scan's
-own pose is used, and a warning states what that may hide: the translation and rotation in the plane that
-explain most of the deviation, how much of it, and the effect of each millimetre and degree on the field.
+formed part would determine them too, but its springback is what is measured. Without marks, the pose that the
+scan has in its file is used. A warning states what that may hide: the translation and rotation in the plane
+that explain most of the deviation, which fraction of it, and the effect of each millimetre and degree.
 """
 
 import dataclasses
@@ -22,13 +22,13 @@ MAX_POSITION_SIGMA_M: Final = 0.05 * MM
 MAX_ROTATION_SIGMA: Final = 0.05 * DEG
 """Standard deviation of the rotation [rad] above which a pose by marks gets a warning."""
 SIDEWAYS: Final = 0.2 * MM
-"""Offset [m] of a scan beside the part above which it cannot be used for adjustment."""
+"""In-plane offset [m] of a scan from the part above which it cannot be used for adjustment."""
 SIDEWAYS_SHARE: Final = 0.1
-"""Fraction of the deviation that the offset must explain for that."""
+"""Fraction of the squared deviation that such an offset must also explain."""
 WEAK: Final = 0.05
-"""Relative effect on the field below which a motion is not observable, compared with the strongest one."""
+"""Effect of a motion on the deviation, relative to the strongest one, below which it is not observable."""
 STEEPEST: Final = 98.0
-"""Percentile of the places that determines the effect of a translation or rotation on the field."""
+"""Percentile over the places by which the effect of a translation or rotation on the deviation is stated."""
 NEEDED: Final = "give three marks or more (--marks)"
 
 
@@ -37,13 +37,13 @@ class InPlaneMotion:
     """In-plane motion that explains the deviation of a scan by least squares.
 
     Attributes:
-        move: (2,) [m] translation along x and y.
-        turn: Rotation [rad] about the part's centre.
-        fraction: Fraction of the sum of squares that it explains.
-        per_way: Effect [m] on the field per metre of translation.
-        per_turn: Effect [m] on the field per radian of rotation.
-        radius: RMS distance [m] of the places from the centre.
-        hidden: Components that are not observable on this part.
+        move: Translation (2,) [m] along x and y.
+        turn: Rotation [rad] about the centroid of the places.
+        fraction: Fraction of the sum of squared deviations that it explains.
+        per_way: Effect [m] on the deviation per metre of translation.
+        per_turn: Effect [m] on the deviation per radian of rotation.
+        radius: RMS distance [m] of the places from their centroid.
+        hidden: Names of the components that are not observable on this part.
     """
 
     move: FloatArray
@@ -56,98 +56,107 @@ class InPlaneMotion:
 
     @property
     def is_offset(self) -> bool:
-        """Whether the scan may well be offset from the part, by more than springback explains."""
-        far = max(float(np.hypot(*self.move)), abs(self.turn) * self.radius)
-        return self.fraction > SIDEWAYS_SHARE and far > SIDEWAYS
+        """Whether the scan is probably offset from the part: the motion is large and explains enough."""
+        distance = max(float(np.hypot(*self.move)), abs(self.turn) * self.radius)
+        return self.fraction > SIDEWAYS_SHARE and distance > SIDEWAYS
 
 
 def in_plane_motion(measured: Deviation) -> InPlaneMotion:
-    """Estimate the in-plane motion from a measured part."""
-    known = np.isfinite(measured.deviation)
-    deviations, normal = measured.deviation[known], measured.normal[known]
-    arm = measured.point[known, :2] - measured.point[known, :2].mean(axis=0)
-    radius = float(np.sqrt((arm**2).sum(axis=1).mean()))
-    lever = arm[:, 0] * normal[:, 1] - arm[:, 1] * normal[:, 0]
-    u, size, v = np.linalg.svd(np.column_stack([normal[:, :2], lever / radius]), full_matrices=False)
-    shows = size > WEAK * size[0]
-    # a rotation of a round part about its middle is not observable, nor a motion of a channel along its axis
-    kept = (v[shows] ** 2).sum(axis=0)
-    hidden = [name for name, one in zip(("x", "y", "the rotation"), kept, strict=True) if one < 0.5]
-    best = v[shows].T @ ((u.T @ deviations)[shows] / size[shows])
-    left = deviations - u[:, shows] @ (u.T @ deviations)[shows]
-    explained = 1.0 - float(left @ left) / max(float(deviations @ deviations), 1e-30)
-    steep = float(np.percentile(lengths(normal[:, :2]), STEEPEST))
+    """Estimate the in-plane motion that explains the deviations of a scan best, of those observable."""
+    is_known = np.isfinite(measured.deviation)
+    deviations, normal = measured.deviation[is_known], measured.normal[is_known]
+    offsets = measured.point[is_known, :2] - measured.point[is_known, :2].mean(axis=0)
+    radius = float(np.sqrt((offsets**2).sum(axis=1).mean()))
+    rotation_effect = offsets[:, 0] * normal[:, 1] - offsets[:, 1] * normal[:, 0]
+    u, size, v = np.linalg.svd(
+        np.column_stack([normal[:, :2], rotation_effect / radius]), full_matrices=False
+    )
+    # not observable: a rotation of a round part about its middle, a motion of a channel along its axis
+    is_shown = size > WEAK * size[0]
+    observability = (v[is_shown] ** 2).sum(axis=0)
+    hidden = [
+        name
+        for name, component in zip(("x", "y", "the rotation"), observability, strict=True)
+        if component < 0.5
+    ]
+    best = v[is_shown].T @ ((u.T @ deviations)[is_shown] / size[is_shown])
+    residual = deviations - u[:, is_shown] @ (u.T @ deviations)[is_shown]
+    explained = 1.0 - float(residual @ residual) / max(float(deviations @ deviations), 1e-30)
+    steepness = float(np.percentile(lengths(normal[:, :2]), STEEPEST))
     return InPlaneMotion(
         best[:2],
         float(best[2]) / radius,
         explained,
-        steep,
-        float(np.percentile(np.abs(lever), STEEPEST)),
+        steepness,
+        float(np.percentile(np.abs(rotation_effect), STEEPEST)),
         radius,
         tuple(hidden),
     )
 
 
 def issues(measured: Deviation, pose: ScanPose, file: str) -> list[Issue]:
-    """Warnings if the pose of a scan is unknown, or less accurate than the measurement of a part."""
+    """Return a warning if the pose of a scan has no marks, or is less accurate by them than required."""
     if not pose.marks:
         return [_no_marks(measured, file)]
     if pose.position_sigma <= MAX_POSITION_SIGMA_M and pose.rotation_sigma <= MAX_ROTATION_SIGMA:
         return []
-    name, worst = max(pose.marks.items(), key=lambda item: item[1])
-    what = (
+    name, max_residual = max(pose.marks.items(), key=lambda item: item[1])
+    message = (
         f"{file}: by its marks the scan is known to {pose.position_sigma / MM:.3f} mm in the sheet's plane "
         f"and {pose.rotation_sigma / DEG:.3f} deg of rotation (one standard deviation), allowed "
         f"{MAX_POSITION_SIGMA_M / MM:g} mm and {MAX_ROTATION_SIGMA / DEG:g} deg; {name!r} is "
-        f"{worst / MM:.2f} mm off, the most of all"
+        f"{max_residual / MM:.2f} mm off, the most of all"
     )
     if pose.doubtful:
-        which = ", ".join(map(repr, pose.doubtful))
-        what += f"; without {which} the others agree within {AGREE / MM:g} mm"
+        doubtful = ", ".join(map(repr, pose.doubtful))
+        message += f"; without {doubtful} the others agree within {AGREE / MM:g} mm"
     hint = "measure the marks again, on the sheet and in the scan, or give more of them, farther apart"
     value, limit = pose.position_sigma / MM, MAX_POSITION_SIGMA_M / MM
-    return [Issue("scan.marks", what, Severity.WARNING, value=value, limit=limit, unit="mm", hint=hint)]
+    return [Issue("scan.marks", message, Severity.WARNING, value=value, limit=limit, unit="mm", hint=hint)]
 
 
 def _no_marks(measured: Deviation, file: str) -> Issue:
-    seen = in_plane_motion(measured)
-    what = (
+    """Return the warning for a scan without marks, with the in-plane motion that its deviation looks like."""
+    motion = in_plane_motion(measured)
+    message = (
         f"{file}: no marks are given. The flat around the part fixes the scan's height and tilt; x, y and "
         "the rotation about z are taken as the scan has them, with unknown errors. "
-        f"Each mm of offset adds up to {seen.per_way:.2f} mm to the deviation, each degree up to "
-        f"{seen.per_turn * DEG / MM:.2f} mm. {_describe_motion(seen)}"
+        f"Each mm of offset adds up to {motion.per_way:.2f} mm to the deviation, each degree up to "
+        f"{motion.per_turn * DEG / MM:.2f} mm. {_describe_motion(motion)}"
     )
     hint = f"{NEEDED}, unless the scanner is calibrated to the sheet's frame"
-    value = float(np.hypot(*seen.move)) / MM
-    return Issue("scan.no_marks", what, Severity.WARNING, value=value, unit="mm", hint=hint)
+    value = float(np.hypot(*motion.move)) / MM
+    return Issue("scan.no_marks", message, Severity.WARNING, value=value, unit="mm", hint=hint)
 
 
-def _describe_motion(seen: InPlaneMotion) -> str:
-    x, y = seen.move / MM
+def _describe_motion(motion: InPlaneMotion) -> str:
+    x, y = motion.move / MM
     text = (
-        f"{100.0 * seen.fraction:.0f} % of the squared deviation looks as if the scan were offset by "
-        f"({x:.2f}, {y:.2f}) mm from the part and rotated by {seen.turn / DEG:.2f} deg about its middle"
+        f"{100.0 * motion.fraction:.0f} % of the squared deviation looks as if the scan were offset by "
+        f"({x:.2f}, {y:.2f}) mm from the part and rotated by {motion.turn / DEG:.2f} deg about its middle"
     )
-    return text + (f"; {' and '.join(seen.hidden)} cannot be observed on this part" if seen.hidden else "")
+    return text + (
+        f"; {' and '.join(motion.hidden)} cannot be observed on this part" if motion.hidden else ""
+    )
 
 
 def require_place(measured: Deviation, pose: ScanPose, file: str) -> None:
     """Require that a scan without marks does not look offset from its part.
 
-    Targets would move by that offset.
+    An adjustment would otherwise move targets by that offset.
 
     Raises:
-        TandemError: scan.no_marks.
+        TandemError: ``scan.no_marks`` if it does.
     """
     if pose.marks:
         return
-    seen = in_plane_motion(measured)
-    if not seen.is_offset:
+    motion = in_plane_motion(measured)
+    if not motion.is_offset:
         return
-    what = (
-        f"{file}: no marks are given, and {_describe_motion(seen)}; allowed are {SIDEWAYS / MM:g} mm, or "
+    message = (
+        f"{file}: no marks are given, and {_describe_motion(motion)}; allowed are {SIDEWAYS / MM:g} mm, or "
         f"{100.0 * SIDEWAYS_SHARE:g} %: targets would be moved by the scan's offset, not by the springback"
     )
     hint = f"{NEEDED}; with a scanner calibrated to the sheet's frame they are the same in both frames"
-    value, limit = float(np.hypot(*seen.move)) / MM, SIDEWAYS / MM
-    raise issue_error("scan.no_marks", what, value=value, limit=limit, unit="mm", hint=hint)
+    value, limit = float(np.hypot(*motion.move)) / MM, SIDEWAYS / MM
+    raise issue_error("scan.no_marks", message, value=value, limit=limit, unit="mm", hint=hint)

@@ -1,10 +1,10 @@
 """Registration of a scan: coarse by probed marks, fine by the flat of the sheet around the part.
 
 Marks are positions that are known in the sheet's frame and in the scan, on the clamp or on the sheet. Their
-rigid fit is the first pose. Then the flat is fitted to its plane, point to plane, over the best fraction of
-the points within a few millimetres of it, with the marks as further rows of the same least squares. A flat
-determines only height and tilt; the marks determine the rest. What is formed springs back when it is
-released, so it is not used: a fit to the whole part would hide the deviation by tilting it.
+rigid fit is the first pose. Then points of the flat within a few millimetres of it are fitted to its plane,
+point to plane. Only the nearest fraction of them is used, and the marks are further equations of the same
+least squares. A flat determines only height and tilt; the marks determine the rest. The formed part is not
+used, because it springs back: a fit to the whole part would hide the deviation by tilting it.
 """
 
 import dataclasses
@@ -29,33 +29,33 @@ from planner.shopfloor.align.probing import ProbedPoints
 from planner.shopfloor.align.rigid_fit import align, bad_points
 
 NAMES: Final = ("sheet", "scan")
-"""Prefixes of the columns of a file of marks."""
+"""Prefixes of the columns of a file of marks: positions in the sheet's frame, and in the scan."""
 MARKED: Final = 3.0 * MM
-"""Initial distance [m] from the flat within which points belong to it, after a fit of marks."""
+"""Initial distance [m] from the flat within which points belong to it, if the first pose is by marks."""
 UNMARKED: Final = 8.0 * MM
 """Initial distance [m] from the flat within which points belong to it, without marks."""
 TRIMMED: Final = 0.8
-"""Fraction of the nearest points that is used."""
+"""Fraction of the points of the flat that is used, nearest to its median height first."""
 ROUNDS: Final = 30
 """Maximum number of rounds of the fine fit."""
 SETTLED: Final = 1e-8
-"""Motion [m] of the scan below which a round is the last one."""
+"""Motion [m] of the scan in a round below which the fit has converged."""
 MIN_FLAT_POINTS: Final = 200
 """Minimum number of points of the flat."""
 MAX_FLAT_POINTS: Final = 200_000
 """Maximum number of points of the flat. Larger scans are decimated."""
 MIN_NOISE_M: Final = 5e-6
-"""Minimum standard deviation [m] assumed for scans and marks."""
+"""Minimum standard deviation [m] that is assumed for scans and marks."""
 MAX_NOISE_M: Final = 0.5 * MM
-"""Maximum standard deviation [m] of the flat from a plane. Beyond it only stray points were found."""
+"""Maximum standard deviation [m] of the points of the flat from its plane. Beyond it they are not a flat."""
 MIN_FLAT_DISTANCE_M: Final = 0.2 * MM
-"""Distance [m] from the flat within which points belong to it in any case."""
+"""Distance [m] from the flat within which points belong to it, however small their noise is."""
 AGREE: Final = 0.15 * MM
 """Residual [m] of marks above which they disagree. The doubtful ones are reported."""
 MAD: Final = 1.4826
 """Ratio of standard deviation to median absolute deviation, for a normal distribution."""
 FEW: Final = 50_000
-"""Number of points of a scan with which a mirror image is tried."""
+"""Approximate number of points of a scan with which mirror images are tried."""
 MIRRORED_SHARE: Final = 0.05
 """Fraction of these points on the flat above which the scan is mirrored."""
 MIN_EXTENT_RATIO: Final = 0.25
@@ -67,13 +67,14 @@ class ScanPose:
     """Pose of a scan.
 
     Attributes:
-        matrix: (4, 4) maps points of the scan into the sheet's frame.
+        matrix: Pose (4, 4) that maps points of the scan into the sheet's frame.
         flat: Number of points of the flat that were used.
         noise: Standard deviation [m] of these points from the flat.
-        marks: {name: residual [m]}; empty if the scan was taken to be in the sheet's frame.
-        within: (6,) standard deviations of its rotations about x, y and z [rad] and translations along them
-            [m], at the sheet's origin; infinite if undetermined.
-        doubtful: Smallest set of marks without which the others agree, if they do not.
+        marks: Residuals [m] of the marks by name; empty if the position in the plane is that of the scan's
+            file.
+        within: Standard deviations (6,) of rotations about x, y and z [rad] and translations along them [m],
+            at the sheet's origin; infinite if undetermined.
+        doubtful: If the marks disagree, the smallest set of marks without which the others agree.
     """
 
     matrix: FloatArray
@@ -99,7 +100,7 @@ class Flat:
     """Flat of a sheet around what is formed.
 
     Attributes:
-        area: Its area in its plane [m].
+        area: Its area in the sheet's plane [m].
         level: Height [m] of the scanned face.
         side: Shorter side [m] of the sheet.
     """
@@ -109,32 +110,33 @@ class Flat:
     side: float
 
     def holds(self, points: FloatArray, within: float) -> BoolArray:
-        """Whether points (N, 3) are above or below the area, and within a distance [m] of its height."""
-        within_height = np.abs(points[:, 2] - self.level) <= within
+        """Return whether points (N, 3) [m] are above or below the area, and ``within`` [m] of its height."""
+        is_near = np.abs(points[:, 2] - self.level) <= within
         out = np.zeros(len(points), dtype=bool)
-        candidates = np.flatnonzero(within_height)
+        candidates = np.flatnonzero(is_near)
         out[candidates] = shapely.contains_xy(self.area, points[candidates, 0], points[candidates, 1])
         return out
 
 
 def register(points: FloatArray, flat: Flat, marks: ProbedPoints | None) -> ScanPose:
-    """Compute the pose of a scan.
+    """Compute the pose of a scan in the sheet's frame.
 
     Args:
-        points: (N, 3) [m] points of the scan.
+        points: Points (N, 3) [m] of the scan.
         flat: Flat around the part.
-        marks: Marks in both frames.
+        marks: Marks in both frames; None without.
 
     Raises:
-        TandemError: scan.flat if the scan shows too little of the flat, and for marks what
-            `align.rigid_fit.align` raises.
+        TandemError: ``scan.flat`` if the scan shows too little of the flat or it is not plane; errors of
+            `align.rigid_fit.align` for marks.
     """
     pose = np.eye(4)
     names: tuple[str, ...] = ()
-    known = np.zeros((0, 3)), np.zeros((0, 3))
+    mark_pairs = np.zeros((0, 3)), np.zeros((0, 3))
     if marks is not None:
-        known, names = (marks.first, marks.second), marks.names
-        pose = align(*known, names, NAMES).pose
+        mark_pairs = (marks.first, marks.second)
+        names = marks.names
+        pose = align(*mark_pairs, names, NAMES).pose
     shapely.prepare(flat.area)
     max_distance = MARKED if names else UNMARKED
     flat_points = points[flat.holds(transform(pose, points), max_distance)]
@@ -144,78 +146,86 @@ def register(points: FloatArray, flat: Flat, marks: ProbedPoints | None) -> Scan
     noise, count, within = max_distance, 0, np.full(6, np.inf)
     for _ in range(ROUNDS):
         moved_points = transform(pose, flat_points)
-        rows = np.flatnonzero(flat.holds(moved_points, max_distance))
-        _require_flat(moved_points[rows], flat, max_distance)
-        heights = moved_points[rows, 2] - flat.level
+        near = np.flatnonzero(flat.holds(moved_points, max_distance))
+        _require_flat(moved_points[near], flat, max_distance)
+        heights = moved_points[near, 2] - flat.level
         heights = np.abs(heights - np.median(heights))
         noise = max(MAD * float(np.median(heights)), MIN_NOISE_M)
-        best = moved_points[rows[np.argsort(heights, kind="stable")[: int(TRIMMED * len(rows))]]]
-        turn, shift, within = _step(best, flat.level, noise, pose, known)
-        pose, count = from_parts(exp_rotation(turn), shift) @ pose, len(best)
-        if float(np.abs(shift).max() + np.abs(turn).max() * flat.side) < SETTLED:
+        best = moved_points[near[np.argsort(heights, kind="stable")[: int(TRIMMED * len(near))]]]
+        rotation, shift, within = _step(best, flat.level, noise, pose, mark_pairs)
+        pose = from_parts(exp_rotation(rotation), shift) @ pose
+        count = len(best)
+        if float(np.abs(shift).max() + np.abs(rotation).max() * flat.side) < SETTLED:
             break
         max_distance = max(6.0 * noise, MIN_FLAT_DISTANCE_M)
     if noise > MAX_NOISE_M:
-        what = (
+        message = (
             f"the flat around the part is not plane: {noise / MM:.2f} mm off, allowed {MAX_NOISE_M / MM:g} mm"
         )
-        raise _no_flat(what, noise / MM, MAX_NOISE_M / MM)
-    rest = lengths(known[0] - transform(pose, known[1]))
-    left = {name: float(value) for name, value in zip(names, rest, strict=True)}
-    bad = bad_points(*known, AGREE) if len(names) > 3 and float(rest.max()) > AGREE else None
-    return ScanPose(pose, count, noise, left, within, tuple(names[k] for k in bad or ()))
+        raise _no_flat(message, noise / MM, MAX_NOISE_M / MM)
+    residuals = lengths(mark_pairs[0] - transform(pose, mark_pairs[1]))
+    residual_by_mark = {name: float(value) for name, value in zip(names, residuals, strict=True)}
+    bad = bad_points(*mark_pairs, AGREE) if len(names) > 3 and float(residuals.max()) > AGREE else None
+    return ScanPose(pose, count, noise, residual_by_mark, within, tuple(names[k] for k in bad or ()))
 
 
 def _step(
-    flat: FloatArray, level: float, noise: float, pose: FloatArray, known: tuple[FloatArray, FloatArray]
+    flat: FloatArray, level: float, noise: float, pose: FloatArray, mark_pairs: tuple[FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Least-squares step: small rotation (3,) [rad] and translation (3,) [m].
+    """Compute a least-squares step of a scan's pose.
 
-    Their standard deviations (6,) are returned, too. The step moves points (N, 3) to the plane z = ``level``
-    and the marks to their positions, each weighted by its noise. Standard deviations are infinite where
-    nothing determines a component.
+    It moves points ``flat`` (N, 3) [m] with a standard deviation ``noise`` [m] to the plane z = ``level``,
+    and the marks to their positions. ``mark_pairs`` are marks (M, 3) [m] in the sheet's frame, and in the
+    scan.
+
+    Returns:
+        Rotation vector (3,) [rad], translation (3,) [m], and their standard deviations (6,), which are
+            infinite for components that nothing determines.
     """
-    rows = np.zeros((len(flat), 6))
-    rows[:, 0], rows[:, 1], rows[:, 5] = flat[:, 1], -flat[:, 0], 1.0  # (p x n, n) with n = z
-    normal = rows.T @ rows / noise**2
-    right = -rows.T @ (flat[:, 2] - level) / noise**2
-    out = np.zeros(6)
-    some = [0, 1, 5]  # without marks the position in the plane is unknown
-    if len(known[0]):
-        some = list(range(6))
-        there = transform(pose, known[1])
-        left = there - known[0]
-        loose = max(float(np.sqrt((left**2).sum() / max(3 * len(left) - 6, 1))), MIN_NOISE_M)
-        for place, rest in zip(there, left, strict=True):
-            mark = np.hstack([-skew(place), np.eye(3)])
-            normal += mark.T @ mark / loose**2
-            right -= mark.T @ rest / loose**2
-    spread = np.linalg.inv(normal[np.ix_(some, some)])
-    out[some] = spread @ right[some]
+    jacobian = np.zeros((len(flat), 6))
+    # (p x n, n) with n = z
+    jacobian[:, 0], jacobian[:, 1], jacobian[:, 5] = flat[:, 1], -flat[:, 0], 1.0
+    normal_matrix = jacobian.T @ jacobian / noise**2
+    right_side = -jacobian.T @ (flat[:, 2] - level) / noise**2
+    step = np.zeros(6)
+    determined = [0, 1, 5]  # without marks the position in the plane is unknown
+    if len(mark_pairs[0]):
+        determined = list(range(6))
+        mark_positions = transform(pose, mark_pairs[1])
+        residuals = mark_positions - mark_pairs[0]
+        # 3 M coordinates determine 6 unknowns
+        mark_noise = max(float(np.sqrt((residuals**2).sum() / max(3 * len(residuals) - 6, 1))), MIN_NOISE_M)
+        for position, residual in zip(mark_positions, residuals, strict=True):
+            mark_jacobian = np.hstack([-skew(position), np.eye(3)])
+            normal_matrix += mark_jacobian.T @ mark_jacobian / mark_noise**2
+            right_side -= mark_jacobian.T @ residual / mark_noise**2
+    covariance = np.linalg.inv(normal_matrix[np.ix_(determined, determined)])
+    step[determined] = covariance @ right_side[determined]
     within = np.full(6, np.inf)
-    within[some] = np.sqrt(np.diag(spread))
-    return out[:3], out[3:], within
+    within[determined] = np.sqrt(np.diag(covariance))
+    return step[:3], step[3:], within
 
 
 def _require_flat(points: FloatArray, flat: Flat, max_distance: float) -> None:
-    spread = np.ptp(points[:, :2], axis=0) if len(points) else np.zeros(2)
-    if len(points) >= MIN_FLAT_POINTS and float(spread.min()) >= MIN_EXTENT_RATIO * flat.side:
+    """Raise ``scan.flat`` if points (N, 3) [m] of the flat are too few or cover too little of the sheet."""
+    extent = np.ptp(points[:, :2], axis=0) if len(points) else np.zeros(2)
+    if len(points) >= MIN_FLAT_POINTS and float(extent.min()) >= MIN_EXTENT_RATIO * flat.side:
         return
-    x, y = spread / MM
-    what = (
+    x, y = extent / MM
+    message = (
         f"got {len(points)} points within {max_distance / MM:.2g} mm of the flat around the part, {x:.0f} x "
         f"{y:.0f} mm across, allowed {MIN_FLAT_POINTS} or more over {MIN_EXTENT_RATIO * flat.side / MM:.0f} "
         "mm both ways: the scan is located by the flat, which does not spring back"
     )
-    raise _no_flat(what, float(len(points)), float(MIN_FLAT_POINTS))
+    raise _no_flat(message, float(len(points)), float(MIN_FLAT_POINTS))
 
 
 def _no_flat_at_marks(points: FloatArray, flat: Flat, pose: FloatArray, count: int) -> TandemError:
-    """Issue of a scan that is not where its marks are.
+    """Return the error of a scan that is not on the flat when its marks are at their positions.
 
-    It has another frame or unit, or an inverted axis in one of them.
+    Then scan and marks have different frames or units, or an axis of one of them is inverted.
     """
-    what = (
+    message = (
         f"got {count} points of the scan within {MARKED / MM:g} mm of the flat around the part, where the "
         f"marks put it, allowed {MIN_FLAT_POINTS} or more: the scan is located by the flat, which does not "
         "spring back"
@@ -229,33 +239,33 @@ def _no_flat_at_marks(points: FloatArray, flat: Flat, pose: FloatArray, count: i
         mirrored_points = sample.copy()
         mirrored_points[:, axis] *= -1.0
         if flat.holds(transform(pose, mirrored_points), MARKED).mean() >= MIRRORED_SHARE:
-            what += f"; with the sign of {name} reversed in the scan it would fit"
+            message += f"; with the sign of {name} reversed in the scan it would fit"
             hint = f"check for a wrong sign of {name}, in the scan or in the marks' columns scan.{name}_mm"
             break
-    return _no_flat(what, float(count), float(MIN_FLAT_POINTS), hint)
+    return _no_flat(message, float(count), float(MIN_FLAT_POINTS), hint)
 
 
 def _no_flat(
-    what: str,
+    message: str,
     got: float,
     limit: float,
     hint: str = "scan the flat around the part too, state the scanned face (--face), give marks (--marks)",
 ) -> TandemError:
-    return issue_error("scan.flat", what, value=got, limit=limit, hint=hint)
+    return issue_error("scan.flat", message, value=got, limit=limit, hint=hint)
 
 
 def describe_pose(pose: ScanPose) -> str:
-    """Describe the pose of a scan in one line."""
+    """Return a description of a scan's pose and its accuracy, in one line."""
     x, y, z = pose.matrix[:3, 3] / MM
     angle = float(np.linalg.norm(log_rotation(pose.matrix[:3, :3]))) / DEG
-    worst = max(pose.marks.values(), default=0.0) / MM
-    held = (
-        f"{len(pose.marks)} marks, {worst:.3f} mm off at most, so known to {pose.position_sigma / MM:.3f} "
+    worst_mm = max(pose.marks.values(), default=0.0) / MM
+    basis = (
+        f"{len(pose.marks)} marks, {worst_mm:.3f} mm off at most, so known to {pose.position_sigma / MM:.3f} "
         f"mm in its plane and {pose.rotation_sigma / DEG:.3f} deg (one standard deviation)"
         if pose.marks
         else "no marks, so x, y and the rotation about z are those of the scan"
     )
     return (
-        f"moved by ({x:.3f}, {y:.3f}, {z:.3f}) mm, turned by {angle:.3f} deg; {held}; {pose.flat} points of "
+        f"moved by ({x:.3f}, {y:.3f}, {z:.3f}) mm, turned by {angle:.3f} deg; {basis}; {pose.flat} points of "
         f"the flat, {pose.noise / MM:.3f} mm off it (one standard deviation)"
     )

@@ -1,7 +1,8 @@
-"""Main flow of one KRL program through its files: settings are attached to moves, names replaced by values.
+"""Executes one KRL program symbolically, through all its files, and returns its steps.
 
-The subset has no conditions but the guarded wait, so the flow is unique. Settings are modal. A setting that
-a program has not stated after BAS(#INITMOV,0) is unknown, and no move may depend on it.
+Each move gets the settings in force, and values in place of names of the data list. The supported subset
+has no conditions but the guarded wait, so there is only one order of execution. Settings are modal. A setting
+that a program has not stated after BAS(#INITMOV,0) is unknown, and no move may depend on it.
 """
 
 import itertools
@@ -23,11 +24,14 @@ from planner.programs.signals import NumberedSignals
 MAX_CALL_DEPTH = 10
 """Maximum call depth of programs."""
 MAX_STATEMENTS = 100_000
-"""Maximum number of statements that are executed repeatedly. Programs rarely call each other."""
+"""Maximum number of executed statements beyond those of one pass through each program.
+
+It bounds repeated calls; programs rarely call each other.
+"""
 MAIN_PROCEDURE = "main"
 """Name of the main program's procedure in steps; its real name is that of the problem."""
 _BLOCK_LOAD = "l_block_"
-"""Prefix of the names of loads of a tool together with a block."""
+"""Prefix of the names of loads that state a tool together with the block that it holds."""
 _EXACT_STOP = steps.Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """Zone of a point without approximation: the arm stops there."""
 _FLY_BY = steps.Zone(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -42,15 +46,18 @@ _PRELUDE = (
     (True, "INTERRUPT ON 3 after it"),
     (syntax_tree.InitMotion, "BAS(#INITMOV,0) after it"),
 )
-"""First statements of the main program, and their names in messages."""
+"""First three statements of the main program, apart from comments.
+
+Each is given by `StopInterrupt.on` or, for another statement, by its type, and by its name in messages.
+"""
 _PRELUDE_REASON = "stop reactions and settings require"
-"""Why they are required, for messages."""
+"""Reason why these statements are required, for messages."""
 _UNBOUNDED = 1.0
-"""A length [m] that is no bound, for a corner that only the angle determines."""
+"""Approximation distance [m] that bounds no corner, for corners that only the angle bounds."""
 
 
 class _Pose(NamedTuple):
-    """A target as written, the start of the next move: X, Y, Z [mm], unit quaternion."""
+    """Pose of the TCP in $BASE, as written: X, Y, Z [mm] and a unit quaternion (w, x, y, z)."""
 
     position: tuple[float, float, float]
     quaternion: tuple[float, float, float, float]
@@ -63,9 +70,9 @@ class _KrlMotion:
     Attributes:
         target: The target.
         speed: Speeds in force.
-        time: Time [s], None for a PTP.
+        time: Duration [s], None for a PTP.
         target_name: Name of the target in the data list, "" for a target in place.
-        zone: Corner at the target.
+        zone: How the controller rounds the corner at the target.
         zone_name: Word that selects the corner, "" for an exact stop.
     """
 
@@ -84,25 +91,25 @@ class KrlRunner:
         programs: Programs by lower-case name.
         data: The data list.
         base: The robot's foot in the world, (4, 4) [m].
-        signals: Names of the numbered signals.
+        signals: Names of the numbered inputs and outputs.
         panel: State of the operator panel.
         steps: Steps so far.
         entered: Lower-case names of the programs that ran.
-        settings: Values of the settings in force.
-        tools: Tools by name.
-        work_objects: Work objects by name.
-        pose: Last pose, None if unknown.
-        outer: External axes at the last pose.
+        settings: Values of the settings in force, by lower-case name.
+        tools: Tools by lower-case name of their frame.
+        work_objects: Work objects by lower-case name of their frame.
+        pose: Pose that the last move reached, None if unknown.
+        outer: External axes that the text states at that pose.
         ptp_axis_values: Values of the axes under the arm at the last PTP.
         move_axis_values: Values of the axes under the arm at the last straight move.
         outputs_on: Numbers of the outputs that are on.
-        carried: Name of the load with a block, "" for none.
-        load_line: Line of the last $LOAD.
+        carried: Name of the load of the tool together with a block, "" if it holds none.
+        load_line: Line of the last $LOAD setting.
         program: The current program.
         procedure: Name of the current segment.
-        depth: Call depth.
+        depth: Call depth, 0 in the main program.
         started: Whether BAS(#INITMOV,0) has run.
-        budget: Remaining statement budget.
+        budget: Number of statements that may still be executed.
     """
 
     def __init__(
@@ -133,6 +140,7 @@ class KrlRunner:
         self.started = False
         self.budget = MAX_STATEMENTS + sum(len(program.body) for program in programs.values())
         self._open: list[str] = []
+        """Lower-case names of the programs on the call stack."""
 
     def run(self, main: syntax_tree.KrlProgram) -> tuple[steps.ProgramStep, ...]:
         """Return the steps of the main program.
@@ -143,14 +151,14 @@ class KrlRunner:
         self.program = main
         self.entered.add(main.name.lower())
         self._open.append(main.name.lower())
-        head = [
+        first_statements = [
             statement for statement in main.body if not isinstance(statement, syntax_tree.CommentStatement)
         ][:3]
-        for expected, statement in itertools.zip_longest(_PRELUDE, head):
-            part = statement.on if isinstance(statement, syntax_tree.StopInterrupt) else type(statement)
-            if part != expected[0]:
-                what = f"the main program does not start with {expected[1]}, as {_PRELUDE_REASON}"
-                self._fail(statement.line if statement else 1, what)
+        for expected, statement in itertools.zip_longest(_PRELUDE, first_statements):
+            identity = statement.on if isinstance(statement, syntax_tree.StopInterrupt) else type(statement)
+            if identity != expected[0]:
+                message = f"the main program does not start with {expected[1]}, as {_PRELUDE_REASON}"
+                self._fail(statement.line if statement else 1, message)
         self._block(main.body)
         return tuple(self.steps)
 
@@ -158,11 +166,12 @@ class KrlRunner:
         raise steps.FlowError([steps.TextFault(line, 1, "krl.flow", message, self.program.file)])
 
     def _refuse_position(self, line: int, wrong: bool, message: str) -> None:
-        """Refuse a statement where the programs do not allow it."""
+        """Raise `FlowError` if a statement is at a wrong position. The partial reader overrides this."""
         if wrong:
             self._fail(line, message)
 
     def _block(self, body: Sequence[syntax_tree.KrlStatement]) -> None:
+        """Execute statements one after the other. Those of the main program end with a check of the panel."""
         for statement in body:
             self.budget -= 1
             if self.budget < 0:
@@ -181,6 +190,7 @@ class KrlRunner:
             self._check_panel_end(body[-1].line if body else 1)
 
     def _check_panel_state(self, statement: syntax_tree.KrlStatement) -> None:
+        """Check that the panel allows the statement now, and append the message that it shows, if any."""
         try:
             self.panel.check(statement, self.depth)
             self._emit_message(statement)
@@ -195,6 +205,7 @@ class KrlRunner:
             self._fail(line, str(wrong))
 
     def _emit_message(self, statement: syntax_tree.KrlStatement) -> None:
+        """Update the panel and append its message, if any. Outputs must be off where the program may halt."""
         message = self.panel.take(statement, self.depth)
         if self.outputs_on and self.panel.may_stop(statement):
             self._fail(statement.line, f"the program may halt while $OUT[{min(self.outputs_on)}] is on")
@@ -208,6 +219,7 @@ class KrlRunner:
             )
 
     def _statement(self, statement: syntax_tree.KrlStatement) -> None:
+        """Execute a statement that is not a straight move or spline block, after the panel has handled it."""
         line = statement.line
         where = (self.program.file.rpartition("/")[2], self.procedure, line, "")
         match statement:
@@ -221,36 +233,40 @@ class KrlRunner:
             case syntax_tree.CommentStatement(kind="segment", text=text):
                 self.procedure = text
             case syntax_tree.StopInterrupt():
-                what = "the interrupt of stop messages is allowed only at the start"
-                self._refuse_position(line, bool(self.steps) or self.depth > 0, what)
+                message = "the interrupt of stop messages is allowed only at the start"
+                self._refuse_position(line, bool(self.steps) or self.depth > 0, message)
             case syntax_tree.HaltStatement() if self.panel.dialect == "krc4":
                 self.steps.append(steps.SettingStep(*where, "HALT", (), (), stops=True))
             case syntax_tree.RobrootCheck():
                 self.steps.append(steps.SettingStep(*where, "$ROBROOT", (), ()))
-            case syntax_tree.ExternalAxisCheck(column=column, home=home, tolerance=most, text=text):
-                self.steps.append(steps.SettingStep(*where, AXIS_CHECK, (text,), (column, home, most)))
+            case syntax_tree.ExternalAxisCheck(column=column, home=home, tolerance=tolerance, text=text):
+                self.steps.append(steps.SettingStep(*where, AXIS_CHECK, (text,), (column, home, tolerance)))
             case syntax_tree.OutputStatement(number=number, value=on):
                 self.outputs_on = self.outputs_on | {number} if on else self.outputs_on - {number}
                 name = self.signals.outputs.get(number, f"$OUT[{number}]")
-                self.steps.append(steps.SignalStep(*where, "$OUT", name, float(on), 0.0, True))
+                self.steps.append(
+                    steps.SignalStep(*where, "$OUT", name, float(on), delay=0.0, synchronous=True)
+                )
             case syntax_tree.InputPoll(number=number, value=on, seconds=seconds):
                 name = self.signals.inputs.get(number, f"$IN[{number}]")
                 self.steps.append(
-                    steps.WaitStep(*where, "WHILE", seconds, name, float(on), False, repeats=True)
+                    steps.WaitStep(*where, "WHILE", seconds, name, float(on), after_stop=False, repeats=True)
                 )
             case syntax_tree.InputWait():
                 self._input_wait(statement, where)
             case syntax_tree.WaitSecStatement(seconds=seconds) if self._is_moving:
                 self._dwell(line, seconds)
             case syntax_tree.WaitSecStatement(seconds=seconds):
-                self.steps.append(steps.WaitStep(*where, "WAIT SEC", seconds, "", None, True))
+                self.steps.append(
+                    steps.WaitStep(*where, "WAIT SEC", seconds, signal="", value=None, after_stop=True)
+                )
             case syntax_tree.PtpStatement(name=name):
                 self._ptp(line, name)
             case syntax_tree.CallStatement(name=name):
                 self._call(line, name)
 
     def _input_wait(self, wait: syntax_tree.InputWait, where: tuple[str, str, int, str]) -> None:
-        """A wait for an input of the process; on a timeout everything is switched off."""
+        """Append a wait for an input. On a timeout all outputs must be switched off."""
         line = wait.line
         self._refuse_position(
             line, self.depth > 0, "a wait for the process is allowed only in the main program"
@@ -264,18 +280,21 @@ class KrlRunner:
             self._fail(line, f"a wait that times out shows {wait.text!r}; expected {expected!r}")
         if expected and not self.panel.prepared:
             self._fail(line, "tm_opt is not set before this message")
-        self.steps.append(steps.WaitStep(*where, "WHILE", wait.seconds, name, float(wait.value), False))
+        self.steps.append(
+            steps.WaitStep(*where, "WHILE", wait.seconds, name, float(wait.value), after_stop=False)
+        )
 
     @property
     def _is_moving(self) -> bool:
-        """Whether the current program contains moves; a wait in it stands for a move."""
+        """Whether the current subprogram contains moves. A WAIT SEC in it then stands for a move."""
         return self.depth > 0 and self.program.moves > 0
 
     def _call(self, line: int, name: str) -> None:
+        """Execute a subprogram, and return to the caller's program and segment."""
         program = self.programs.get(name)
         if program is None or self.depth >= MAX_CALL_DEPTH or name in self._open:
-            what = "is not one of the programs" if program is None else "calls itself"
-            self._fail(line, f"{name}() {what}")
+            reason = "is not one of the programs" if program is None else "calls itself"
+            self._fail(line, f"{name}() {reason}")
         caller = self.program, self.procedure
         self.entered.add(name)
         self._open.append(name)
@@ -290,12 +309,13 @@ class KrlRunner:
     # ---- settings ----
 
     def _setting(self, line: int, name: str, value: float | str) -> None:
-        where = "a file with moves" if name in syntax_tree.MOTION_SETTINGS else "the main program"
+        """Check a setting and put it in force. A new $TOOL or $BASE makes the last pose unknown."""
+        allowed_place = "a file with moves" if name in syntax_tree.MOTION_SETTINGS else "the main program"
         wrong = (name in syntax_tree.MOTION_SETTINGS) != (self.depth > 0)
-        self._refuse_position(line, wrong, f"{name.upper()} may be set only in {where}")
+        self._refuse_position(line, wrong, f"{name.upper()} may be set only in {allowed_place}")
         if name in syntax_tree.CHOICE_SETTINGS:
-            where_ = (self.program.file.rpartition("/")[2], self.procedure, line, "")
-            self.steps.append(steps.SettingStep(*where_, name.upper(), (), ()))
+            location = (self.program.file.rpartition("/")[2], self.procedure, line, "")
+            self.steps.append(steps.SettingStep(*location, name.upper(), (), ()))
         if name in syntax_tree.FRAME_SETTINGS:
             kind = syntax_tree.FRAME_SETTINGS[name]
             item = self.data.items.get(str(value))
@@ -313,26 +333,28 @@ class KrlRunner:
             self._fail(line, f"{missing[0].upper()} is not set before this move; set it")
 
     def _tool(self, line: int) -> tuple[steps.Tool, str]:
+        """Return the tool in force, with its own load, and its name in the data list."""
         self._require_settings(line, ("$tool", "$load", *syntax_tree.CHOICE_SETTINGS))
         name = str(self.settings["$tool"])
         if name not in self.tools:
             load = self.data.items.get(_tool_load(name))
             if load is None or load.kind != "load":
                 self._fail(line, f"the data list has no LOAD {_tool_load(name)} for {name}")
-            self.tools[name] = steps.Tool(True, self.data.items[name].value, load.value)
+            self.tools[name] = steps.Tool(held=True, pose=self.data.items[name].value, load=load.value)
         return self.tools[name], self.data.items[name].name
 
     def _work_object(self, line: int) -> tuple[steps.WorkObject, str]:
+        """Return the base in force as a work object, and its name in the data list."""
         self._require_settings(line, ("$base",))
         name = str(self.settings["$base"])
         if name not in self.work_objects:
             self.work_objects[name] = steps.WorkObject(
-                False, True, "", self.base, self.data.items[name].value
+                held=False, fixed=True, unit="", user=self.base, object=self.data.items[name].value
             )
         return self.work_objects[name], self.data.items[name].name
 
     def _emit_load_change(self, line: int) -> None:
-        """Append a step if the load changes: to the tool's own load, or to one of the tool with a block."""
+        """Append a step if $LOAD changes: to the load of the tool with a block, or back to its own load."""
         if "$tool" not in self.settings or "$load" not in self.settings:
             return
         tool, load = str(self.settings["$tool"]), str(self.settings["$load"])
@@ -342,8 +364,8 @@ class KrlRunner:
         if carried and not carried.startswith(_BLOCK_LOAD):
             self._fail(self.load_line, f"{load} is neither the load of {tool} nor a load of it with a block")
         tool_value, _ = self._tool(line)
-        whole: steps.LoadData = self.data.items[load].value
-        held = held_load(whole, tool_value.load, tool_value.pose) if carried else NO_LOAD
+        combined_load: steps.LoadData = self.data.items[load].value
+        held = held_load(combined_load, tool_value.load, tool_value.pose) if carried else NO_LOAD
         where = (self.program.file.rpartition("/")[2], self.procedure, self.load_line, "")
         self.steps.append(steps.CarryStep(*where, held, load))
         self.carried = carried
@@ -351,22 +373,30 @@ class KrlRunner:
     # ---- moves ----
 
     def _ptp(self, line: int, name: str) -> None:
+        """Append a PTP. Only a PTP to an E6POS leaves a known pose, from which straight moves may start."""
         self._refuse_position(line, self.depth > 0, "PTP is allowed only in the main program")
-        what = "the arm moves before the program has checked $ROBROOT"
-        self._refuse_position(line, not self.panel.robroot_checked, what)
+        message = "the arm moves before the program has checked $ROBROOT"
+        self._refuse_position(line, not self.panel.robroot_checked, message)
         item = self.data.items.get(name)
         if item is None or item.kind not in ("e6axis", "e6pos"):
             self._fail(line, f"{name} is no E6AXIS or E6POS of the data list")
         self._require_settings(line, syntax_tree.AXIS_SPEEDS)
         fractions = tuple(float(self.settings[axis]) / 100.0 for axis in syntax_tree.AXIS_SPEEDS)
-        speed = steps.MoveSpeed(math.inf, math.inf, 0.0, 0.0, fractions, self._external_speed_fractions())
+        speed = steps.MoveSpeed(
+            tcp=math.inf,
+            turn=math.inf,
+            linear=0.0,
+            rotary=0.0,
+            axes=fractions,
+            external=self._external_speed_fractions(),
+        )
         target: steps.JointTarget | steps.StatusTarget = item.value
         self._move(line, "PTP", _KrlMotion(target, speed, None, target_name=item.name))
         if self.panel.axis_directions and self._arm_axis_values(target) not in (
             self.ptp_axis_values,
             self.move_axis_values,
         ):
-            self.panel.robroot_checked = False  # the position of the axes is unknown until the next check
+            self.panel.robroot_checked = False  # the axes have moved the foot: its position must be checked
         self.ptp_axis_values, self.move_axis_values = self._arm_axis_values(target), None
         self.pose, self.outer = None, ()
         if isinstance(target, steps.StatusTarget):
@@ -382,25 +412,26 @@ class KrlRunner:
         return tuple(float(target.external[column]) for column in self.panel.axis_directions)
 
     def _linear(self, move: syntax_tree.LinearStatement) -> None:
+        """Append a straight move. The slower of translation and rotation determines its duration."""
         line = move.line
         start = self._start_pose(line, move.word)
         self._require_settings(line, tuple(syntax_tree.MOTION_SETTINGS))
-        speed, distance, turn, end = self._speed_and_distance(line, start, move.target)
+        speed, distance, angle, end = self._speed_and_distance(line, start, move.target)
         target = _target(end, move.outer)
         zone, name = self._zone(move.corner)
-        time = max(distance / speed.tcp, turn / speed.turn)
+        time = max(distance / speed.tcp, angle / speed.turn)
         self._move(line, move.word, _KrlMotion(target, speed, time, zone=zone, zone_name=name))
         self.pose, self.outer, self.move_axis_values = end, move.outer, self._arm_axis_values(target)
 
     def _spline(self, block: syntax_tree.SplineStatement) -> None:
-        """Append the points of a spline block as moves.
+        """Append one move for each point of a spline block.
 
         Each takes its fraction of the block's time, and only the last one ends in a stop.
         """
         self._start_pose(block.line, "SPLINE")
         self._require_settings(block.line, tuple(syntax_tree.MOTION_SETTINGS))
-        last = next((step for step in reversed(self.steps) if isinstance(step, steps.MoveStep)), None)
-        if last is None or not last.zone.fine:
+        last_move = next((step for step in reversed(self.steps) if isinstance(step, steps.MoveStep)), None)
+        if last_move is None or not last_move.zone.fine:
             self._fail(
                 block.line, "SPLINE does not start at an exact stop; the previous move must end in one"
             )
@@ -419,10 +450,10 @@ class KrlRunner:
                 self.pose, self.outer = end, item.outer
 
     def _start_pose(self, line: int, word: str) -> _Pose:
-        """Pose at which a straight move or a spline block starts."""
+        """Return the pose at which a straight move or a spline block starts, which must be known."""
         self._emit_load_change(line)
-        what = f"{word} is in the main program; moves belong in separate files"
-        self._refuse_position(line, not self.depth, what)
+        message = f"{word} is in the main program; moves belong in separate files"
+        self._refuse_position(line, not self.depth, message)
         if self.pose is None:
             self._fail(
                 line, f"the start pose of {word} in this $BASE and $TOOL is unknown; add a PTP to an E6POS"
@@ -432,38 +463,40 @@ class KrlRunner:
     def _speed_and_distance(
         self, line: int, start: _Pose, target: tuple[float, float, float, float, float, float]
     ) -> tuple[steps.MoveSpeed, float, float, _Pose]:
-        """Speeds in force, distance [m] and rotation [rad] to a target, and the target."""
+        """Return the speeds in force, distance [m] and angle [rad] from ``start``, and the target's pose."""
         velocity, turning = float(self.settings["$vel.cp"]), float(self.settings["$vel.ori1"])
         if self.settings["$vel.ori2"] != turning:
             self._fail(line, "$VEL.ORI1 and $VEL.ORI2 differ; set both to one value")
         x, y, z, a, b, c = target
         end = _Pose((x, y, z), quaternion(a, b, c))
-        distance, turn = _distance_and_angle(start, end)
-        rate = math.sqrt(2.0) * math.radians(turning)
+        distance, angle = _distance_and_angle(start, end)
+        # each setting limits one of two components of the rotation: together they allow sqrt(2) of it
+        rotation_speed = math.sqrt(2.0) * math.radians(turning)
         return (
-            steps.MoveSpeed(velocity, rate, 0.0, 0.0, external=self._external_speed_fractions()),
+            steps.MoveSpeed(velocity, rotation_speed, 0.0, 0.0, external=self._external_speed_fractions()),
             distance,
-            turn,
+            angle,
             end,
         )
 
     def _external_speed_fractions(self) -> tuple[float, ...]:
-        """Fractions (6,) of their own speeds that external axes may use."""
+        """Fractions (6,) of their maximum speeds that external axes may use, 0 for axes without a setting."""
         return tuple(float(self.settings.get(axis, 0.0)) / 100.0 for axis in syntax_tree.EXTERNAL_AXIS_SPEEDS)
 
     def _dwell(self, line: int, seconds: float) -> None:
-        """A wait in a file with moves: this arm's part of a move in which it stands still."""
+        """Append a WAIT SEC in a file with moves as a move in place: only the other arm moves meanwhile."""
         if self.pose is None:
             self._fail(
                 line, "WAIT SEC stands for a move, but the arm's pose in this $BASE and $TOOL is unknown"
             )
         target = _target(self.pose, self.outer)
-        speed = steps.MoveSpeed(1.0, 1.0, 0.0, 0.0)
+        speed = steps.MoveSpeed(tcp=1.0, turn=1.0, linear=0.0, rotary=0.0)
         self._move(line, "WAIT SEC", _KrlMotion(target, speed, seconds))
 
     def _move(self, line: int, word: str, motion: _KrlMotion) -> None:
+        """Append a move, with the tool and the work object in force."""
         tool, tool_name = self._tool(line)
-        work, work_name = self._work_object(line)
+        work_object, work_object_name = self._work_object(line)
         where = (self.program.file.rpartition("/")[2], self.procedure, line, "")
         self.steps.append(
             steps.MoveStep(
@@ -479,29 +512,30 @@ class KrlRunner:
                 zone_name=motion.zone_name or "an exact stop",
                 tool=tool,
                 tool_name=tool_name,
-                wobj=work,
-                wobj_name=work_name,
+                wobj=work_object,
+                wobj_name=work_object_name,
                 switches=(),
             )
         )
 
     def _zone(self, corner: str) -> tuple[steps.Zone, str]:
+        """Return the zone and name of a corner: C_DIS bounds its distance, C_ORI its angle, C_SPL both."""
         if not corner:
             return _EXACT_STOP, ""
-        distance, angle = (
-            1e-3 * float(self.settings["$apo.cdis"]),
-            math.radians(float(self.settings["$apo.cori"])),
-        )
+        distance = 1e-3 * float(self.settings["$apo.cdis"])
+        angle = math.radians(float(self.settings["$apo.cori"]))
         if corner == "C_DIS":
             angle = math.pi
         if corner == "C_ORI":
             distance = _UNBOUNDED
-        # external axes leave their paths where the tool does
-        return steps.Zone(False, distance, 0.0, 0.0, angle, distance, 0.0), corner
+        # external axes leave their paths where the tool does, so they share its distance
+        return steps.Zone(
+            fine=False, tcp=distance, turn=0.0, external=0.0, turn_angle=angle, linear=distance, rotary=0.0
+        ), corner
 
 
 def _target(pose: _Pose, outer: syntax_tree.StatedAxisValues) -> steps.RobTarget:
-    """Target pose of a straight move, with the external axes that the text states there."""
+    """Return the target of a straight move, with the external axes that the text states there."""
     axes = np.full(6, steps.UNUSED_AXIS)
     for column, value in outer:
         axes[column] = value
@@ -514,7 +548,7 @@ def _tool_load(tool: str) -> str:
 
 
 def _distance_and_angle(a: _Pose, b: _Pose) -> tuple[float, float]:
-    """Distance [m] and angle [rad] between two poses."""
+    """Return the distance [m] and the rotation angle [rad] between two poses."""
     distance = math.dist(a.position, b.position)
     (w, x, y, z), (s, i, j, k) = a.quaternion, b.quaternion
     # vector part of the relative rotation: its length is sin(angle / 2), exact for small angles

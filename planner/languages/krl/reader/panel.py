@@ -29,13 +29,13 @@ class PanelError(Exception):
 
 
 class PanelMessage(NamedTuple):
-    """What is shown.
+    """A message or question that a statement shows to the operator.
 
     Attributes:
-        kind: Word of the statement.
+        kind: Word of the statement, such as HALT or #NOTIFY.
         text: The text.
         confirm: Whether it is a question.
-        panel: Whether it stays on the panel as a line.
+        panel: "line" if it stays on the panel as a line, "clear" if it clears the panel, else "".
     """
 
     kind: str
@@ -45,15 +45,15 @@ class PanelMessage(NamedTuple):
 
 
 class OperatorPanel:
-    """State of the operator panel while the statements of a program are followed.
+    """State of the operator panel while a program is executed statement by statement.
 
     Attributes:
         dialect: KRL dialect.
         arm: Name of the program's arm.
         others: Names of the arms that it may wait for.
         axis_directions: Directions in $WORLD of the external axes that move the arm, by column.
-        robroot_checked: Whether the robot's foot has been checked.
-        prepared: Whether the options of messages are set.
+        robroot_checked: Whether the program has checked that the robot's foot is where it was planned.
+        prepared: Whether the options of messages, tm_opt, are set.
     """
 
     def __init__(
@@ -63,33 +63,36 @@ class OperatorPanel:
         others: Sequence[str],
         axis_directions: Mapping[int, tuple[float, float, float]] | None = None,
     ) -> None:
-        self.dialect, self.arm, self.others, self.axis_directions = (
-            dialect,
-            arm,
-            others,
-            dict(axis_directions or {}),
-        )
+        self.dialect, self.arm, self.others = dialect, arm, others
+        self.axis_directions = dict(axis_directions or {})
         self.robroot_checked = False
         self._question: list[str] = []
+        """Texts of a question that the program has begun to show, but not asked yet."""
         self._reading = False
+        """Whether a text with the key Read has been shown, so that a question must follow."""
         self._open = False
         """Whether a HALT has asked and the mode of operation is not checked yet."""
         self._external = False
+        """Whether the program has refused automatic external."""
         self.prepared = False
         self._shown = ""
+        """State that the panel shows until it is cleared, "" for none."""
         self._waited = False
+        """Whether the program has waited while this state was shown."""
         self._shown_before = ""
-        """Letters of the notes shown right before."""
+        """Normalised text of the notes shown directly before the current statement."""
 
     def check(self, statement: syntax_tree.KrlStatement | None, depth: int) -> None:
         """Check that a statement, or the program's end (None), may come next.
 
+        A question must be answered, a text with the key Read followed by a question, and a state cleared.
+
         Args:
-            statement: The statement.
-            depth: Call depth.
+            statement: The statement; comments may come anywhere.
+            depth: Call depth, 0 in the main program.
 
         Raises:
-            PanelError: It may not.
+            PanelError: The statement may not come next.
         """
         if isinstance(statement, syntax_tree.CommentStatement):
             return
@@ -115,7 +118,7 @@ class OperatorPanel:
             raise PanelError(f"the panel still shows {self._shown!r} here, which is not true")
 
     def may_stop(self, statement: syntax_tree.KrlStatement) -> bool:
-        """Return whether the program may halt at the statement without having asked anything."""
+        """Return whether the program may halt at the statement without having asked a question."""
         is_plain_halt = isinstance(statement, syntax_tree.HaltStatement) and self.dialect == "krc4"
         return (
             is_plain_halt
@@ -124,26 +127,25 @@ class OperatorPanel:
         )
 
     def take(self, statement: syntax_tree.KrlStatement, depth: int) -> PanelMessage | None:
-        """Return what a statement shows, and update the state.
+        """Update the state by a statement, and return the message that it shows, or None.
 
         Args:
             statement: The statement.
-            depth: Call depth.
+            depth: Call depth, 0 in the main program.
 
         Raises:
             PanelError: The statement is not allowed here.
         """
         message = self._take(statement, depth)
         if not isinstance(statement, syntax_tree.CommentStatement):
-            self._shown_before += (
-                normalised_text(message.text) if message is not None and message.kind == "#NOTIFY" else ""
-            )
-            self._shown_before = (
-                self._shown_before if isinstance(statement, syntax_tree.MessageStatement) else ""
-            )
+            if message is not None and message.kind == "#NOTIFY":
+                self._shown_before += normalised_text(message.text)
+            if not isinstance(statement, syntax_tree.MessageStatement):
+                self._shown_before = ""
         return message
 
     def _take(self, statement: syntax_tree.KrlStatement, depth: int) -> PanelMessage | None:
+        """Update the state by a statement, by its kind, except for the notes shown directly before."""
         match statement:
             case syntax_tree.CommentStatement(kind="question", text=text) if self.dialect == "krc2":
                 self._require_main(depth, "a question (;?)")
@@ -188,26 +190,33 @@ class OperatorPanel:
                     raise PanelError("tm_opt is not set before this message")
         return None
 
-    def _require_main(self, depth: int, what: str) -> None:
+    def _require_main(self, depth: int, statement_name: str) -> None:
         if depth:
-            raise PanelError(f"{what} is allowed only in the main program")
+            raise PanelError(f"{statement_name} is allowed only in the main program")
 
-    def _require_krc4(self, what: str) -> None:
+    def _require_krc4(self, statement_name: str) -> None:
         if self.dialect != "krc4":
-            raise PanelError(f"{what} are not part of {self.dialect}, the dialect of the cell's controller")
+            raise PanelError(
+                f"{statement_name} are not part of {self.dialect}, the dialect of the cell's controller"
+            )
 
-    def _require_options(self, depth: int, what: str) -> None:
+    def _require_options(self, depth: int, statement_name: str) -> None:
         self._require_krc4("messages")
-        self._require_main(depth, what)
+        self._require_main(depth, statement_name)
         if not self.prepared:
-            raise PanelError(f"tm_opt is not set before {what}")
+            raise PanelError(f"tm_opt is not set before {statement_name}")
 
     def _halt(self, depth: int) -> PanelMessage | None:
-        """A question of krc2; in krc4 the stop in which the program of another arm is started."""
+        """Take a HALT: in krc2 it asks the question above it, and gives its message.
+
+        In krc4 it may only follow the note that asks to start the other arm's program.
+        """
         self._require_main(depth, "HALT")
         if self.dialect == "krc4":
-            calls = (normalised_text(sentences.START_PARTNER.format(other=arm)) for arm in self.others)
-            if self._shown_before in calls:
+            start_requests = (
+                normalised_text(sentences.START_PARTNER.format(other=arm)) for arm in self.others
+            )
+            if self._shown_before in start_requests:
                 return None
             raise PanelError(f"HALT is no question: {_EXTERNAL_REASON}; use a dialog")
         if not self._question:
@@ -215,9 +224,10 @@ class OperatorPanel:
         if not self._external:
             raise PanelError("a question is asked before automatic external is refused")
         text, self._question, self._open = " ".join(self._question), [], True
-        return PanelMessage("HALT", text, True)
+        return PanelMessage("HALT", text, confirm=True)
 
     def _dialog(self, text: str, key: str) -> PanelMessage | None:
+        """Take a dialog: Next shows a part of a question, Read a text before one, Yes asks the question."""
         if key == "next":
             self._question.append(text)
             return None
@@ -226,26 +236,29 @@ class OperatorPanel:
                 raise PanelError("a text with the key Read is inside a question")
             self._reading = True
             return PanelMessage("Set_KrlDlg", text, panel="line")
-        whole, self._question, self._reading = " ".join([*self._question, text]), [], False
-        return PanelMessage("Set_KrlDlg", whole, True)
+        question, self._question, self._reading = " ".join([*self._question, text]), [], False
+        return PanelMessage("Set_KrlDlg", question, confirm=True)
 
     def _state(self, text: str) -> PanelMessage:
+        """Show a state, which must say that the program waits for, or moves with, another arm."""
         forms = (krl_sentences.WAITING_FOR_PARTNER, krl_sentences.MOVING_WITH_PARTNER)
-        known = [form.format(arm=arm) for arm in self.others for form in forms]
-        if text not in known:
-            expected = " or ".join(map(repr, known)) or "nothing"
+        allowed_texts = [form.format(arm=arm) for arm in self.others for form in forms]
+        if text not in allowed_texts:
+            expected = " or ".join(map(repr, allowed_texts)) or "nothing"
             raise PanelError(f"the panel shows {text!r} during a wait; expected {expected}")
         self._shown, self._waited = text, False
         return PanelMessage("#STATE", text)
 
     def _poll(self, depth: int) -> None:
+        """Check that the panel shows why the program waits, and record that it has waited."""
         forms = (krl_sentences.MOVING_WITH_PARTNER,) if depth else (krl_sentences.WAITING_FOR_PARTNER,)
         if self._shown not in [form.format(arm=arm) for arm in self.others for form in forms]:
             raise PanelError("the program waits for the other arm, but the panel does not show it")
         self._waited = True
 
     def _robroot(self, check: syntax_tree.RobrootCheck) -> None:
-        shift, turn, text = check.shift, check.turn, check.text
+        """Take the check of the robot's foot: its axes, text and tolerances must be the expected ones."""
+        shift, angle, text = check.shift, check.turn, check.text
         self._require_axes(check.axis_directions)
         sentence = (
             krl_sentences.ROBROOT_TRACK_DEVIATION if self.axis_directions else krl_sentences.ROBROOT_DEVIATION
@@ -257,37 +270,37 @@ class OperatorPanel:
             raise PanelError("tm_opt is not set before this message")
         if (
             shift > syntax_tree.ROBROOT_POSITION_TOLERANCE_MM
-            or turn > syntax_tree.ROBROOT_ROTATION_TOLERANCE_DEG
+            or angle > syntax_tree.ROBROOT_ROTATION_TOLERANCE_DEG
         ):
             allowed = (
                 f"{syntax_tree.ROBROOT_POSITION_TOLERANCE_MM:g} mm and "
                 f"{syntax_tree.ROBROOT_ROTATION_TOLERANCE_DEG:g} deg"
             )
-            raise PanelError(f"$ROBROOT may deviate by {shift:g} mm and {turn:g} deg; allowed: {allowed}")
+            raise PanelError(f"$ROBROOT may deviate by {shift:g} mm and {angle:g} deg; allowed: {allowed}")
         self.robroot_checked = True
 
-    def _require_axes(self, along: Sequence[tuple[int, tuple[float, float, float]]]) -> None:
+    def _require_axes(self, checked_directions: Sequence[tuple[int, tuple[float, float, float]]]) -> None:
         """Refuse a check that ignores external axes under the arm, or has other directions or axes."""
         if not self.axis_directions:
-            if along:
+            if checked_directions:
                 raise PanelError("$ROBROOT_C is checked, but the arm is on no track; expected $ROBROOT")
             return
-        if not along:
-            by = _directions(self.axis_directions.items())
-            raise PanelError(f"$ROBROOT is checked, but axes move the arm along {by}")
-        columns = [column for column, _ in along]
+        if not checked_directions:
+            expected_directions = _directions(self.axis_directions.items())
+            raise PanelError(f"$ROBROOT is checked, but axes move the arm along {expected_directions}")
+        columns = [column for column, _ in checked_directions]
         same = sorted(columns) == sorted(self.axis_directions) and all(
             max(abs(a - b) for a, b in zip(direction, self.axis_directions[column], strict=True))
             <= syntax_tree.DIRECTION_TOLERANCE
-            for column, direction in along
+            for column, direction in checked_directions
         )
         if not same:
-            got, expected = _directions(along), _directions(self.axis_directions.items())
-            raise PanelError(f"$ROBROOT_C is checked along {got}; axes move the arm along {expected}")
+            actual, expected = _directions(checked_directions), _directions(self.axis_directions.items())
+            raise PanelError(f"$ROBROOT_C is checked along {actual}; axes move the arm along {expected}")
 
 
 def _directions(axis_directions: Iterable[tuple[int, tuple[float, float, float]]]) -> str:
-    """Directions of external axes as text."""
+    """Return directions of external axes as text for messages, such as ``(1, 0, 0) by E1``."""
     parts = (
         f"({', '.join(f'{v:g}' for v in direction)}) by E{column + 1}"
         for column, direction in axis_directions
@@ -323,12 +336,12 @@ VARIABLES = {
 
 @dataclass(frozen=True)
 class StatementForm:
-    """Consecutive rows that make one statement; comments between them are ignored.
+    """Fixed sequence of rows that makes one statement; comments between them are ignored.
 
     Attributes:
         what: Name of the statement for messages.
-        rows: Patterns of the rows.
-        build: Builds the statement from its line and the matches of the rows.
+        rows: Patterns of the rows, one for each.
+        build: Builds the statement from the line of its first row and the matches of all rows.
     """
 
     what: str
@@ -337,14 +350,14 @@ class StatementForm:
 
 
 def _row_pattern(code: str) -> re.Pattern[str]:
-    """Pattern of a row: <text> stands for a string, <number> for a number, <whole> for an integer."""
+    """Return the pattern of a row: <text> stands for a string, <number> and <whole> for numbers."""
     words = re.findall(r'<[\w|]+>|"[^"]*"|==|<>|\d+\.\d+|[$#]?\w+|[^\w\s]', code)
-    out = ""
+    pattern = ""
     for previous, word in zip(["", *words], words, strict=False):
         if previous and "." not in (previous, word):
-            out += r"\s+" if re.match(r"[\w$#]", word) and re.search(r"\w$", previous) else r"\s*"
-        out += _PLACEHOLDERS.get(word, re.escape(word))
-    return re.compile(out, re.IGNORECASE | re.ASCII)
+            pattern += r"\s+" if re.match(r"[\w$#]", word) and re.search(r"\w$", previous) else r"\s*"
+        pattern += _PLACEHOLDERS.get(word, re.escape(word))
+    return re.compile(pattern, re.IGNORECASE | re.ASCII)
 
 
 def _row_patterns(*code: str) -> tuple[re.Pattern[str], ...]:
@@ -352,13 +365,13 @@ def _row_patterns(*code: str) -> tuple[re.Pattern[str], ...]:
 
 
 def _panel_text(text: str) -> str:
-    """A text as the panel shows it.
+    """Return the text of a message unchanged.
 
-    Raises `KrlValueError` for a text that the panel cuts or in which it inserts parameters.
+    Raises `KrlValueError` for a text that the panel would cut or in which it would insert parameters.
     """
     if len(text) > MAX_TEXT_LENGTH:
-        what = f"a text of {len(text)} characters; allowed: {MAX_TEXT_LENGTH}"
-        raise KrlValueError("string_length", what)
+        message = f"a text of {len(text)} characters; allowed: {MAX_TEXT_LENGTH}"
+        raise KrlValueError("string_length", message)
     if _PARAMETER.search(text):
         raise KrlValueError(
             "syntax", f"{text!r:.40} contains a parameter mark, but the message has no parameters"
@@ -381,7 +394,10 @@ _TRACK_VALUES = (
     ),
     _row_pattern("tm_turn=ABS($ROBROOT_C.A)+ABS($ROBROOT_C.B)+ABS($ROBROOT_C.C)"),
 )
-"""Statements that compute the deviation of $ROBROOT_C for an arm on external axes, less their motion."""
+"""Statements that compute the deviation of $ROBROOT_C for an arm on external axes.
+
+They subtract the motion of these axes from X, Y and Z, so that the deviation does not depend on it.
+"""
 _ROBROOT_LOOP = "WHILE (tm_shift><number>) OR (tm_turn><number>)"
 """The loop that repeats while the deviation is too large."""
 _MESSAGE = 'tm_msg={Modul[] "Tandem",Nr <whole>,Msg_txt[] <text>}'
@@ -399,11 +415,14 @@ _PARAMETER_RESET = ("tm_par[1].Par_Type=#EMPTY", "tm_par[2].Par_Type=#EMPTY")
 
 
 def _dialog(line: int, matches: RowMatches) -> syntax_tree.KrlStatement:
-    yes, other = matches[3][1].lower(), matches[4][1]
-    if (yes == "yes") != (other is not None):
-        what = f"a dialog has the keys Yes and No, or only Next or Read; got {matches[3][1]} and {other}"
-        raise KrlValueError("syntax", what)
-    return syntax_tree.DialogStatement(line, _panel_text(matches[2][1]), yes)
+    """Build a dialog from the rows of its form: its text and two soft keys."""
+    first_key, second_key = matches[3][1].lower(), matches[4][1]
+    if (first_key == "yes") != (second_key is not None):
+        message = (
+            f"a dialog has the keys Yes and No, or only Next or Read; got {matches[3][1]} and {second_key}"
+        )
+        raise KrlValueError("syntax", message)
+    return syntax_tree.DialogStatement(line, _panel_text(matches[2][1]), first_key)
 
 
 _QUESTION = _row_patterns(
@@ -434,28 +453,36 @@ _SECOND_KEY = re.compile(
 
 
 def _robroot_check(line: int, matches: RowMatches, text: str, on_axes: bool) -> syntax_tree.KrlStatement:
-    rows = len(_TRACK_VALUES) if on_axes else len(_ROBROOT_VALUES)
+    """Build the check of the robot's foot; ``on_axes``: external axes move the foot.
+
+    The rows that compute the deviation are repeated at the end of the loop, with the same directions.
+    """
+    value_rows = len(_TRACK_VALUES) if on_axes else len(_ROBROOT_VALUES)
     along: tuple[tuple[int, tuple[float, float, float]], ...] = ()
     if on_axes:
-        second_start = rows + (2 + len(_ROBROOT_MESSAGE) if text else 2)
+        # the WHILE and the HALT are between them, and the statements of the message if there is a text
+        second_start = value_rows + (2 + len(_ROBROOT_MESSAGE) if text else 2)
         first, again = (_axis_directions(matches[k : k + 3]) for k in (0, second_start))
         if first != again:
-            what = f"$ROBROOT_C is checked along {first} first, and then along {again}"
-            raise KrlValueError("type", what)
+            message = f"$ROBROOT_C is checked along {first} first, and then along {again}"
+            raise KrlValueError("type", message)
         along = first
-    return syntax_tree.RobrootCheck(line, float(matches[rows][1]), float(matches[rows][2]), text, along)
+    return syntax_tree.RobrootCheck(
+        line, float(matches[value_rows][1]), float(matches[value_rows][2]), text, along
+    )
 
 
 def _axis_directions(rows: RowMatches) -> tuple[tuple[int, tuple[float, float, float]], ...]:
-    """Directions that rows subtract for external axes, by column.
+    """Return the direction of each external axis that three rows, for X, Y and Z, subtract, by column.
 
-    Raises `KrlValueError` unless X, Y and Z use the same axes, each once.
+    Raises `KrlValueError` unless the three rows use the same axes, each once.
     """
     parts = [
         [(int(axis) - 1, (1.0 if sign == "-" else -1.0) * float(size) + 0.0) for sign, size, axis in terms]
         for terms in (_AXIS_TERMS.findall(row[1]) for row in rows)
     ]
     columns = [[column for column, _ in row_terms] for row_terms in parts]
+    # each axis once in the first row, and the same axes in the other two rows
     if len(set(columns[0])) < len(columns[0]) or columns[1:] != columns[:1] * 2:
         shown = "; ".join(", ".join(f"E{column + 1}" for column in row_terms) for row_terms in columns)
         raise KrlValueError(
@@ -468,13 +495,15 @@ def _axis_directions(rows: RowMatches) -> tuple[tuple[int, tuple[float, float, f
 def _robroot_forms(
     what: str, values: tuple[re.Pattern[str], ...], on_axes: bool = False
 ) -> tuple[StatementForm, StatementForm]:
-    """The check of the foot that shows nothing, and the one that shows the deviation."""
-    head, silent, shown = (
-        _row_patterns(_ROBROOT_LOOP),
-        _row_patterns("HALT"),
-        _row_patterns(*_ROBROOT_MESSAGE, "HALT"),
-    )
-    text = len(values) + len(head) + _ROBROOT_MESSAGE.index(_MESSAGE)
+    """Return two forms of the check of the robot's foot: one shows nothing, one shows the deviation.
+
+    ``values`` are the patterns of the rows that compute the deviation; ``on_axes``: external axes move the
+    foot.
+    """
+    head = _row_patterns(_ROBROOT_LOOP)
+    silent = _row_patterns("HALT")
+    shown = _row_patterns(*_ROBROOT_MESSAGE, "HALT")
+    text_index = len(values) + len(head) + _ROBROOT_MESSAGE.index(_MESSAGE)
     return (
         StatementForm(
             what,
@@ -484,7 +513,7 @@ def _robroot_forms(
         StatementForm(
             what,
             (*values, *head, *shown, *values, *_row_patterns("ENDWHILE", *_PARAMETER_RESET)),
-            lambda line, matches: _robroot_check(line, matches, matches[text][1], on_axes),
+            lambda line, matches: _robroot_check(line, matches, matches[text_index][1], on_axes),
         ),
     )
 
@@ -502,6 +531,7 @@ _STOP_FOR_GOOD = _row_patterns("LOOP", "HALT", "ENDLOOP", "ENDIF")
 
 
 def _axis_check(line: int, matches: RowMatches, text: str) -> syntax_tree.KrlStatement:
+    """Build the check of an external axis. The row subtracts home, so its sign is the opposite one."""
     home = float(matches[0][3]) * (1.0 if matches[0][2] == "-" else -1.0)
     return syntax_tree.ExternalAxisCheck(line, int(matches[0][1]) - 1, home + 0.0, float(matches[1][1]), text)
 
@@ -544,19 +574,19 @@ PANEL_FORMS: tuple[StatementForm, ...] = (
                 re.IGNORECASE | re.ASCII,
             ),
         ),
-        lambda line, found: syntax_tree.MessageStatement(
-            line, _panel_text(found[0][1]), found[1][1] is not None
+        lambda line, matches: syntax_tree.MessageStatement(
+            line, _panel_text(matches[0][1]), matches[1][1] is not None
         ),
     ),
     StatementForm(
         "the check of an external axis",
         (*_AXIS_DEVIATION, *_STOP_FOR_GOOD),
-        lambda line, found: _axis_check(line, found, ""),
+        lambda line, matches: _axis_check(line, matches, ""),
     ),
     StatementForm(
         "the check of an external axis",
         (*_AXIS_DEVIATION, *_AXIS_MESSAGE, *_STOP_FOR_GOOD),
-        lambda line, found: _axis_check(line, found, found[4][1]),
+        lambda line, matches: _axis_check(line, matches, matches[4][1]),
     ),
     StatementForm(
         "the end of a state",
@@ -566,7 +596,7 @@ PANEL_FORMS: tuple[StatementForm, ...] = (
     *_robroot_forms("the check of $ROBROOT", _row_patterns(*_ROBROOT_VALUES)),
     *_robroot_forms("the check of $ROBROOT_C", _TRACK_VALUES, on_axes=True),
 )
-"""All forms. Of those with equal first rows, the one that matches the most rows of the text applies."""
+"""All forms. If several have equal first rows, the one that matches the most rows of the text applies."""
 
 
 def parse_variables(code: str) -> tuple[tuple[str, str], ...] | None:

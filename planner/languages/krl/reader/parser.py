@@ -15,13 +15,13 @@ _NAME = r"[A-Za-z_]\w*"
 _DECIMAL = r"(-?\d{1,9}\.\d{1,20})"
 """A number with decimals."""
 _POSE = ",".join(f"{name} {_DECIMAL}" for name in "XYZABC")
-"""The six numbers of a target."""
+"""Pattern of the six numbers of a target."""
 _USUAL_MOVE = re.compile(
     rf"(S?LIN) \{{{_POSE}((?:,E[1-6] -?\d{{1,9}}\.\d{{1,20}})*)\}}(?: (C_(?:SPL|DIS|ORI)))?", re.ASCII
 )
-"""A straight move in its usual form, of which programs have thousands."""
+"""A straight move as the writer writes it. Programs have thousands of them, so it is tried first."""
 _STRAIGHT_MOVE = re.compile(r"(S?LIN)\s*(\{.*\})\s*(C_SPL|C_DIS|C_ORI)?", re.IGNORECASE | re.ASCII)
-"""Any straight move."""
+"""A straight move in any valid form."""
 _SET = re.compile(r"(\$[\w.]+(?:\[\d+\])?)\s*=\s*(#?[\w+.][\w.+-]*)", re.IGNORECASE | re.ASCII)
 _NUMBER = re.compile(rf"\+?{UNSIGNED}", re.ASCII)
 _OUT = re.compile(r"\$OUT\[(\d{1,4})\]\s*=\s*(TRUE|FALSE)", re.IGNORECASE | re.ASCII)
@@ -50,7 +50,6 @@ _MAX_LINE_LENGTH = 10 * syntax_tree.MAX_LINE_LENGTH
 """Maximum length of a line that is parsed [characters]; longer lines are refused anyway."""
 _SEGMENT = re.compile(r"Segment (\S[^:]*):", re.ASCII)
 
-# the guarded wait, statement by statement
 _WAIT_GUARD = (
     re.compile(r"\$TIMER\[1\]=0", re.IGNORECASE),
     re.compile(r"\$TIMER_STOP\[1\]=FALSE", re.IGNORECASE),
@@ -63,36 +62,37 @@ _WAIT_GUARD = (
     re.compile(r"ENDWHILE", re.IGNORECASE),
     re.compile(r"\$TIMER_STOP\[1\]=TRUE", re.IGNORECASE),
 )
-"""Lines of a wait for an input with a timeout."""
+"""Lines of a guarded wait: a wait for an input that halts on a timeout and then waits again."""
 _SWITCHED_OFF = re.compile(r"\$OUT\[(\d{1,4})\]\s*=\s*FALSE", re.IGNORECASE | re.ASCII)
-"""Statement that switches an output off on a timeout."""
+"""Statement of a guarded wait that switches an output off on a timeout."""
 _STOP_ROWS = tuple(
     re.compile(row, re.IGNORECASE)
     for row in ("LOOP", "HALT", "ENDLOOP", "ENDIF", r"WAIT SEC 0\.01", "ENDWHILE", r"\$TIMER_STOP\[1\]=TRUE")
 )
-"""Following lines of a wait after whose timeout the program never resumes."""
+"""Last lines of a guarded wait that switches outputs off: after the timeout the program never resumes."""
 _MAX_WAIT_MS = 2**31 - 1
 """Maximum timeout [ms]: the largest integer of KRL."""
 
 
 def significant_lines(text: str) -> list[str]:
-    """Return the relevant content of a file, line by line: code, and the comments that the proof reads."""
+    """Return the content of a file that matters to the proof: lines of code, and marked comments."""
     out: list[str] = []
     for number, row in enumerate(text.split("\n"), 1):
         code, comment = split_comment(row.strip(" \t\r"))
-        out += [code] if code else []
+        if code:
+            out.append(code)
         out += [f"{statement.kind} {statement.text}" for statement in marked_comment(number, comment)]
     return out
 
 
 class KrlFileParser:
-    """Parser of one file.
+    """Parser of one file, a program or a data list.
 
     Attributes:
         file: Path of the file.
         faults: Faults so far.
-        rows: Its lines.
-        index: Index of the next line.
+        rows: Lines of the file, without trailing blanks. Very long ones are emptied and not parsed.
+        index: Index of the next line, from 0.
     """
 
     def __init__(self, text: str, file: str) -> None:
@@ -105,8 +105,10 @@ class KrlFileParser:
             self.rows.pop()
         for number, row in enumerate(self.rows, 1):
             if len(row) > syntax_tree.MAX_LINE_LENGTH:
-                what = f"the line has {len(row)} characters; allowed: {syntax_tree.MAX_LINE_LENGTH}; break it"
-                self.fault(number, "line_length", what)
+                message = (
+                    f"the line has {len(row)} characters; allowed: {syntax_tree.MAX_LINE_LENGTH}; break it"
+                )
+                self.fault(number, "line_length", message)
         for n in overlong:
             self.rows[n] = ""
 
@@ -123,7 +125,7 @@ class KrlFileParser:
     # ---- .src ----
 
     def program(self) -> syntax_tree.KrlProgram | None:
-        """Return the file as a program, or None if its frame is missing."""
+        """Parse the file as a program, and record its faults. None if it does not start with DEF."""
         self._header()
         name = self._frame(_DEF, "DEF name()")
         external: list[str] = []
@@ -172,7 +174,8 @@ class KrlFileParser:
                 declared += declarations
             else:
                 statement = self._statement(line, code)
-                body += [] if statement is None else [statement]
+                if statement is not None:
+                    body.append(statement)
                 body += marked_comment(line, text)
         if not ended:
             self.fault(len(self.rows), "syntax", "END is missing")
@@ -180,6 +183,7 @@ class KrlFileParser:
         return None if name is None else syntax_tree.KrlProgram(self.file, name, *parts)
 
     def _statement(self, line: int, code: str) -> syntax_tree.KrlStatement | None:
+        """Parse the statement that starts in a line, and skip its further lines. None after a fault."""
         if _WAIT_GUARD[0].fullmatch(code):
             return self._guarded_wait(line)
         if values.SPLINE_START.fullmatch(code):
@@ -199,7 +203,7 @@ class KrlFileParser:
         return None
 
     def _form(self, line: int, forms: list[StatementForm]) -> syntax_tree.KrlStatement | None:
-        """The statement of that form which matches most of the rows from ``line`` on."""
+        """Parse a statement by that of the forms which matches most of the rows from ``line`` on."""
         form, matches, end = max(
             ((form, *self._match_rows(line, form)) for form in forms), key=lambda candidate: len(candidate[1])
         )
@@ -215,14 +219,14 @@ class KrlFileParser:
             self.fault(line, wrong.kind, wrong.message)
             return None
 
-    def _refuse_marked_comments(self, first: int, last: int, what: str) -> None:
-        """Record faults for marked comments in rows ``first`` to ``last`` of a form."""
-        for row in range(first, last + 1):
-            if marked_comment(row, split_comment(self.rows[row - 1].strip())[1]):
-                self.fault(row, "syntax", f"{what} must not contain a marked comment")
+    def _refuse_marked_comments(self, first: int, last: int, statement_name: str) -> None:
+        """Record a fault for each marked comment in lines ``first`` to ``last`` of a statement."""
+        for line in range(first, last + 1):
+            if marked_comment(line, split_comment(self.rows[line - 1].strip())[1]):
+                self.fault(line, "syntax", f"{statement_name} must not contain a marked comment")
 
     def _match_rows(self, line: int, form: StatementForm) -> tuple[list[re.Match[str]], int]:
-        """Matches of the rows of a form from ``line`` on, as far as they match, and index of the next row."""
+        """Return the matches of a form from ``line`` on until a row differs, and the index of that row."""
         matches: list[re.Match[str]] = []
         index = line - 1
         for pattern in form.rows:
@@ -237,7 +241,7 @@ class KrlFileParser:
         return matches, index
 
     def _guarded_wait(self, line: int) -> syntax_tree.KrlStatement | None:
-        """The guarded wait whose first statement has been read."""
+        """Parse a guarded wait whose first statement has been read; None after a fault."""
         matches = self._match_wait_rows(_WAIT_GUARD[1:4])
         if matches is None:
             return None
@@ -257,36 +261,37 @@ class KrlFileParser:
         if self._match_wait_rows(_STOP_ROWS if outputs_off else _WAIT_GUARD[4:]) is None:
             return None
         self._refuse_marked_comments(line, self.index, "a guarded wait")
-        number, level = int(matches[1][1]), matches[1][2].upper() == "FALSE"
-        limit = int(matches[2][1])
-        if not 0 < limit <= _MAX_WAIT_MS:
-            self.fault(line, "type", f"a wait of {limit} ms; allowed: 1 to {_MAX_WAIT_MS}")
+        number = int(matches[1][1])
+        level = matches[1][2].upper() == "FALSE"  # the loop runs while the input has the other level
+        timeout_ms = int(matches[2][1])
+        if not 0 < timeout_ms <= _MAX_WAIT_MS:
+            self.fault(line, "type", f"a wait of {timeout_ms} ms; allowed: 1 to {_MAX_WAIT_MS}")
         if outputs_off:
-            return syntax_tree.InputWait(line, number, level, limit * 1e-3, frozenset(outputs_off), text)
-        return syntax_tree.InputPoll(line, number, level, limit * 1e-3)
+            return syntax_tree.InputWait(line, number, level, timeout_ms * 1e-3, frozenset(outputs_off), text)
+        return syntax_tree.InputPoll(line, number, level, timeout_ms * 1e-3)
 
     def _next_code(self) -> str:
-        """Code of the next row that is not only a comment."""
+        """Skip blank lines and comments, and return the code of the next line, "" at the end of the file."""
         while self.index < len(self.rows) and (self.rows[self.index].strip() or ";").startswith(";"):
             self.index += 1
         return split_comment(self.rows[self.index].strip())[0] if self.index < len(self.rows) else ""
 
     def _match_wait_rows(self, patterns: Sequence[re.Pattern[str]]) -> list[re.Match[str]] | None:
-        """Matches of the next rows of a guarded wait, None if one differs."""
+        """Return the matches of the next lines of a guarded wait; None, with a fault, if one differs."""
         matches: list[re.Match[str]] = []
         for pattern in patterns:
             code = self._next_code()
             match = pattern.fullmatch(code)
             if match is None:
-                what = f"{_shorten(code)}: not the next statement of a guarded wait, {pattern.pattern}"
-                self.fault(self.index + 1, "syntax", what.replace("\\", ""))
+                message = f"{_shorten(code)}: not the next statement of a guarded wait, {pattern.pattern}"
+                self.fault(self.index + 1, "syntax", message.replace("\\", ""))
                 return None
             matches.append(match)
             self.index += 1
         return matches
 
     def _spline(self, line: int) -> syntax_tree.KrlStatement | None:
-        """The spline block whose SPLINE has been read; an invalid block is skipped up to its end."""
+        """Parse a spline block whose SPLINE has been read. An invalid block is skipped up to its end."""
         try:
             return values.parse_block(line, self._remaining_rows())
         except values.SplineError as wrong:
@@ -298,7 +303,7 @@ class KrlFileParser:
         return None
 
     def _remaining_rows(self) -> Iterator[tuple[int, str, list[syntax_tree.CommentStatement]]]:
-        """Remaining rows: line, code, and marked comments."""
+        """Yield the remaining lines: line number, code, and marked comments."""
         while self.index < len(self.rows):
             row = self.rows[self.index].strip()
             self.index += 1
@@ -308,7 +313,7 @@ class KrlFileParser:
     # ---- .dat ----
 
     def data_list(self) -> syntax_tree.DataList | None:
-        """Return the file as a data list, or None if its frame is missing."""
+        """Parse the file as a data list, and record its faults. None if it does not start with DEFDAT."""
         self._header()
         name = self._frame(_DEFDAT, "DEFDAT name PUBLIC")
         items: dict[str, syntax_tree.KrlDeclaration] = {}
@@ -337,6 +342,7 @@ class KrlFileParser:
     def _declare(
         self, items: dict[str, syntax_tree.KrlDeclaration], line: int, kind: str, name: str, text: str
     ) -> None:
+        """Add a declaration to ``items``. For a CHAR the value is its length until the text follows."""
         self.check_name(line, name)
         if name.lower() in items:
             self.fault(
@@ -351,6 +357,7 @@ class KrlFileParser:
         items[name.lower()] = syntax_tree.KrlDeclaration(line, kind, name, value)
 
     def _text(self, items: dict[str, syntax_tree.KrlDeclaration], line: int, name: str, text: str) -> None:
+        """Set the text of a CHAR that is already declared in ``items``."""
         item = items.get(name.lower())
         if item is None or item.kind != "char":
             self.fault(line, "undeclared", f"{name}[] is not declared as CHAR")
@@ -361,10 +368,10 @@ class KrlFileParser:
         else:
             items[name.lower()] = syntax_tree.KrlDeclaration(item.line, "char", item.name, text)
 
-    # ---- both ----
+    # ---- .src and .dat ----
 
     def check_name(self, line: int, name: str) -> None:
-        """Check a name that is not part of the language.
+        """Record faults of a name that the program declares: too long, or a reserved word.
 
         Args:
             line: Line, from 1.
@@ -380,13 +387,14 @@ class KrlFileParser:
             self.fault(line, "name_reserved", f"{name} is a reserved word of KRL; choose another name")
 
     def _header(self) -> None:
+        """Skip the header lines of the controller, and check that &ACCESS is one of them."""
         words: list[str] = []
         while self.index < len(self.rows) and self.rows[self.index].lstrip().startswith("&"):
             row = self.rows[self.index].strip()
             self.index += 1
-            word, _, rest = row[1:].partition(" ")
+            word, _, parameters = row[1:].partition(" ")
             pattern = _FILE_HEAD.get(word.upper())
-            if pattern is None or pattern.fullmatch(rest.strip()) is None:
+            if pattern is None or pattern.fullmatch(parameters.strip()) is None:
                 self.fault(self.index, "syntax", f"{_shorten(row)}: not a supported header line")
             if word.upper() in words and word.upper() in ("ACCESS", "REL"):
                 self.fault(self.index, "syntax", f"{_shorten(row)}: &{word.upper()} occurs twice")
@@ -395,6 +403,7 @@ class KrlFileParser:
             self.fault(1, "syntax", "&ACCESS RVP is missing")
 
     def _frame(self, pattern: re.Pattern[str], expected: str) -> str | None:
+        """Return the name in the first statement, DEF or DEFDAT; None, with a fault, for any other."""
         for line, row in self._lines():
             match = pattern.fullmatch(split_comment(row)[0])
             if match is None:
@@ -406,7 +415,7 @@ class KrlFileParser:
         return None
 
     def _lines(self) -> Iterator[tuple[int, str]]:
-        """Remaining lines that contain more than a comment, with their numbers."""
+        """Yield the remaining lines that contain more than a comment: line number and text."""
         while self.index < len(self.rows):
             row = self.rows[self.index].strip()
             self.index += 1
@@ -415,20 +424,17 @@ class KrlFileParser:
 
 
 def split_comment(row: str) -> tuple[str, str]:
-    """Split a row into code and comment.
-
-    Statements of the subset in .src files contain no strings with a semicolon.
-    """
-    inside = False
+    """Split a row into code and comment, which keeps its semicolon. A semicolon in a string is code."""
+    in_string = False
     for i, letter in enumerate(row):
-        inside ^= letter == '"'
-        if letter == ";" and not inside:
+        in_string ^= letter == '"'
+        if letter == ";" and not in_string:
             return row[:i].rstrip(), row[i:]
     return row, ""
 
 
 def marked_comment(line: int, row: str) -> list[syntax_tree.CommentStatement]:
-    """Return the content of a marked comment, which the proof reads; other comments give nothing.
+    """Return a marked comment, which the proof reads, as a statement. Other comments give an empty list.
 
     Args:
         line: Line, from 1.
@@ -447,23 +453,24 @@ def _shorten(row: str) -> str:
 
 
 def _setting(line: int, match: re.Match[str]) -> syntax_tree.KrlStatement:
-    name, word = match[1].lower(), match[2].lower()
+    """Build a setting from its name and value. Raises `KrlValueError` for a value that is not allowed."""
+    name, value = match[1].lower(), match[2].lower()
     if name in syntax_tree.NUMBER_SETTINGS:
-        low, high, whole = syntax_tree.NUMBER_SETTINGS[name]
-        if _NUMBER.fullmatch(word) is None:
-            raise KrlValueError("type", f"{match[1]} takes a number; got {word}")
-        if not low <= float(word) <= high or (whole and float(word) != int(float(word))):
-            kind = "whole numbers" if whole else "numbers"
-            raise KrlValueError("type", f"{match[1]} is {word}; allowed: {kind} from {low:g} to {high:g}")
-        return syntax_tree.SettingStatement(line, name, float(word))
+        low, high, integer_only = syntax_tree.NUMBER_SETTINGS[name]
+        if _NUMBER.fullmatch(value) is None:
+            raise KrlValueError("type", f"{match[1]} takes a number; got {value}")
+        if not low <= float(value) <= high or (integer_only and float(value) != int(float(value))):
+            kind = "whole numbers" if integer_only else "numbers"
+            raise KrlValueError("type", f"{match[1]} is {value}; allowed: {kind} from {low:g} to {high:g}")
+        return syntax_tree.SettingStatement(line, name, float(value))
     if name in syntax_tree.CHOICE_SETTINGS:
-        if word not in syntax_tree.CHOICE_SETTINGS[name]:
+        if value not in syntax_tree.CHOICE_SETTINGS[name]:
             raise KrlValueError(
-                "type", f"{match[1]} is {word}; allowed: {', '.join(syntax_tree.CHOICE_SETTINGS[name])}"
+                "type", f"{match[1]} is {value}; allowed: {', '.join(syntax_tree.CHOICE_SETTINGS[name])}"
             )
-        return syntax_tree.SettingStatement(line, name, word)
+        return syntax_tree.SettingStatement(line, name, value)
     if name in syntax_tree.FRAME_SETTINGS:
-        return syntax_tree.SettingStatement(line, name, word)
+        return syntax_tree.SettingStatement(line, name, value)
     raise KrlValueError("syntax", f"{match[1]} is not a setting of the supported subset")
 
 
@@ -485,13 +492,13 @@ _STATEMENTS: tuple[tuple[re.Pattern[str], Callable[[int, re.Match[str]], syntax_
     (_OUT, _output),
     (_SET, _setting),
     (_STRAIGHT_MOVE, _linear),
-    (_PTP, lambda line, found: syntax_tree.PtpStatement(line, found[1].lower())),
+    (_PTP, lambda line, match: syntax_tree.PtpStatement(line, match[1].lower())),
     (_WAIT, _wait),
     (
         re.compile(r"BAS\s*\(\s*#INITMOV\s*,\s*0\s*\)", re.IGNORECASE),
         lambda line, _: syntax_tree.InitMotion(line),
     ),
     (re.compile(r"HALT", re.IGNORECASE), lambda line, _: syntax_tree.HaltStatement(line)),
-    (_CALL, lambda line, found: syntax_tree.CallStatement(line, found[1].lower())),
+    (_CALL, lambda line, match: syntax_tree.CallStatement(line, match[1].lower())),
 )
-"""Patterns of statements, with their parsers."""
+"""Patterns of the statements on one line, with the function that builds each from its match."""

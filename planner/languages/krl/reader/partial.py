@@ -1,4 +1,4 @@
-"""Reads programs of any origin as far as possible."""
+"""Reads KRL programs that the planner did not write, as far as they use the supported subset."""
 
 import re
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ def read_partly(problem: Problem, arm: Arm, files: Files) -> PartlyRead:
         files: Texts of the programs and data lists by path.
 
     Returns:
-        The programs, their moves with gaps, and the faults.
+        The programs, the moves that could be read with a gap for each part that could not, and the faults.
     """
     controller = problem.cell.controller
     text = reader.read(files, controller.max_bytes, controller.dialect)
@@ -59,17 +59,20 @@ def read_partly(problem: Problem, arm: Arm, files: Files) -> PartlyRead:
 
 
 class _PartialKrlRunner(KrlRunner):
-    """Executes the statements that could be read, and records gaps for the others."""
+    """Executes the statements that could be read, and records a gap for each part that could not.
+
+    After a gap the pose of the arm is unknown. ``path`` has the moves and gaps in order.
+    """
 
     def set_up(self, faults: Sequence[TextFault]) -> None:
-        """Set up the state; call before :meth:`run_main`."""
+        """Set up the state of the partial run; call before :meth:`run_main`."""
         self.flow_faults: list[TextFault] = []
         self.path: list[MoveStep | Gap] = []
         self.faulty_lines = {(fault.file, fault.line) for fault in faults}
         self.flushed = 0
 
     def run_main(self, main: KrlProgram) -> None:
-        """Execute the main program."""
+        """Execute the main program until its end or until the budget of statements is used up."""
         self.program = main
         self.entered.add(main.name.lower())
         self._open.append(main.name.lower())
@@ -78,22 +81,24 @@ class _PartialKrlRunner(KrlRunner):
         self._flush()
 
     def _flush(self) -> None:
+        """Copy the moves among the new steps to the path."""
         self.path += [step for step in self.steps[self.flushed :] if isinstance(step, MoveStep)]
         self.flushed = len(self.steps)
 
     def _block(self, body: Sequence[KrlStatement]) -> None:
-        last = 0
+        """Execute statements one after the other, and record a gap for faulty lines and failed statements."""
+        next_line = 0
         for statement in body:
             if isinstance(statement, CommentStatement | OutputStatement | InputPoll | InitMotion):
                 if isinstance(statement, CommentStatement) and statement.kind == "segment":
                     self.procedure = statement.text
                 continue
-            lines = range(last, statement.line + 1)
+            lines = range(next_line, statement.line + 1)
             if any((self.program.file, line) in self.faulty_lines for line in lines):
                 self._flush()
                 self.path.append(Gap())
                 self.pose = None
-            last = statement.line + 1
+            next_line = statement.line + 1
             if (self.program.file, statement.line) in self.faulty_lines:
                 continue
             program, depth, opened = self.program, self.depth, list(self._open)
@@ -112,11 +117,12 @@ class _PartialKrlRunner(KrlRunner):
         """Accept every position: programs of other origin put moves and settings anywhere."""
 
     def _tool(self, line: int) -> tuple[Tool, str]:
+        """Return the tool in force without a load, because programs of other origin name loads freely."""
         self._require_settings(line, ("$tool",))
         item = self.data.items.get(str(self.settings["$tool"]))
         if item is None or item.kind != "frame":
             self._fail(line, "the tool of this move is not read")
-        return Tool(True, item.value, NO_LOAD), item.name
+        return Tool(held=True, pose=item.value, load=NO_LOAD), item.name
 
     def _check_panel_state(self, statement: KrlStatement) -> None:
         """Ignore the panel, which is up to the program's owner."""

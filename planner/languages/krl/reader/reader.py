@@ -1,6 +1,7 @@
 """Strict reader of the KRL programs of one arm.
 
-`read` returns programs, data and every fault of their texts; `main_flow` returns the main flow. The reader
+`read` returns programs, data and every fault of their texts; `main_flow` returns the steps that the main
+program executes. The reader
 shares no code with the writer: it implements the language from docs/krl.md and the sources named there.
 """
 
@@ -23,7 +24,7 @@ _MOVE_WORDS: dict[str, dict[str, tuple[str, ...]]] = {
     "krc4": {"SLIN": ("", "C_SPL")},
     "krc2": {"LIN": ("", "C_DIS", "C_ORI")},
 }
-"""Words of straight moves and of their corners in each dialect."""
+"""Words of straight moves in each dialect, with the words of their corners; "" is an exact stop."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,20 +62,20 @@ class KrlText(ProgramText):
 
     @property
     def digest(self) -> str:
-        """Digest of the problem that the data list names."""
+        """Digest of the problem, as the data list states it; "" if it states none."""
         item = None if self.data is None else self.data.items.get(DIGEST)
         return str(item.value) if item is not None and item.kind == "char" else ""
 
     @property
     def sizes(self) -> tuple[PartSize, ...]:
-        """Number of moves of each program."""
+        """Size of each program as its number of moves."""
         return tuple(
             PartSize(program.file, program.file, program.moves) for program in self.programs.values()
         )
 
     @property
     def targets(self) -> Mapping[str, str]:
-        """File and line of each target with Status and Turn, by name."""
+        """File and line of each target with Status and Turn, by name with a leading colon."""
         if self.data is None:
             return {}
         items = self.data.items.items()
@@ -82,7 +83,7 @@ class KrlText(ProgramText):
 
 
 def read(files: Mapping[str, str], max_bytes: int, dialect: str) -> KrlText:
-    """Read all files of one arm.
+    """Read all files of one arm, and collect the faults of their texts.
 
     Args:
         files: Texts by file name.
@@ -90,13 +91,13 @@ def read(files: Mapping[str, str], max_bytes: int, dialect: str) -> KrlText:
         dialect: KRL dialect of the controller.
     """
     programs: dict[str, syntax_tree.KrlProgram] = {}
-    lists: list[syntax_tree.DataList] = []
+    data_lists: list[syntax_tree.DataList] = []
     faults: list[TextFault] = []
     for file, text in files.items():
         size = len(text.encode("utf-8", "surrogatepass"))
         if size > max_bytes:
-            what = f"{size} bytes; allowed: {max_bytes}; split the file"
-            faults.append(TextFault(1, 1, "krl.file_size", what, file))
+            message = f"{size} bytes; allowed: {max_bytes}; split the file"
+            faults.append(TextFault(1, 1, "krl.file_size", message, file))
         reader = KrlFileParser(text, file)
         is_list = PurePosixPath(file).suffix.lower() == ".dat"
         content = reader.data_list() if is_list else reader.program()
@@ -104,22 +105,24 @@ def read(files: Mapping[str, str], max_bytes: int, dialect: str) -> KrlText:
         if content is None:
             continue
         if PurePosixPath(file).stem.lower() != content.name.lower():
-            what = f"the file contains {content.name}; file and program must have the same name"
-            faults.append(TextFault(1, 1, "krl.name_file", what, file))
+            message = f"the file contains {content.name}; file and program must have the same name"
+            faults.append(TextFault(1, 1, "krl.name_file", message, file))
         if isinstance(content, syntax_tree.DataList):
-            lists.append(content)
+            data_lists.append(content)
         elif content.name.lower() in programs:
-            what = f"{content.name} is already in {programs[content.name.lower()].file}"
-            faults.append(TextFault(1, 1, "krl.name_duplicate", what, file))
+            message = f"{content.name} is already in {programs[content.name.lower()].file}"
+            faults.append(TextFault(1, 1, "krl.name_duplicate", message, file))
         else:
             programs[content.name.lower()] = content
-    if len(lists) != 1:
-        what = f"the programs have {len(lists)} data lists; they need one"
+    if len(data_lists) != 1:
+        message = f"the programs have {len(data_lists)} data lists; they need one"
         faults.append(
-            TextFault(1, 1, "krl.undeclared", what, lists[1].file if lists else next(iter(files), ""))
+            TextFault(
+                1, 1, "krl.undeclared", message, data_lists[1].file if data_lists else next(iter(files), "")
+            )
         )
-    text_ = KrlText(programs, lists[0] if lists else None, (), dialect)
-    return KrlText(programs, text_.data, (*faults, *_name_faults(text_, dialect)), dialect)
+    unchecked = KrlText(programs, data_lists[0] if data_lists else None, (), dialect)
+    return KrlText(programs, unchecked.data, (*faults, *_name_faults(unchecked, dialect)), dialect)
 
 
 def main_flow(
@@ -130,7 +133,9 @@ def main_flow(
     others: Sequence[str] = (),
     axis_directions: Mapping[int, tuple[float, float, float]] | None = None,
 ) -> tuple[tuple[ProgramStep, ...], frozenset[str]]:
-    """Return the steps of the main program, and the names of the programs that ran.
+    """Return the steps of the main program, and the lower-case names of the programs that ran.
+
+    Both are empty if there is no main program or data list.
 
     Args:
         text: Programs without faults.
@@ -151,25 +156,25 @@ def main_flow(
 
 
 def _name_faults(text: KrlText, dialect: str) -> Iterator[TextFault]:
-    """Faults of names over all files, of undeclared items, and of words of the other dialect."""
+    """Yield faults of names used twice, of undeclared names, and of words of another dialect."""
     data = text.data
     if data is not None and text.main is None:
-        what = f"program {data.name}, to which the data list belongs, is missing"
-        yield TextFault(1, 1, "krl.undeclared", what, data.file)
+        message = f"program {data.name}, to which the data list belongs, is missing"
+        yield TextFault(1, 1, "krl.undeclared", message, data.file)
     items = {} if data is None else data.items
     for name, item in items.items():
         if name in text.programs and data is not None:
-            what = f"{item.name} is also a program; names must differ"
-            yield TextFault(item.line, 1, "krl.name_duplicate", what, data.file)
+            message = f"{item.name} is also a program; names must differ"
+            yield TextFault(item.line, 1, "krl.name_duplicate", message, data.file)
     for program in text.programs.values():
         yield from _declaration_faults(program, text, dialect)
         for statement in program.body:
-            for kind, what in _statement_faults(statement, text, dialect):
-                yield TextFault(statement.line, 1, f"krl.{kind}", what, program.file)
+            for kind, message in _statement_faults(statement, text, dialect):
+                yield TextFault(statement.line, 1, f"krl.{kind}", message, program.file)
 
 
 def _declaration_faults(program: syntax_tree.KrlProgram, text: KrlText, dialect: str) -> Iterator[TextFault]:
-    """Faults of EXT declarations and of variables, which only the main program has.
+    """Yield faults of a program's EXT declarations, and of its variables, which only the main program has.
 
     The older dialect needs an EXT for each subprogram, the newer one none.
     """
@@ -181,24 +186,25 @@ def _declaration_faults(program: syntax_tree.KrlProgram, text: KrlText, dialect:
     if {name: kind for kind, name in program.variables} != expected or len(program.variables) != len(
         expected
     ):
-        known = ", ".join(f"{kind} {name}" for name, kind in expected.items()) or "none"
-        what = f"the variables of {program.name} differ from the expected ones: {known}"
-        yield TextFault(1, 1, "krl.undeclared", what, program.file)
-    called |= {"bas"} if main else set()
+        expected_text = ", ".join(f"{kind} {name}" for name, kind in expected.items()) or "none"
+        message = f"the variables of {program.name} differ from the expected ones: {expected_text}"
+        yield TextFault(1, 1, "krl.undeclared", message, program.file)
+    if main:
+        called.add("bas")
     for word in program.external:
         if word not in text.programs and not (main and word == "bas"):
             yield TextFault(1, 1, "krl.undeclared", f"EXT {word}() is not one of the files", program.file)
     if dialect == "krc2" and (undeclared := sorted(called - set(program.external))):
         yield TextFault(1, 1, "krl.undeclared", f"{undeclared[0]}() is called without EXT", program.file)
     if dialect != "krc2" and program.external:
-        what = f"EXT {program.external[0]}(): this dialect needs none"
-        yield TextFault(1, 1, "krl.syntax", what, program.file)
+        message = f"EXT {program.external[0]}(): this dialect needs none"
+        yield TextFault(1, 1, "krl.syntax", message, program.file)
 
 
 def _statement_faults(
     statement: syntax_tree.KrlStatement, text: KrlText, dialect: str
 ) -> Iterator[tuple[str, str]]:
-    """Faults of the words and names that a statement uses."""
+    """Yield code and message of each fault in the words and names that a statement uses."""
     if isinstance(statement, syntax_tree.LinearStatement):
         if statement.corner not in _MOVE_WORDS[dialect].get(statement.word, ()):
             words = f"{statement.word} {statement.corner}".rstrip()
@@ -210,15 +216,15 @@ def _statement_faults(
         if statement.name not in text.programs:
             yield "undeclared", f"program {statement.name}() is missing"
         return
-    used, kinds = "", tuple[str, ...]()
+    used_name, allowed_kinds = "", tuple[str, ...]()
     if isinstance(statement, syntax_tree.PtpStatement):
-        used, kinds = statement.name, ("e6axis", "e6pos")
+        used_name, allowed_kinds = statement.name, ("e6axis", "e6pos")
     elif isinstance(statement, syntax_tree.SettingStatement) and statement.name in syntax_tree.FRAME_SETTINGS:
-        used, kinds = str(statement.value), (syntax_tree.FRAME_SETTINGS[statement.name],)
-    if not kinds:
+        used_name, allowed_kinds = str(statement.value), (syntax_tree.FRAME_SETTINGS[statement.name],)
+    if not allowed_kinds:
         return
-    item = None if text.data is None else text.data.items.get(used)
+    item = None if text.data is None else text.data.items.get(used_name)
     if item is None:
-        yield "undeclared", f"{used} is not in the data list"
-    elif item.kind not in kinds:
-        yield "type", f"{used} is a {item.kind.upper()}; {' or '.join(kinds).upper()} is needed"
+        yield "undeclared", f"{used_name} is not in the data list"
+    elif item.kind not in allowed_kinds:
+        yield "type", f"{used_name} is a {item.kind.upper()}; {' or '.join(allowed_kinds).upper()} is needed"

@@ -89,7 +89,7 @@ HERMITE_RATES: Final = np.stack(
         (3 * _U**2 - 8 * _U**3 + 5 * _U**4) / 2,
     ]
 )
-"""Derivatives of these weights, (4, G)."""
+"""Derivatives of these weights by the curve parameter u, (4, G)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,12 +97,13 @@ class SplineCurveBounds:
     """Bounds on the N segments of a block, for every curve of the family.
 
     Attributes:
-        deviation: Deviation from the straight segment, (N,) [m, rotations by ``ROTATION_LEVER_M_PER_RAD``].
+        deviation: Deviation from the straight segment, (N,) [m]; rotations are times
+            ``ROTATION_LEVER_M_PER_RAD``.
         translation: Its translational part, (N,) [m].
         rotation: Its rotational part, (N,) [rad].
         speed: Speed of the TCP, (N,) [m/s].
-        speed_change: Difference of all speeds from the mean of the segment, (N,) [m/s, rotations by
-            ``ROTATION_LEVER_M_PER_RAD``].
+        speed_change: Difference of the velocity from its mean on the segment, (N,) [m/s], rotations times
+            ``ROTATION_LEVER_M_PER_RAD``.
     """
 
     deviation: FloatArray
@@ -113,7 +114,10 @@ class SplineCurveBounds:
 
 
 def bound_curves(pose: FloatArray, duration: FloatArray) -> SplineCurveBounds:
-    """Bound the curves of a block.
+    """Bound the deviation and the speed of all curves of the family on a block.
+
+    The deviation is bounded with knots by length, the speed with knots by time and the arm at rest at both
+    ends of the block.
 
     Args:
         pose: Points in the base, (N + 1, 4, 4) [m].
@@ -126,7 +130,7 @@ def bound_curves(pose: FloatArray, duration: FloatArray) -> SplineCurveBounds:
     size = np.linalg.norm(step, axis=2)
     length = np.maximum(size[:, 2:3], 1e-12)
     length_ratio = np.where(size > 1e-12, length / np.maximum(size, 1e-12), 1.0)
-    deviation, translation, turn = _deviations(
+    deviation, translation, rotation = _deviations(
         step, np.minimum(1.0, length_ratio), np.maximum(1.0, length_ratio), missing
     )
     in_time = _term_bounds(step, ratio, ratio, missing).at_rest(missing)
@@ -134,7 +138,7 @@ def bound_curves(pose: FloatArray, duration: FloatArray) -> SplineCurveBounds:
     return SplineCurveBounds(
         deviation,
         translation,
-        turn / ROTATION_LEVER_M_PER_RAD,
+        rotation / ROTATION_LEVER_M_PER_RAD,
         tcp.rate() / duration,
         in_time.change() / duration,
     )
@@ -143,56 +147,60 @@ def bound_curves(pose: FloatArray, duration: FloatArray) -> SplineCurveBounds:
 def _deviations(
     step: FloatArray, min_ratio: FloatArray, max_ratio: FloatArray, missing: BoolArray
 ) -> tuple[FloatArray, ...]:
-    """Deviation (N,) [m] of curves in all six numbers, in position, and in rotation.
+    """Return the deviations (N,) [m] of curves in all six numbers, in position, and in rotation.
 
-    At the ends of the block the larger of two cases counts: V and A at full size, or both zero.
+    At an end of the block the larger of two cases counts: V and A at full size, or both zero. A segment that
+    rotates too far has an infinite deviation, unless it is the whole block.
     """
     rotates_too_far = np.linalg.norm(step[:, 2, 3:], axis=1) > ROTATION_LEVER_M_PER_RAD * MAX_ROTATION_RAD
     unbounded = rotates_too_far & ~missing[:, 1:4:2].all(axis=1)
     out = []
     for components in (slice(0, 6), slice(0, 3), slice(3, 6)):
         curve = _term_bounds(step, min_ratio, max_ratio, missing, components)
-        rests = [curve, *(curve.at_rest(missing, ends) for ends in ((1,), (3,), (1, 3)))]
+        cases = [curve, *(curve.at_rest(missing, ends) for ends in ((1,), (3,), (1, 3)))]
         out.append(
             np.where(
                 unbounded,
                 np.inf,
-                np.max([_max_deviation(curve_bounds, step, components) for curve_bounds in rests], axis=0),
+                np.max([_max_deviation(curve_bounds, step, components) for curve_bounds in cases], axis=0),
             )
         )
     return tuple(out)
 
 
 def segment_steps(pose: FloatArray) -> FloatArray:
-    """Return the steps (N, 5, 6) of the two previous segments, each segment itself, and the two next ones.
+    """Return for each segment five steps (N, 5, 6) [m]: of the two previous ones, itself, and the two next.
 
-    Rotations are times ``ROTATION_LEVER_M_PER_RAD``; missing neighbours are 0.
+    A step is a translation and a rotation vector times ``ROTATION_LEVER_M_PER_RAD``, in the tool's axes at
+    the start of the middle segment. Steps of missing neighbours are 0.
 
     Args:
         pose: Points in the base, (N + 1, 4, 4) [m].
     """
     count = len(pose) - 1
     index = np.clip(np.arange(count)[:, None] + np.arange(-2, 4), 0, count)
-    nearby = pose[index]
-    turn = log_rotation(np.swapaxes(pose[:-1, None, :3, :3], 2, 3) @ nearby[..., :3, :3])
-    rows = np.concatenate([nearby[..., :3, 3], ROTATION_LEVER_M_PER_RAD * turn], axis=2)
-    return np.diff(rows, axis=1)
+    neighbour_poses = pose[index]
+    rotation = log_rotation(np.swapaxes(pose[:-1, None, :3, :3], 2, 3) @ neighbour_poses[..., :3, :3])
+    coordinates = np.concatenate([neighbour_poses[..., :3, 3], ROTATION_LEVER_M_PER_RAD * rotation], axis=2)
+    return np.diff(coordinates, axis=1)
 
 
 def _neighbours(values: FloatArray) -> FloatArray:
-    """Values (N, 5) of the two previous, the current and the two next of N; 0 if missing."""
+    """Return for each of N values the two previous ones, itself and the two next, (N, 5); 0 if missing."""
     padded = np.concatenate([np.zeros(2), values, np.zeros(2)])
     return np.stack([padded[k : k + len(values)] for k in range(5)], axis=1)
 
 
 @dataclasses.dataclass(frozen=True)
 class _TermBounds:
-    """Bounds on V_i, V_(i+1), A_i, A_(i+1) of N segments, relative to their own length.
+    """Bounds on V_i, V_(i+1), A_i, A_(i+1) of N segments, by their parts across and along the segment.
+
+    V is a slope times the segment's knot interval, less the segment's own step; A is times its square.
 
     Attributes:
-        across: Parts across the segment, (N, 4).
-        low: Smallest parts along it, (N, 4); the segment's own slope is subtracted from V.
-        high: Largest parts along it, (N, 4).
+        across: Largest parts across the segment, (N, 4) [m].
+        low: Smallest parts along the segment, relative to its length, (N, 4) [-].
+        high: Largest parts along it, relative to its length, (N, 4) [-].
         size: Length of the segment, (N,) [m].
     """
 
@@ -202,7 +210,7 @@ class _TermBounds:
     size: FloatArray
 
     def at_rest(self, missing: BoolArray, ends: tuple[int, ...] = (1, 3)) -> "_TermBounds":
-        """Return the bounds with the arm at rest, V = A = 0, at ends of the block.
+        """Return the bounds with the arm at rest, V = A = 0, at one or both ends of the block.
 
         Args:
             missing: Neighbours that are beyond the ends of the block, (N, 5).
@@ -210,33 +218,39 @@ class _TermBounds:
         """
         across, low, high = self.across.copy(), self.low.copy(), self.high.copy()
         for end in ends:
-            rows = np.flatnonzero(missing[:, end])
+            end_segments = np.flatnonzero(missing[:, end])
+            # V = 0 is -1 along the segment, because its own step is subtracted
             for k, value in ((end // 2, -1.0), (2 + end // 2, 0.0)):
-                across[rows, k], low[rows, k], high[rows, k] = 0.0, value, value
+                across[end_segments, k], low[end_segments, k], high[end_segments, k] = 0.0, value, value
         return _TermBounds(across, low, high, self.size)
 
     def along(self, forms: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the smallest and largest sums of the terms along the segment, (N, G) each."""
+        """Return the smallest and largest sums of the terms along the segment, (N, G) each; forms: (4, G)."""
         up, down = np.maximum(forms, 0.0), np.minimum(forms, 0.0)
         return self.low @ up + self.high @ down, self.high @ up + self.low @ down
 
     def rate(self) -> FloatArray:
-        """Return the maximum (N,) [m] of |dx/du|."""
+        """Return the maximum (N,) [m] of |dx/du|, which includes the segment's own step."""
         low, high = self.along(HERMITE_RATES)
-        fast = np.maximum(np.abs(1.0 + low), np.abs(1.0 + high)) * self.size[:, None]
-        return np.asarray(_GRID_FACTOR * np.hypot(fast, self.across @ np.abs(HERMITE_RATES)).max(axis=1))
+        along_rate = np.maximum(np.abs(1.0 + low), np.abs(1.0 + high)) * self.size[:, None]
+        return np.asarray(
+            _GRID_FACTOR * np.hypot(along_rate, self.across @ np.abs(HERMITE_RATES)).max(axis=1)
+        )
 
     def change(self) -> FloatArray:
-        """Return the maximum difference (N,) [m] of dx/du from the segment's step."""
+        """Return the maximum (N,) [m] of the difference between dx/du and the segment's own step."""
         low, high = self.along(HERMITE_RATES)
-        fast = np.maximum(np.abs(low), np.abs(high)) * self.size[:, None]
-        return np.asarray(_GRID_FACTOR * np.hypot(fast, self.across @ np.abs(HERMITE_RATES)).max(axis=1))
+        along_change = np.maximum(np.abs(low), np.abs(high)) * self.size[:, None]
+        return np.asarray(
+            _GRID_FACTOR * np.hypot(along_change, self.across @ np.abs(HERMITE_RATES)).max(axis=1)
+        )
 
 
 def _max_deviation(curve: _TermBounds, step: FloatArray, components: slice) -> FloatArray:
-    """Maximum deviation (N,) [m] of a curve from the straight segments.
+    """Return the maximum deviation (N,) [m] of a curve from the straight segments.
 
-    It is measured in the components ``components`` of the steps (N, 5, D).
+    It is the deviation across the segment plus that of an overrun of its ends, both in ``components`` of the
+    steps (N, 5, D).
     """
     size = np.linalg.norm(step, axis=2)
     unit = step / np.maximum(size, 1e-12)[:, :, None]
@@ -245,16 +259,19 @@ def _max_deviation(curve: _TermBounds, step: FloatArray, components: slice) -> F
     second_derivative = np.maximum(np.abs(curve.low), np.abs(curve.high)) @ np.array(
         [_MAX_SECOND_DERIVATIVE, _MAX_SECOND_DERIVATIVE, 1.0, 1.0]
     )
-    between = second_derivative * (_U[1] - _U[0]) ** 2 / 8.0
-    out = np.zeros(len(step))
-    for k, over in ((1, -(_U + low)), (3, _U + high - 1.0)):  # over the start, over the end
-        beyond = (np.maximum(over.max(axis=1), 0.0) + between) * size[:, 2]
-        follows = beyond <= size[:, k]
+    between_grid_points = second_derivative * (_U[1] - _U[0]) ** 2 / 8.0
+    overrun_deviation = np.zeros(len(step))
+    # k is the neighbour into which the curve overruns: the previous segment (1) or the next one (3)
+    for k, overrun in ((1, -(_U + low)), (3, _U + high - 1.0)):
+        beyond = (np.maximum(overrun.max(axis=1), 0.0) + between_grid_points) * size[:, 2]
+        ends_in_neighbour = beyond <= size[:, k]
         direction_change = np.linalg.norm((unit[:, k] - unit[:, 2])[:, components], axis=1)
-        out = np.maximum(
-            out, beyond * np.where(follows, direction_change, np.linalg.norm(unit[:, 2, components], axis=1))
+        overrun_deviation = np.maximum(
+            overrun_deviation,
+            beyond
+            * np.where(ends_in_neighbour, direction_change, np.linalg.norm(unit[:, 2, components], axis=1)),
         )
-    return np.asarray(across + out)
+    return np.asarray(across + overrun_deviation)
 
 
 def _term_bounds(
@@ -264,20 +281,20 @@ def _term_bounds(
     missing: BoolArray,
     components: slice = slice(None),
 ) -> _TermBounds:
-    """Corners of the family.
+    """Return bounds on V and A at both ends of each segment, from the corners of the family.
 
     Args:
-        step: Steps, (N, 5, D).
+        step: Steps, (N, 5, D) [m].
         min_ratio: Smallest g_i / g_k, (N, 5).
         max_ratio: Largest g_i / g_k, (N, 5).
         missing: Neighbours that are beyond the ends of the block, (N, 5).
-        components: Components of D in which parts across are measured.
+        components: Components of D in which the parts across the segment are measured.
     """
     size = np.linalg.norm(step[:, 2], axis=1)
     direction = step[:, 2] / np.maximum(size, 1e-12)[:, None]
     along = np.einsum("nkd,nd->nk", step, direction)
     across = (step - along[:, :, None] * direction[:, None, :])[:, :, components]
-    offsets = np.linalg.norm(across, axis=2)
+    sizes_across = np.linalg.norm(across, axis=2)
     length = np.maximum(size, 1e-12)[:, None]
     x_low = np.minimum(min_ratio * along, max_ratio * along) / length
     x_high = np.maximum(min_ratio * along, max_ratio * along) / length
@@ -290,33 +307,36 @@ def _term_bounds(
         bend_across[:, k] = np.maximum(bend_across[:, k], np.linalg.norm(change, axis=1))
         shift = np.abs(second[:, k + 1] * along[:, k + 1] - first[:, k] * along[:, k]) / length[:, 0]
         bend_along[:, k] = np.maximum(bend_along[:, k], shift)
-    known = ~missing[:, 1:] & ~missing[:, :-1]
-    bend_across, bend_along = bend_across * known, bend_along * known
+    has_both_neighbours = ~missing[:, 1:] & ~missing[:, :-1]
+    bend_across, bend_along = bend_across * has_both_neighbours, bend_along * has_both_neighbours
     scale = 2.0 / (1.0 / max_ratio[:, :-1] + 1.0 / max_ratio[:, 1:])
     parts, lows, highs = [], [], []
     for k, (previous, following) in ((1, (1, 2)), (2, (2, 3))):  # V between segments k and k + 1
         outer = np.full((len(step), 2), OUTER_FRACTION)
         outer[missing[:, previous], 1] = END_FRACTION  # the block's first point: only the change after it
         outer[missing[:, following], 0] = END_FRACTION
-        rows = bend_across[:, [k - 1, k + 1]], bend_along[:, [k - 1, k + 1]]
+        outer_across, outer_along = bend_across[:, [k - 1, k + 1]], bend_along[:, [k - 1, k + 1]]
         parts.append(
             np.maximum(
-                max_ratio[:, previous] * offsets[:, previous], max_ratio[:, following] * offsets[:, following]
+                max_ratio[:, previous] * sizes_across[:, previous],
+                max_ratio[:, following] * sizes_across[:, following],
             )
-            + (outer * rows[0]).sum(axis=1)
+            + (outer * outer_across).sum(axis=1)
         )
-        slack = (outer * rows[1]).sum(axis=1)
+        outer_slope = (outer * outer_along).sum(axis=1)
+        # at an end of the block the one adjacent segment takes the place of both
         first, second = (
-            np.where(missing[:, k], o, k) for k, o in ((previous, following), (following, previous))
+            np.where(missing[:, side], other_side, side)
+            for side, other_side in ((previous, following), (following, previous))
         )
         row = np.arange(len(step))
-        lows.append(np.minimum(x_low[row, first], x_low[row, second]) - slack - 1.0)
-        highs.append(np.maximum(x_high[row, first], x_high[row, second]) + slack - 1.0)
+        lows.append(np.minimum(x_low[row, first], x_low[row, second]) - outer_slope - 1.0)
+        highs.append(np.maximum(x_high[row, first], x_high[row, second]) + outer_slope - 1.0)
     for k in (0, 1):  # A at both ends: bounded by the three changes of slope around it
         weight = np.where(missing[:, 1 + 2 * k], 1.0, MAX_BEND_WEIGHT)
         parts.append(weight * (scale * bend_across)[:, k : k + 3].max(axis=1))
-        slack = weight * (scale * bend_along)[:, k : k + 3].max(axis=1)
-        lows.append(-slack)
-        highs.append(slack)
-    across, low, high = (np.stack(rows, axis=1) for rows in (parts, lows, highs))
+        max_along = weight * (scale * bend_along)[:, k : k + 3].max(axis=1)
+        lows.append(-max_along)
+        highs.append(max_along)
+    across, low, high = (np.stack(columns, axis=1) for columns in (parts, lows, highs))
     return _TermBounds(across, low, high, size)

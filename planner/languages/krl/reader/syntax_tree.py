@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal, NamedTuple
 
 StatedAxisValues = tuple[tuple[int, float], ...]
-"""External axes of a target in place: columns from 0 (E1 to E6) with values [mm or deg].
+"""External axes that a target states: pairs of column, from 0 (E1 to E6), and value [mm or deg].
 
 Values are in single precision; axes that are not stated are left out.
 """
@@ -51,7 +51,7 @@ class OutputStatement(KrlStatement):
 
 @dataclass(frozen=True, slots=True)
 class InputPoll(KrlStatement):
-    """The guarded loop that waits for $IN[`number`] to be `value`; after `seconds` it asks and repeats."""
+    """The guarded loop that waits for $IN[`number`] to be `value`; after `seconds` it halts, then repeats."""
 
     number: int
     value: bool
@@ -64,8 +64,8 @@ class InputWait(KrlStatement):
 
     Attributes:
         seconds: Timeout [s].
-        outputs_off: Outputs that are switched off then.
-        text: What is shown then, "" for nothing.
+        outputs_off: Numbers of the outputs that it switches off on a timeout.
+        text: Message that it shows on a timeout, "" for none.
     """
 
     number: int
@@ -77,7 +77,7 @@ class InputWait(KrlStatement):
 
 @dataclass(frozen=True, slots=True)
 class PtpStatement(KrlStatement):
-    """PTP to the data `name`."""
+    """PTP to the target `name` of the data list, in lower case."""
 
     name: str
 
@@ -90,7 +90,7 @@ class LinearStatement(KrlStatement):
         word: LIN or SLIN.
         target: X, Y, Z [mm], A, B, C [deg] in single precision.
         corner: C_DIS, C_ORI, C_SPL, or "" for an exact stop.
-        outer: External axes.
+        outer: External axes that the target states.
     """
 
     word: str
@@ -101,7 +101,7 @@ class LinearStatement(KrlStatement):
 
 @dataclass(frozen=True, slots=True)
 class WaitSecStatement(KrlStatement):
-    """WAIT SEC [s]."""
+    """WAIT SEC `seconds` [s]."""
 
     seconds: float
 
@@ -123,11 +123,11 @@ class RobrootCheck(KrlStatement):
     """The loop that halts while $ROBROOT is not zero.
 
     Attributes:
-        shift: Tolerance of its position [mm].
+        shift: Tolerance of the position of $ROBROOT [mm].
         turn: Tolerance of the sum of its angles [deg].
-        text: What is shown, "" for nothing.
-        axis_directions: Directions of external axes under the arm, by column from 0. Then $ROBROOT_C, less
-            these directions times the axis values, is checked, by single steps along the axes of $WORLD.
+        text: Message that it shows, "" for none.
+        axis_directions: Directions in $WORLD of the external axes under the arm, by column from 0. If there
+            are any, the program checks $ROBROOT_C less these directions times the axis values.
     """
 
     shift: float
@@ -143,8 +143,8 @@ class ExternalAxisCheck(KrlStatement):
     Attributes:
         column: Number of the axis, from 0.
         home: Its home [mm or deg].
-        tolerance: Tolerance [mm or deg].
-        text: What is shown, "" for nothing.
+        tolerance: Maximum distance from home [mm or deg].
+        text: Message that it shows, "" for none.
     """
 
     column: int
@@ -216,8 +216,8 @@ class SplinePoint(KrlStatement):
 
     Attributes:
         target: X, Y, Z [mm], A, B, C [deg].
-        part: Fraction of the block's time, 0 to 1.
-        outer: External axes.
+        part: Fraction of the block's time that the move to this point takes, 0 to 1.
+        outer: External axes that the target states.
     """
 
     target: tuple[float, float, float, float, float, float]
@@ -227,11 +227,11 @@ class SplinePoint(KrlStatement):
 
 @dataclass(frozen=True, slots=True)
 class SplineStatement(KrlStatement):
-    """SPLINE to ENDSPLINE.
+    """A spline block, from SPLINE to ENDSPLINE.
 
     Attributes:
-        points: Its points, with the starts of segments before them.
-        seconds: Its total time [s].
+        points: Points of the block; a comment starts a segment with the point that follows it.
+        seconds: Total time of the block [s].
     """
 
     points: tuple[SplinePoint | CommentStatement, ...]
@@ -249,8 +249,8 @@ class KrlProgram:
 
     Attributes:
         file: Its path.
-        name: Name as in DEF.
-        external: Subprograms that it declares by EXT, in lower case.
+        name: Name as written after DEF.
+        external: Names of the subprograms that it declares by EXT, in lower case.
         body: Its statements.
         variables: Its variables as (type, name), in lower case.
     """
@@ -270,7 +270,13 @@ class KrlProgram:
 
 @dataclass(frozen=True, slots=True)
 class KrlDeclaration:
-    """One declaration of a .dat file: `kind` is frame, load, e6pos, e6axis or char, `name` is as written."""
+    """One declaration of a .dat file.
+
+    Attributes:
+        kind: Type: frame, load, e6pos, e6axis or char.
+        name: Name as written.
+        value: Value in SI units; of a char the text, or its length if it has no text yet.
+    """
 
     line: int
     kind: str
@@ -280,7 +286,7 @@ class KrlDeclaration:
 
 @dataclass(frozen=True, slots=True)
 class DataList:
-    """A .dat file; `items` are by lower-case name."""
+    """A .dat file. `name` is as written after DEFDAT; `items` are its declarations by lower-case name."""
 
     file: str
     name: str
@@ -309,7 +315,7 @@ RESERVED: Final = frozenset(_RESERVED_TEXT.split())
 
 
 class SettingRange(NamedTuple):
-    """Allowed values of a setting; ``whole``: integers only."""
+    """Allowed values of a setting, from `low` to `high`. ``whole``: integers only."""
 
     low: float
     high: float
@@ -332,15 +338,15 @@ NUMBER_SETTINGS: Final = {
     **MOTION_SETTINGS,
     **dict.fromkeys((*AXIS_SPEEDS, *EXTERNAL_AXIS_SPEEDS), SettingRange(1.0, 100.0, True)),
 }
-"""All settings that are numbers."""
+"""All settings whose values are numbers."""
 CHOICE_SETTINGS: Final = {"$ipo_mode": ("#base",), "$ori_type": ("#var",), "$advance": ("3",)}
 """Settings with their supported values.
 
-They mean: tools on the flange, rotations at a constant rate, and an advance run, without which each corner
-is a stop.
+They mean, in this order: the tool is on the flange, the orientation changes at a constant rate, and the
+controller plans three moves ahead. Without advance run each corner would be a stop.
 """
 FRAME_SETTINGS: Final = {"$tool": "frame", "$base": "frame", "$load": "load"}
-"""Settings that name data, with their type."""
+"""Settings whose values are names of the data list, with the type of the named data."""
 ROBROOT_POSITION_TOLERANCE_MM: Final = 0.1
 """Tolerance of the position of $ROBROOT [mm]."""
 ROBROOT_ROTATION_TOLERANCE_DEG: Final = 0.02

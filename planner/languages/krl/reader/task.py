@@ -1,4 +1,4 @@
-"""Reads the task of an arm: its programs, and what they do."""
+"""Reads the task of a KUKA arm: the texts of its programs, and the steps that they execute."""
 
 from typing import Final
 
@@ -12,10 +12,13 @@ from planner.programs.steps import FlowError, ProgramStep, TextFault
 
 
 def _read(problem: Problem, arms: Arms, files: Files) -> ReadTasks:
+    """Read the programs of the controller's only arm. Steps are empty if there are faults."""
     controller = problem.cell.controller
     ((name, arm),) = arms.items()
     text = reader.read(files, controller.max_bytes, controller.dialect)
-    steps, entered, flow_faults = tuple[ProgramStep, ...](), frozenset[str](), tuple[TextFault, ...]()
+    steps: tuple[ProgramStep, ...] = ()
+    entered: frozenset[str] = frozenset()
+    flow_faults: tuple[TextFault, ...] = ()
     if not text.faults:
         base = arm.base if text.base is None else text.base
         try:
@@ -29,7 +32,7 @@ def _read(problem: Problem, arms: Arms, files: Files) -> ReadTasks:
 
 
 def _axis_directions(arm: Arm) -> dict[int, tuple[float, float, float]]:
-    """Unit vectors, in the foot's axes, along which external axes move an arm, by column."""
+    """Return the unit vectors, in the foot's axes, along which external axes move an arm, by column."""
     out = {}
     for rail in arm.linear_axes:
         x, y, z = (float(column @ rail.axis) for column in arm.base[:3, :3].T)

@@ -1,7 +1,8 @@
 """KRL aggregates as values in SI units (FRAME, LOAD, E6POS, E6AXIS in mm and degrees), and spline blocks.
 
 A frame rotates by A about z, then by B about the new y, then by C about the new x: R = Rz(A) Ry(B) Rx(C).
-The load of a held block follows from the load that KRL states for the tool together with it.
+KRL states one load for the tool together with the block that it holds. The load of the block alone follows
+from it and the tool's own load.
 
 Spline blocks have points, and the times that the block states:
 
@@ -13,10 +14,11 @@ Spline blocks have points, and the times that the block states:
     TIME_BLOCK END = 3.2
     ENDSPLINE
 
-Between SPLINE and ENDSPLINE only comments may stand besides. KSS refuses approximation (its message 2360),
-most statements and so every speed setting (2359, 2923), and triggers by distance (2363). A block without
-approximation after ENDSPLINE ends in an exact stop. Parts are fractions of the time at END. Two usages were
-seen, percentages of 100 and the seconds of each part; both mean this, and no other sum is accepted.
+Between SPLINE and ENDSPLINE there may also be comments, but nothing else. KSS refuses approximation (its
+message 2360), most statements and so every speed setting (2359, 2923), and triggers by distance (2363). A
+block without approximation after ENDSPLINE ends in an exact stop. Parts are fractions of the time at END. Two
+usages were seen: percentages, whose sum is 100, and the seconds of each part, whose sum is the time at END.
+Both mean the same, and no other sum is accepted.
 """
 
 import dataclasses
@@ -40,7 +42,7 @@ from planner.programs.steps import MAX_NUMBER, JointTarget, LoadData, StatusTarg
 UNSIGNED = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[Ee][+-]?\d+)?"
 """A numeral without its sign, which must end at a word boundary."""
 _NUMBER = rf"[+-]?{UNSIGNED}(?![\w.])"
-"""A numeral, perhaps with a sign."""
+"""A numeral with an optional sign."""
 _BITS = r"'[Bb](?P<bits>[01]{1,8})'"
 """An integer written as bits."""
 _COMPONENT = re.compile(
@@ -58,13 +60,16 @@ _COMPONENTS: dict[str, tuple[str, ...]] = {
     "e6pos": (*_FRAME_PARTS, "S", "T", *_EXTERNAL_AXES),
     "e6axis": ("A1", "A2", "A3", "A4", "A5", "A6", *_EXTERNAL_AXES),
 }
-"""Components of each structure."""
+"""Components of each structure, in the order in which they must be written."""
 _REQUIRED_PARTS: dict[str, tuple[str, ...]] = {"place": _FRAME_PARTS, "outer": ()}
-"""Required components of targets in place; some, all or no external axes follow."""
+"""Required components of a target in place, and of the external axes after one.
+
+None, some or all external axes follow.
+"""
 
 
 class KrlValueError(Exception):
-    """Text that is no value of its type.
+    """A text is not a value of its type.
 
     Attributes:
         kind: Issue code without the language.
@@ -78,14 +83,18 @@ class KrlValueError(Exception):
 
 
 def parse_value(kind: str, text: str) -> Any:
-    """Return the value of an aggregate: pose (4, 4) of a frame, Load, StatusTarget or JointTarget.
+    """Return the value of an aggregate in SI units.
 
     Args:
-        kind: Type of the aggregate.
-        text: The aggregate.
+        kind: Type of the aggregate: frame, load, e6pos or e6axis.
+        text: The aggregate, in braces.
+
+    Returns:
+        The pose (4, 4) [m] of a frame, the LoadData of a load, the StatusTarget of an e6pos, or the
+        JointTarget of an e6axis.
 
     Raises:
-        KrlValueError: Components are missing, unknown or in another order.
+        KrlValueError: Components are missing, unknown or in another order, or a value is not allowed.
     """
     numbers = _parse_components(kind, text)
     match kind:
@@ -94,13 +103,13 @@ def parse_value(kind: str, text: str) -> Any:
         case "load":
             return _load(numbers)
         case "e6pos":
-            numbers_of_pose = [numbers[name] for name in _FRAME_PARTS]
+            pose_numbers = [numbers[name] for name in _FRAME_PARTS]
             status, turn = (
                 _bits(name, numbers[name], max_value) for name, max_value in (("S", 7), ("T", 63))
             )
             return StatusTarget(
-                np.array(numbers_of_pose[:3]) * 1e-3,
-                np.array(quaternion(*numbers_of_pose[3:])),
+                np.array(pose_numbers[:3]) * 1e-3,
+                np.array(quaternion(*pose_numbers[3:])),
                 status,
                 turn,
                 _external_axes(numbers),
@@ -116,7 +125,7 @@ def parse_target(text: str) -> tuple[tuple[float, float, float, float, float, fl
     Values are in single precision.
 
     Raises:
-        KrlValueError: The text is no target.
+        KrlValueError: The text is not a target.
     """
     numbers = _parse_components("place", text)
     x, y, z, a, b, c = (numbers[name] for name in _FRAME_PARTS)
@@ -125,7 +134,9 @@ def parse_target(text: str) -> tuple[tuple[float, float, float, float, float, fl
 
 @functools.lru_cache(maxsize=64)
 def parse_external_axes(text: str) -> StatedAxisValues:
-    """Return the external axes that follow the pose of a target, in single precision.
+    """Return the external axes that follow the pose of a target, such as ``,E1 250.0``; () for "".
+
+    Values are in single precision.
 
     Raises:
         KrlValueError: The text does not list external axes.
@@ -134,6 +145,7 @@ def parse_external_axes(text: str) -> StatedAxisValues:
 
 
 def _stated_axes(numbers: dict[str, Any]) -> StatedAxisValues:
+    """Return those of the components that are external axes, with their columns."""
     columns = enumerate(_EXTERNAL_AXES)
     return tuple((column, numbers[name]) for column, name in columns if name in numbers)
 
@@ -147,14 +159,9 @@ def quaternion(a: float, b: float, c: float) -> tuple[float, float, float, float
         c: C [deg].
     """
     ha, hb, hc = math.radians(0.5 * a), math.radians(0.5 * b), math.radians(0.5 * c)
-    ca, sa, cb, sb, cc, sc = (
-        math.cos(ha),
-        math.sin(ha),
-        math.cos(hb),
-        math.sin(hb),
-        math.cos(hc),
-        math.sin(hc),
-    )
+    ca, sa = math.cos(ha), math.sin(ha)
+    cb, sb = math.cos(hb), math.sin(hb)
+    cc, sc = math.cos(hc), math.sin(hc)
     return (
         ca * cb * cc + sa * sb * sc,
         ca * cb * sc - sa * sb * cc,
@@ -169,37 +176,37 @@ def pose(numbers: list[float]) -> FloatArray:
 
 
 def _parse_components(kind: str, text: str) -> dict[str, Any]:
-    """Numbers by name, as the controller holds them; nested aggregates as text."""
+    """Return the components of an aggregate by name: numbers in single precision, inner ones as text."""
     text = text.strip()
     if not (text.startswith("{") and text.endswith("}")):
         raise KrlValueError("syntax", f"{text!r:.40}: expected a value in braces")
     out: dict[str, Any] = {}
-    inside, offset = text[1:-1], 0
+    content, offset = text[1:-1], 0
     while True:
-        match = _COMPONENT.match(inside, offset)
+        match = _COMPONENT.match(content, offset)
         if match is None:
-            raise KrlValueError("syntax", f"{inside[offset : offset + 20]!r}: expected a name and a number")
+            raise KrlValueError("syntax", f"{content[offset : offset + 20]!r}: expected a name and a number")
         name, offset = match["name"].upper(), match.end()
         if name in out:
             raise KrlValueError("type", f"{name} occurs twice in {text:.40}")
         if (match["open"] is not None) != (kind == "load" and name in ("CM", "J")):
             raise KrlValueError("type", f"{name} of a {kind.upper()} has another form; got {text:.40}")
         if match["open"]:
-            end = inside.find("}", offset)
+            end = content.find("}", offset)
             if end < 0:
                 raise KrlValueError("syntax", f"the value of {name} has no closing brace")
-            out[name], offset = "{" + inside[offset:end] + "}", end + 1
-            offset += len(inside[offset:]) - len(inside[offset:].lstrip())
+            out[name], offset = "{" + content[offset:end] + "}", end + 1
+            offset += len(content[offset:]) - len(content[offset:].lstrip())
         elif match["bits"]:
             if name not in ("S", "T"):
                 raise KrlValueError("type", f"{name} takes a number; got '{match['bits']}' as bits")
             out[name] = float(int(match["bits"], 2))
         else:
             out[name] = parse_number(name, match["number"])
-        if offset == len(inside):
+        if offset == len(content):
             break
-        if inside[offset] != ",":
-            raise KrlValueError("syntax", f"{inside[offset : offset + 20]!r}: expected a comma")
+        if content[offset] != ",":
+            raise KrlValueError("syntax", f"{content[offset : offset + 20]!r}: expected a comma")
         offset += 1
     if kind in _REQUIRED_PARTS:
         expected_parts = (*_REQUIRED_PARTS[kind], *(name for name in _EXTERNAL_AXES if name in out))
@@ -220,7 +227,7 @@ def parse_number(name: str, text: str) -> float:
         text: The numeral.
 
     Raises:
-        KrlValueError: The number exceeds what a controller holds.
+        KrlValueError: The number exceeds the range of a controller.
     """
     value = float(text)
     if not abs(value) < MAX_NUMBER:
@@ -229,23 +236,27 @@ def parse_number(name: str, text: str) -> float:
 
 
 def _bits(name: str, number: float, max_value: int) -> int:
+    """Return Status or Turn as an integer from 0 to ``max_value``."""
     if number != int(number) or not 0 <= number <= max_value:
         raise KrlValueError("type", f"{name} is {number:g}; allowed: whole numbers from 0 to {max_value}")
     return int(number)
 
 
 def _external_axes(numbers: dict[str, Any]) -> FloatArray:
+    """Return E1 to E6, (6,) [mm or deg]."""
     return np.array([numbers[name] for name in _EXTERNAL_AXES])
 
 
 def _load(numbers: dict[str, Any]) -> LoadData:
+    """Return a load from its mass M [kg], centre frame CM [mm, deg] and principal moments J [kg m^2]."""
     centre = _parse_components("frame", numbers["CM"])
     inertia = _inertia(numbers["J"])
-    turn = np.array(quaternion(centre["A"], centre["B"], centre["C"]))
-    return LoadData(numbers["M"], np.array([centre[name] for name in "XYZ"]) * 1e-3, turn, inertia)
+    axes = np.array(quaternion(centre["A"], centre["B"], centre["C"]))
+    return LoadData(numbers["M"], np.array([centre[name] for name in "XYZ"]) * 1e-3, axes, inertia)
 
 
 def _inertia(text: str) -> FloatArray:
+    """Return the principal moments of inertia (3,) [kg m^2] of a nested aggregate J."""
     parts = r"\s*,\s*".join(rf"{name}\s+({_NUMBER})" for name in "XYZ")
     match = re.fullmatch(rf"\{{\s*{parts}\s*\}}", text, re.IGNORECASE | re.ASCII)
     if match is None:
@@ -258,14 +269,17 @@ NO_LOAD = LoadData(0.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
 
 
 def held_load(whole: LoadData, tool: LoadData, tcp: FloatArray) -> LoadData:
-    """Return the load that makes ``whole`` together with ``tool``, in the TCP frame, with principal moments.
+    """Return the load of what a tool holds, in the TCP frame, with principal moments.
 
-    By the parallel axis theorem about the centre of the whole.
+    It is the whole less the tool, by the parallel axis theorem about the centre of the whole.
 
     Args:
         whole: Load of the tool with what it holds, in the flange frame.
         tool: Load of the tool, in the flange frame.
         tcp: The TCP in the flange frame, (4, 4) [m].
+
+    Returns:
+        The load; without a positive mass its centre and inertia are 0.
     """
     mass = whole.mass - tool.mass
     if mass <= 0.0:
@@ -277,18 +291,18 @@ def held_load(whole: LoadData, tool: LoadData, tcp: FloatArray) -> LoadData:
     )
     to_tcp = inverse(tcp)
     moments, axes = np.linalg.eigh(to_tcp[:3, :3] @ inertia @ to_tcp[:3, :3].T)
-    axes[:, 2] *= np.linalg.det(axes)
+    axes[:, 2] *= np.linalg.det(axes)  # makes the eigenvectors right-handed
     return LoadData(mass, (to_tcp @ np.append(centre, 1.0))[:3], to_quaternion(axes), moments)
 
 
 def _inertia_tensor(load: LoadData) -> FloatArray:
-    """Inertia tensor (3, 3) about the load's centre, in the frame in which the load is stated."""
-    turn = rotation(load.axes)
-    return np.asarray((turn * load.inertia) @ turn.T)
+    """Return the inertia tensor (3, 3) [kg m^2] about the centre of a load, in the axes of its frame."""
+    axes = rotation(load.axes)
+    return np.asarray((axes * load.inertia) @ axes.T)
 
 
 def _point_mass_inertia(mass: float, shift: FloatArray) -> FloatArray:
-    """Inertia (3, 3) of a point mass at offset ``shift`` (3,): m (s^2 I - s s^T)."""
+    """Return the inertia tensor (3, 3) [kg m^2] of a point mass at offset s (3,) [m]: m (s^2 I - s s^T)."""
     return np.asarray(mass * (shift @ shift * np.eye(3) - np.outer(shift, shift)))
 
 
@@ -320,14 +334,14 @@ _REFUSALS: Final = (
     (r"ENDSPLINE\s+C_\w+", "a block ends in an exact stop, without approximation after ENDSPLINE"),
     (r"SPLINE\b.*", "a block inside a block"),
 )
-"""Other lines within a block, with the reason why they are refused."""
+"""Patterns of lines that are not allowed within a block, with the reason for each."""
 
 
 class SplineError(Exception):
-    """A fault in a block.
+    """A spline block is not valid.
 
     Attributes:
-        line: Its line, from 1.
+        line: Line of the fault, from 1.
         kind: Issue code without the language.
         message: What is wrong.
     """
@@ -338,7 +352,7 @@ class SplineError(Exception):
 
 
 def parse_block(line: int, rows: Iterator[tuple[int, str, list[CommentStatement]]]) -> SplineStatement:
-    """Parse a spline block.
+    """Parse a spline block up to its ENDSPLINE, and leave the iterator after it.
 
     Args:
         line: Line of SPLINE, from 1.
@@ -349,56 +363,70 @@ def parse_block(line: int, rows: Iterator[tuple[int, str, list[CommentStatement]
     """
     items: list[SplinePoint | CommentStatement] = []
     parts: list[float] = []
-    started, seconds, last = False, None, line
-    for last, code, comments in rows:
+    started = False
+    seconds: float | None = None
+    current_line = line
+    for current_line, code, comments in rows:
         for comment in comments:
             if comment.kind != "segment":
                 raise SplineError(
-                    last, "syntax", "messages and questions are not allowed inside a spline block"
+                    current_line, "syntax", "messages and questions are not allowed inside a spline block"
                 )
-        pending = len(parts) < sum(isinstance(item, SplinePoint) for item in items)
-        if comments and pending:
-            raise SplineError(last, "syntax", "a segment starts between SPL and its TIME_BLOCK PART")
+        # the last point still lacks its TIME_BLOCK PART
+        part_is_missing = len(parts) < sum(isinstance(item, SplinePoint) for item in items)
+        if comments and part_is_missing:
+            raise SplineError(current_line, "syntax", "a segment starts between SPL and its TIME_BLOCK PART")
         items += comments
         if not code:
             continue
         if _TIME_START.fullmatch(code) and not started and not _point_count(items):
             started = True
-        elif (spl := _SPLINE_POINT.fullmatch(code)) and started and not pending and seconds is None:
-            target, axes = _block_target(last, spl[1])
-            items.append(SplinePoint(last, target, 0.0, axes))
-        elif (part := _TIME_PART.fullmatch(code)) and pending and seconds is None:
+        elif (spl := _SPLINE_POINT.fullmatch(code)) and started and not part_is_missing and seconds is None:
+            target, axes = _block_target(current_line, spl[1])
+            items.append(SplinePoint(current_line, target, 0.0, axes))
+        elif (part := _TIME_PART.fullmatch(code)) and part_is_missing and seconds is None:
             parts.append(float(part[1]))
-        elif (end := _TIME_END.fullmatch(code)) and parts and not pending and seconds is None:
+        elif (end := _TIME_END.fullmatch(code)) and parts and not part_is_missing and seconds is None:
             seconds = float(end[1])
         elif _SPLINE_END.fullmatch(code) and seconds is not None:
             return _build_block(line, items, parts, seconds)
         else:
-            raise SplineError(last, "syntax", f"{_shorten(code)}: {_reason(code)}")
-    raise SplineError(last, "syntax", "a spline block without its ENDSPLINE")
+            raise SplineError(current_line, "syntax", f"{_shorten(code)}: {_reason(code)}")
+    raise SplineError(current_line, "syntax", "a spline block without its ENDSPLINE")
 
 
 def _point_count(items: list[SplinePoint | CommentStatement]) -> int:
+    """Return the number of points among points and comments."""
     return sum(isinstance(item, SplinePoint) for item in items)
 
 
 def _build_block(
     line: int, items: list[SplinePoint | CommentStatement], parts: list[float], seconds: float
 ) -> SplineStatement:
+    """Return a block whose points have their fractions of the block's time.
+
+    The ``parts`` are percentages or seconds, as written. Raises `SplineError` if they have another sum or if
+    there are too many points.
+    """
     total, count = math.fsum(parts), len(parts)
     if count > MAX_BLOCK_POINTS:
-        what = f"a spline block of {count} points; allowed: {MAX_BLOCK_POINTS}; break it at a stop"
-        raise SplineError(line, "spline_size", what)
+        message = f"a spline block of {count} points; allowed: {MAX_BLOCK_POINTS}; break it at a stop"
+        raise SplineError(line, "spline_size", message)
     if min(parts) <= 0.0 or seconds <= 0.0:
         raise SplineError(line, "type", "the block's time, or a part of it, is 0; it must be positive")
-    if min(abs(total - whole) / whole for whole in (100.0, seconds)) > PARTS_SUM_TOLERANCE:
-        what = (
+    if (
+        min(abs(total - allowed_total) / allowed_total for allowed_total in (100.0, seconds))
+        > PARTS_SUM_TOLERANCE
+    ):
+        message = (
             f"the sum of the parts is {total:g}; allowed: 100 (percent) or {seconds:g} (the seconds at END)"
         )
-        raise SplineError(line, "type", what)
-    shares = iter(parts)
+        raise SplineError(line, "type", message)
+    remaining_parts = iter(parts)
     points = [
-        dataclasses.replace(item, part=next(shares) / total) if isinstance(item, SplinePoint) else item
+        dataclasses.replace(item, part=next(remaining_parts) / total)
+        if isinstance(item, SplinePoint)
+        else item
         for item in items
     ]
     return SplineStatement(line, tuple(points), seconds)
@@ -407,6 +435,7 @@ def _build_block(
 def _block_target(
     line: int, text: str
 ) -> tuple[tuple[float, float, float, float, float, float], StatedAxisValues]:
+    """Parse the target of a point; a wrong one raises `SplineError` with its line."""
     try:
         return parse_target(text)
     except KrlValueError as wrong:
@@ -414,7 +443,7 @@ def _block_target(
 
 
 def _reason(code: str) -> str:
-    """Reason why a statement is not allowed at its position."""
+    """Return the reason why a statement is not allowed at its position."""
     for pattern, why in _REFUSALS:
         if re.fullmatch(pattern, code, re.IGNORECASE | re.ASCII):
             return why

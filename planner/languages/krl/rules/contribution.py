@@ -10,6 +10,7 @@ from planner.proof.language_contribution import AxisFormat, ProofOfLanguage, Sta
 
 
 def _same_text(first: str, second: str) -> bool:
+    """Return whether two texts differ only in blanks and in comments that the proof does not read."""
     return significant_lines(first) == significant_lines(second)
 
 

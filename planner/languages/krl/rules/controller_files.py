@@ -8,14 +8,17 @@ from planner.proof.language_contribution import ControllerPower
 
 
 def controller_files(power: ControllerPower) -> list[str]:
-    """Return the faults of the files of a KUKA controller."""
+    """Return the faults of the files of a KUKA controller, by comparison with the expected statements."""
     controller, arm, partner = power.context.problem.cell.controller, power.tasks[0].arm.name, power.partner
     runs = "$PRO_ACT AND $PERI_RDY"
-    watched, known = (partner.submit_lines(runs), [partner.seen_flag]) if partner else ([], [])
-    runs += f" AND {partner.input}" if partner else ""
+    partner_lines: list[str] = []
+    partner_flags: list[str] = []
+    if partner:
+        partner_lines, partner_flags = partner.submit_lines(runs), [partner.seen_flag]
+        runs += f" AND {partner.input}"
     flags, submit, stopped = _power_files(controller, arm, power.signals, power.burning, runs)
-    declared = [f"DECL BOOL {name}=FALSE" for name in [*flags, *known]]
-    expected = {"config_user.dat": declared, "sps_user.sub": [*watched, *submit]}
+    declared = [f"DECL BOOL {name}=FALSE" for name in [*flags, *partner_flags]]
+    expected = {"config_user.dat": declared, "sps_user.sub": [*partner_lines, *submit]}
     if power.signals:
         expected["ir_stopm_user.src"] = stopped
     faults = power.file_name_faults(tuple(expected))
@@ -25,14 +28,14 @@ def controller_files(power: ControllerPower) -> list[str]:
         actual_lines, expected_lines = krl_lines(power.files[name]), krl_lines("\n".join(lines))
         if actual_lines != expected_lines:
             first_difference = next(
-                (i for i, (g, w) in enumerate(zip(actual_lines, expected_lines, strict=False)) if g != w),
+                (i for i, (a, b) in enumerate(zip(actual_lines, expected_lines, strict=False)) if a != b),
                 None,
             )
             index = (
                 min(len(actual_lines), len(expected_lines)) if first_difference is None else first_difference
             )
             actual_line, expected_line = (
-                rows[index] if index < len(rows) else "the end" for rows in (actual_lines, expected_lines)
+                text[index] if index < len(text) else "the end" for text in (actual_lines, expected_lines)
             )
             faults.append(
                 f"{name} differs from its expected text: got {actual_line!r}, expected {expected_line!r}"
@@ -43,9 +46,9 @@ def controller_files(power: ControllerPower) -> list[str]:
 def _power_files(
     controller: Controller, arm: str, signals: Sequence[str], torches: frozenset[str], runs: str
 ) -> tuple[list[str], list[str], list[str]]:
-    """Expected variables, lines of the submit interpreter, and lines of IR_STOPM of a KUKA controller.
+    """Return expected variables, lines of the submit interpreter, and lines of IR_STOPM of a KUKA controller.
 
-    ``runs`` is the condition that the program runs.
+    ``runs`` is the condition that the program runs, ``torches`` are the signals that light a torch.
     """
     numbers = {signal: controller.signal_number(arm, signal) for signal in signals}
     flags = {signal: "TANDEM_LIT" if signal in torches else "TANDEM_CUT" for signal in signals}
@@ -55,10 +58,12 @@ def _power_files(
         for line in (f"IF $OUT[{number}] THEN", f"{flags[signal]}=TRUE", "ENDIF", f"$OUT[{number}]=FALSE")
     ]
     output_numbers = {
-        n: controller.signal_number(arm, controller.interlock.power_output(s).signal)
-        for s, n in numbers.items()
+        number: controller.signal_number(arm, controller.interlock.power_output(signal).signal)
+        for signal, number in numbers.items()
     }
-    follow = [f"$OUT[{out}]=$OUT[{n}] AND {runs}" for n, out in output_numbers.items() if out is not None]
+    output_lines = [
+        f"$OUT[{out}]=$OUT[{number}] AND {runs}" for number, out in output_numbers.items() if out is not None
+    ]
     torch_lock = ["IF $PRO_STATE1==#P_RESET THEN", "TANDEM_LIT=FALSE", "ENDIF", "IF TANDEM_LIT THEN"]
     torch_lock += [
         *(f"$OUT[{numbers[signal]}]=FALSE" for signal in signals if signal in torches),
@@ -66,15 +71,15 @@ def _power_files(
         "ENDIF",
     ]
     power_lock = ["IF TANDEM_CUT THEN", "$OV_PRO=0", "ENDIF"]
-    known = [flag for flag in ("TANDEM_CUT", "TANDEM_LIT") if flag in flags.values()]
+    used_flags = [flag for flag in ("TANDEM_CUT", "TANDEM_LIT") if flag in flags.values()]
     submit = [f"IF NOT({runs}) THEN", *reset_lines, "ENDIF"] if signals else []
     submit += [
-        *(torch_lock if "TANDEM_LIT" in known else []),
-        *follow,
-        *(power_lock if "TANDEM_CUT" in known else []),
+        *(torch_lock if "TANDEM_LIT" in used_flags else []),
+        *output_lines,
+        *(power_lock if "TANDEM_CUT" in used_flags else []),
     ]
     return (
-        known,
+        used_flags,
         submit,
         [*reset_lines, *(f"$OUT[{out}]=FALSE" for out in output_numbers.values() if out is not None)],
     )

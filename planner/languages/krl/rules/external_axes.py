@@ -1,4 +1,4 @@
-"""The check of external axes in KRL programs."""
+"""Recognises the check of an external axis in KRL programs."""
 
 from planner.languages.krl.reader.flow import AXIS_CHECK
 from planner.languages.krl.sentences import KRL_AXIS_NOT_HOME
@@ -9,12 +9,14 @@ from planner.proof.rules.external_axes import HOME_TOLERANCES
 
 
 def checks_axis(context: Context, axis: TaskAxis, step: SettingStep) -> bool:
-    """Return whether a step checks that an axis is at home, closely enough, and informs the operator.
+    """Return whether a step checks that an axis is at home.
+
+    The step must check this axis with a tolerance that is not too large, and in krc4 show the expected text.
 
     Args:
         context: The proof.
         axis: The external axis.
-        step: The step.
+        step: Step of the program, of any kind.
     """
     if step.kind != AXIS_CHECK:
         return False

@@ -26,19 +26,21 @@ from planner.proof.rule import RuleOutcome, mm, rule, step_issue
 _POSITION_TOLERANCE_M = 1e-5
 """Distance of the TCP [m] below which a move only rotates."""
 _MIN_ZONE_M = 1.001e-6
-"""Rounding [m] that needs no check: the controller itself never uses more than half of a move."""
+"""Smallest approximation distance [m]. It needs no check: controllers use at most half of a move anyway."""
 _MIN_ZONE_ANGLE_RAD = 1.001 * np.deg2rad(0.001)
-"""Rounding of the orientation [rad] that needs no check either."""
+"""Smallest approximation angle [rad], which needs no check either."""
 _MIN_SPEED_M_S = 0.11e-3
-"""Minimum speed of a move in KRL [m/s], with its rounding. No feed or limit is so low."""
+"""Smallest speed of a move that KRL programs state [m/s], with its rounding. No feed or limit is so low."""
 _MIN_ROTATION_SPEED_RAD_S = np.deg2rad(0.15)
-"""Minimum rotation speed of a move in KRL [rad/s], with its rounding."""
+"""Smallest rotation speed of a move that KRL programs state [rad/s], with its rounding."""
 _SOLUTION_TOLERANCE_RAD = np.deg2rad(0.01)
 """Joint difference [rad] above which two solutions are different."""
 
 
 def move_kinds(context: Context, task: TaskText) -> RuleOutcome:
-    """Refuse moves that use external axes in a task without external axes (verify.move_kinds).
+    """Return an issue for each move that uses external axes in a task without external axes.
+
+    Their code is verify.move_kinds.
 
     Args:
         context: The proof.
@@ -52,13 +54,13 @@ def move_kinds(context: Context, task: TaskText) -> RuleOutcome:
             continue
         stated = np.abs(step.target.external)
         if stated[stated < MAX_EXTERNAL_VALUE].max(initial=0.0) > 0.0:
-            what = "the target moves an external axis; E1 to E6 must be 0 here"
-            out.append(step_issue("verify.move_kinds", what, task, step))
+            message = "the target moves an external axis; E1 to E6 must be 0 here"
+            out.append(step_issue("verify.move_kinds", message, task, step))
     return RuleOutcome(tuple(out))
 
 
 def hidden(context: Context, task: TaskText) -> RuleOutcome:
-    """Refuse programs that are never called (verify.hidden).
+    """Return an issue for each program that is never called (verify.hidden).
 
     Args:
         context: The proof.
@@ -75,15 +77,18 @@ def hidden(context: Context, task: TaskText) -> RuleOutcome:
 
 
 def corners(task: TaskText, moves: Sequence[MoveStep]) -> tuple[list[Issue], float]:
-    """Return issues of corners that use more than half of an adjacent move, and the largest excess [mm].
+    """Return an issue for each corner that uses more than half of an adjacent move, and the largest excess.
 
-    They are compared by distance or, if the TCP stands, by angle.
+    Corner and moves are compared by distance or, if the TCP does not move, by angle.
 
     Args:
         task: The task.
         moves: Its moves.
+
+    Returns:
+        The issues, and the largest excess of a distance [mm]; angles do not count for it.
     """
-    out, worst = [], 0.0
+    out, max_excess = [], 0.0
     steps = [_distance_and_angle(a, b) for a, b in itertools.pairwise(moves)]
     for i, move in enumerate(moves):
         if move.zone.fine or move.by_joints:
@@ -91,23 +96,28 @@ def corners(task: TaskText, moves: Sequence[MoveStep]) -> tuple[list[Issue], flo
         adjacent = [step for step in steps[max(i - 1, 0) : i + 1] if step is not None]
         if not adjacent:
             continue
-        distance, turn = min(step[0] for step in adjacent), min(step[1] for step in adjacent)
+        distance, angle = min(step[0] for step in adjacent), min(step[1] for step in adjacent)
         if distance > _POSITION_TOLERANCE_M:
             excess = move.zone.tcp - max(0.5 * distance, _MIN_ZONE_M)
-            worst = max(worst, mm(excess))
+            max_excess = max(max_excess, mm(excess))
             size, half = mm(move.zone.tcp), mm(0.5 * distance)
-            what = f"the corner uses {size:g} mm; half of the shorter move is {half:.4f} mm"
+            message = f"the corner uses {size:g} mm; half of the shorter move is {half:.4f} mm"
         else:
-            excess = move.zone.turn_angle - max(0.5 * turn, _MIN_ZONE_ANGLE_RAD)
-            angles = np.rad2deg([move.zone.turn_angle, 0.5 * turn])
-            what = f"the corner uses {angles[0]:g} deg; half of the smaller rotation is {angles[1]:.5f} deg"
+            excess = move.zone.turn_angle - max(0.5 * angle, _MIN_ZONE_ANGLE_RAD)
+            angles = np.rad2deg([move.zone.turn_angle, 0.5 * angle])
+            message = (
+                f"the corner uses {angles[0]:g} deg; half of the smaller rotation is {angles[1]:.5f} deg"
+            )
         if excess > 1e-9:
-            out.append(step_issue("verify.zone_size", what, task, move))
-    return out, worst
+            out.append(step_issue("verify.zone_size", message, task, move))
+    return out, max_excess
 
 
 def _distance_and_angle(a: MoveStep, b: MoveStep) -> tuple[float, float] | None:
-    """Distance [m] and angle [rad] between the targets of two moves in one frame, None if they have none."""
+    """Return the distance [m] and angle [rad] between the targets of two consecutive moves.
+
+    None if the first has no pose, the second is not a straight move, or their work objects differ.
+    """
     if (
         isinstance(a.target, JointTarget | PassedTarget)
         or not isinstance(b.target, RobTarget)
@@ -131,17 +141,17 @@ def status(context: Context) -> RuleOutcome:
     This must hold whether or not Turn counts for axes near zero.
     """
     issues: list[Issue] = []
-    near_zero: list[str] = []
+    axes_near_zero: list[str] = []
     targets = 0
     for task in context.job.tasks:
         for move in task.steps:
             if isinstance(move, MoveStep) and isinstance(move.target, StatusTarget):
                 targets += 1
-                wrong, axes = _status_faults(context, task, move, move.target)
-                issues += [step_issue("verify.status", what, task, move) for what in wrong]
-                near_zero += [f"axis {axis} at {move.target_name}" for axis in axes]
+                faults, axes = _status_faults(context, task, move, move.target)
+                issues += [step_issue("verify.status", fault, task, move) for fault in faults]
+                axes_near_zero += [f"axis {axis} at {move.target_name}" for axis in axes]
     summary = f"{targets} targets" if targets else ""
-    where = f"{summary}; near zero: {', '.join(near_zero)}" if near_zero else summary
+    where = f"{summary}; near zero: {', '.join(axes_near_zero)}" if axes_near_zero else summary
     return RuleOutcome(
         tuple(issues), where=where, nothing="" if targets else "no target states Status and Turn"
     )
@@ -150,7 +160,7 @@ def status(context: Context) -> RuleOutcome:
 def _status_faults(
     context: Context, task: TaskText, move: MoveStep, target: StatusTarget
 ) -> tuple[list[str], tuple[int, ...]]:
-    """Faults of Status and Turn of a move's target, and axes near zero."""
+    """Return messages on Status and Turn of a move's target, and the axes, from 1, that are near zero."""
     machine, base = arm_model.robot_machine(task.arm.data), context.bases[task.arm.name]
     if task.arm.linear_axes:  # at the axis values that the target states
         base = np.array(base)
@@ -160,11 +170,11 @@ def _status_faults(
     if len(selected.q) != 1:
         count = "no joint solution" if not len(selected.q) else f"{len(selected.q)} joint solutions"
         return [f"{bits} select {count} within the limits; exactly one is required"], ()
-    wrong = []
-    for axis in selected.near_zero:
+    faults = []
+    for axis in selected.near_zero:  # a controller may ignore their bits, so try the other value of each
         other = select_by_status(
             machine, flange_at(move, base), target.status, target.turn ^ (1 << (axis - 1))
         )
         if any(np.abs(q - selected.q[0]).max() > _SOLUTION_TOLERANCE_RAD for q in other.q):
-            wrong.append(f"{bits}: axis {axis} is near zero, and without its turn another solution fits")
-    return wrong, selected.near_zero
+            faults.append(f"{bits}: axis {axis} is near zero, and without its turn another solution fits")
+    return faults, selected.near_zero

@@ -1,9 +1,9 @@
-"""The rule verify.spline: bounds what is not known of the curves of KRL's spline blocks.
+"""The rule verify.spline: bounds how far the curves of KRL's spline blocks deviate from the replay.
 
-All other rules then hold with correspondingly less margin. The replay is straight from point to point
-(:mod:`planner.proof.replay.moves`). A controller's curve may deviate, by
-:mod:`planner.languages.krl.reader.spline_curve`; :class:`Allowance` holds the maximum deviation, and
-:func:`tightened` subtracts it from clearance, margins, tolerances and feeds, once for all rules.
+The replay is straight from point to point (:mod:`planner.proof.replay.moves`), but a controller's curve may
+deviate from it. :mod:`planner.languages.krl.reader.spline_curve` bounds the deviation, :class:`Allowance`
+holds the maximum, and :func:`tightened` subtracts it from clearance, margins, tolerances and feeds. All other
+rules then check the straight moves with correspondingly less margin.
 """
 
 import dataclasses
@@ -49,10 +49,10 @@ class SplineBlock:
     Attributes:
         task: Its task.
         moves: Its N moves.
-        nodes: Their nodes of the motion, (N,).
+        nodes: Indices of their end points among the nodes of the motion, (N,).
         pose: Points in the work frame, (N + 1, 4, 4) [m].
         work: Work frame in the world, (4, 4) [m].
-        tool: The tool, (4, 4) [m].
+        tool: TCP in the flange frame, (4, 4) [m].
         duration: Times of the moves, (N,) [s].
     """
 
@@ -80,15 +80,22 @@ def blocks(context: Context) -> Iterator[SplineBlock]:
 
 
 def _block(task: TaskText, moves: list[MoveStep], first: int, end: int) -> SplineBlock:
+    """Return the block of the moves ``first`` to ``end`` - 1; the target before them is its first point."""
     block_moves = tuple(moves[first:end])
     targets = [move.target for move in moves[max(first - 1, 0) : end]]
-    joint = JointTarget | PassedTarget
-    position = np.array([target.position for target in targets if not isinstance(target, joint)])
-    turn = np.array([target.quaternion for target in targets if not isinstance(target, joint)])
-    work = block_moves[0].wobj.user @ block_moves[0].wobj.object
+    without_pose = JointTarget | PassedTarget
+    position = np.array([target.position for target in targets if not isinstance(target, without_pose)])
+    quaternion = np.array([target.quaternion for target in targets if not isinstance(target, without_pose)])
+    work_frame = block_moves[0].wobj.user @ block_moves[0].wobj.object
     times = np.array([move.time or 0.0 for move in block_moves])
     return SplineBlock(
-        task, block_moves, np.arange(first, end), poses(position, turn), work, block_moves[0].tool.pose, times
+        task,
+        block_moves,
+        np.arange(first, end),
+        poses(position, quaternion),
+        work_frame,
+        block_moves[0].tool.pose,
+        times,
     )
 
 
@@ -105,11 +112,11 @@ def spline(context: Context) -> RuleOutcome:
     if issues:
         return RuleOutcome(tuple(issues))
     allowances: list[Allowance] = []
-    worst = 0.0
+    max_deviation = 0.0
     for block in all_blocks:
         bounds = spline_curve.bound_curves(block.pose, block.duration)
         issues += _deviation_issues(block, bounds) + _speed_issues(context, block, bounds)
-        worst = max(worst, float(bounds.deviation.max()))
+        max_deviation = max(max_deviation, float(bounds.deviation.max()))
         allowance, wrong = _joint_allowance(context, block, bounds)
         issues += wrong
         allowances.append(allowance)
@@ -120,12 +127,13 @@ def spline(context: Context) -> RuleOutcome:
         max(allowance.body for allowance in allowances),
         MAX_SPEED_FACTOR,
     )
-    issues += _used_up_claims(context, all_blocks[0], combined) if not issues else []
+    if not issues:
+        issues += _used_up_claims(context, all_blocks[0], combined)
     points = sum(len(block.moves) for block in all_blocks)
     where = f"{len(all_blocks)} blocks of {points} points, planning {NOT_OBSERVED_TEXT}"
     return RuleOutcome(
         tuple(issues),
-        mm(worst),
+        mm(max_deviation),
         mm(MAX_DEVIATION_M),
         "mm from the straight moves",
         where,
@@ -134,27 +142,28 @@ def spline(context: Context) -> RuleOutcome:
 
 
 def _refusals(context: Context, all_blocks: list[SplineBlock]) -> list[Issue]:
+    """Return the reasons why the job may have no spline block at all, or why blocks cannot be bounded."""
     issues = []
     controller, first = context.problem.cell.controller, all_blocks[0]
     if controller.path != "spline":
-        what = "a spline block, but the cell's controller has path: slin; write SLIN, or set path: spline"
-        issues.append(step_issue(SPLINE, what, first.task, first.moves[0]))
+        message = "a spline block, but the cell's controller has path: slin; write SLIN, or set path: spline"
+        issues.append(step_issue(SPLINE, message, first.task, first.moves[0]))
     if len(context.job.tasks) > 1:
-        what = "a spline block in work of two arms; allowed: a single arm; write SLIN"
-        issues.append(step_issue(SPLINE, what, first.task, first.moves[0]))
+        message = "a spline block in work of two arms; allowed: a single arm; write SLIN"
+        issues.append(step_issue(SPLINE, message, first.task, first.moves[0]))
     for block in all_blocks:
         if arm_model.robot_machine(block.task.arm.data).data.coupling is not None:
-            what = "a spline block of an arm with parallel rods, whose joints are not bounded; write SLIN"
-            issues.append(step_issue(SPLINE, what, block.task, block.moves[0]))
+            message = "a spline block of an arm with parallel rods, whose joints are not bounded; write SLIN"
+            issues.append(step_issue(SPLINE, message, block.task, block.moves[0]))
     for kind in kinds_on_straight_moves(context.claims):
-        what = f"a spline block in a job that claims {kind}, which is proven on straight moves only"
-        issues.append(step_issue(SPLINE, f"{what}; write SLIN", first.task, first.moves[0]))
+        message = f"a spline block in a job that claims {kind}, which is proven on straight moves only"
+        issues.append(step_issue(SPLINE, f"{message}; write SLIN", first.task, first.moves[0]))
     for claim in context.feeds:
         if claim.lower > 0.0:
-            what = (
+            message = (
                 f"a spline block where {claim.segment} has a minimum feed, but a curve has no minimum speed"
             )
-            issues.append(step_issue(SPLINE, f"{what}; write SLIN", first.task, first.moves[0]))
+            issues.append(step_issue(SPLINE, f"{message}; write SLIN", first.task, first.moves[0]))
     if (
         not issues
         and context.motion.node_segment
@@ -165,7 +174,7 @@ def _refusals(context: Context, all_blocks: list[SplineBlock]) -> list[Issue]:
 
 
 def _deviation_issues(block: SplineBlock, bounds: SplineCurveBounds) -> list[Issue]:
-    """Issues of segments on which curves may deviate too far."""
+    """Return an issue for each segment, at most 20, on which a curve may deviate too far."""
     too_far = np.flatnonzero(~(bounds.deviation <= MAX_DEVIATION_M))
     return [
         step_issue(
@@ -181,41 +190,45 @@ def _deviation_issues(block: SplineBlock, bounds: SplineCurveBounds) -> list[Iss
 
 
 def _speed_issues(context: Context, block: SplineBlock, bounds: SplineCurveBounds) -> list[Issue]:
-    """Issues of tool speeds between points, and of speed settings that prevent the block's times."""
+    """Return issues of speeds: of the tool between points, and of settings that prevent the block's times."""
     issues, task = [], block.task
     limit = TCP_SPEED_FACTOR * context.problem.settings.tcp_speed
     step = spline_curve.segment_steps(block.pose)[:, 2]
-    mean = np.linalg.norm(step[:, :3], axis=1) / block.duration
-    turning = np.linalg.norm(step[:, 3:], axis=1) / ROTATION_LEVER_M_PER_RAD / block.duration
-    nearby_speed = _nearby_speed(context, block, mean)
+    mean_speed = np.linalg.norm(step[:, :3], axis=1) / block.duration
+    rotation_speed = np.linalg.norm(step[:, 3:], axis=1) / ROTATION_LEVER_M_PER_RAD / block.duration
+    nearby_speed = _nearby_speed(context, block, mean_speed)
     for i, move in enumerate(block.moves):
         if not bounds.speed[i] <= limit:
-            what = f"the tool may move at {mm(bounds.speed[i]):.2f} mm/s; allowed: {mm(limit):g}"
-            issues.append(step_issue(SPLINE, what, task, move))
+            message = f"the tool may move at {mm(bounds.speed[i]):.2f} mm/s; allowed: {mm(limit):g}"
+            issues.append(step_issue(SPLINE, message, task, move))
         elif context.feeds and bounds.speed[i] > MAX_SPEED_FACTOR * nearby_speed[i] + 1e-9:
-            what = f"before this point a curve may move the tool at {mm(bounds.speed[i]):.2f} mm/s; allowed: "
-            what += (
+            message = (
+                f"before this point a curve may move the tool at {mm(bounds.speed[i]):.2f} mm/s; allowed: "
+            )
+            message += (
                 f"{mm(MAX_SPEED_FACTOR * nearby_speed[i]):.2f}, {MAX_SPEED_FACTOR:g} times the speed of its "
                 "segment's moves nearby"
             )
-            issues.append(step_issue(SPLINE, what, task, move))
+            issues.append(step_issue(SPLINE, message, task, move))
         if move.speed.tcp > limit:
-            what = f"$VEL.CP is {mm(move.speed.tcp):g} mm/s; allowed: {mm(limit):g}"
-            issues.append(step_issue(SPLINE, what, task, move))
-        if turning[i] > move.speed.turn:
-            what = f"the tool rotates at {np.rad2deg(turning[i]):.2f} deg/s, faster than $VEL.ORI allows"
-            issues.append(step_issue(SPLINE, what, task, move))
+            message = f"$VEL.CP is {mm(move.speed.tcp):g} mm/s; allowed: {mm(limit):g}"
+            issues.append(step_issue(SPLINE, message, task, move))
+        if rotation_speed[i] > move.speed.turn:
+            message = (
+                f"the tool rotates at {np.rad2deg(rotation_speed[i]):.2f} deg/s, faster than $VEL.ORI allows"
+            )
+            issues.append(step_issue(SPLINE, message, task, move))
     labels = {context.motion.node_label[node] for node in block.nodes}
     for claim in context.claims:
         segment = claim.uneven_feed()
         if segment is not None and segment.key in labels:
-            what = f"a spline block in {segment}, whose feed changes along the path; write SLIN"
-            issues.append(step_issue(SPLINE, what, task, block.moves[0]))
+            message = f"a spline block in {segment}, whose feed changes along the path; write SLIN"
+            issues.append(step_issue(SPLINE, message, task, block.moves[0]))
     return issues[:20]
 
 
 def _nearby_speed(context: Context, block: SplineBlock, mean: FloatArray) -> FloatArray:
-    """Highest mean speed (N,) of the block's segments of one label up to two before and after each."""
+    """Return the highest mean speed (N,) [m/s] of each segment and its neighbours of the same label."""
     label = context.motion.node_label[block.nodes]
     out = mean.copy()
     for k in (1, 2):
@@ -228,18 +241,24 @@ def _nearby_speed(context: Context, block: SplineBlock, mean: FloatArray) -> Flo
 def _joint_allowance(
     context: Context, block: SplineBlock, bounds: SplineCurveBounds
 ) -> tuple[Allowance, list[Issue]]:
-    """Joint deviation of curves of a block, and issues of joint limits and speeds that they may exceed."""
+    """Return the deviation of a block's curves from the replay, and issues of joint limits that they exceed.
+
+    The inverse Jacobian converts deviations of the TCP to those of joints. It is evaluated at both ends and
+    the middle of each segment, where its values must not differ too much.
+    """
     task, motion = block.task, context.motion
     machine, q = arm_model.robot_machine(task.arm.data), motion.q[task.arm.name]
     data = machine.data
-    at = motion.node_sample[block.nodes]
-    previous = np.concatenate([[motion.node_sample[block.nodes[0] - 1]], at[:-1]])
-    translation, turn = _replay_deviation(block)
-    translation, turn = bounds.translation + translation, bounds.rotation + turn
-    deviation = np.hypot(translation, ROTATION_LEVER_M_PER_RAD * turn)
+    sample = motion.node_sample[block.nodes]
+    previous = np.concatenate([[motion.node_sample[block.nodes[0] - 1]], sample[:-1]])
+    replay_translation, replay_rotation = _replay_deviation(block)
+    translation = bounds.translation + replay_translation
+    rotation = bounds.rotation + replay_rotation
+    deviation = np.hypot(translation, ROTATION_LEVER_M_PER_RAD * rotation)
     base = context.bases[task.arm.name]
     world = (block.work @ block.pose)[:, :3, :3]
     step = spline_curve.segment_steps(block.pose)[:, 2] / block.duration[:, None]
+    # mean velocity and angular velocity of the TCP on each segment, in the axes of the world
     twist = np.concatenate(
         [
             np.einsum("ij,nj->ni", block.work[:3, :3], step[:, :3]),
@@ -248,52 +267,53 @@ def _joint_allowance(
         axis=1,
     )
     inverses = [
-        _inverse(_jacobian(machine, q[rows], block.tool, base))
-        for rows in (previous, (previous + at) // 2, at)
+        _inverse(_jacobian(machine, q[samples], block.tool, base))
+        for samples in (previous, (previous + sample) // 2, sample)
     ]
+    # the norm of a row bounds the change of a joint per change of the pose in any direction
     joint_rates = np.array([np.linalg.norm(inverse, axis=2) for inverse in inverses])
-    per_way = JOINT_RATE_FACTOR * joint_rates.max(axis=0)
-    rate = JOINT_RATE_FACTOR * np.max(
+    rate_bound = JOINT_RATE_FACTOR * joint_rates.max(axis=0)
+    joint_speed = JOINT_RATE_FACTOR * np.max(
         [np.abs(np.einsum("nij,nj->ni", inverse, twist)) for inverse in inverses], axis=0
     )
-    shift = per_way * deviation[:, None]
-    rate = rate + per_way * bounds.speed_change[:, None]
+    shift = rate_bound * deviation[:, None]
+    joint_speed = joint_speed + rate_bound * bounds.speed_change[:, None]
     issues = []
     for i, move in enumerate(block.moves):
         if not (joint_rates[:, i].max(axis=0) <= JOINT_RATE_SPREAD * joint_rates[:, i].min(axis=0)).all():
-            what = "the joints change so much before this point that their values do not bound a curve; "
-            what += "put points closer to each other, or keep farther from singularities"
-            issues.append(step_issue(SPLINE, what, task, move))
-        joints = q[previous[i] : at[i] + 1]
+            message = "the joints change so much before this point that their values do not bound a curve; "
+            message += "put points closer to each other, or keep farther from singularities"
+            issues.append(step_issue(SPLINE, message, task, move))
+        joints = q[previous[i] : sample[i] + 1]
         margin = np.minimum(joints.min(axis=0) - data.lower, data.upper - joints.max(axis=0)) - shift[i]
         axis = int(np.argmin(margin))
         if not margin[axis] >= 0.0:
-            what = f"a curve may move axis {axis + 1} {np.rad2deg(-margin[axis]):.3f} deg beyond its limit"
-            issues.append(step_issue(SPLINE, what, task, move))
-        speed_fraction = rate[i] / data.velocity
+            message = f"a curve may move axis {axis + 1} {np.rad2deg(-margin[axis]):.3f} deg beyond its limit"
+            issues.append(step_issue(SPLINE, message, task, move))
+        speed_fraction = joint_speed[i] / data.velocity
         axis = int(np.argmax(speed_fraction))
         if not speed_fraction[axis] <= 1.0:
-            what = (
+            message = (
                 f"a curve may need {100 * speed_fraction[axis]:.0f} % of the speed of axis {axis + 1}; "
                 "allowed: 100 %"
             )
-            issues.append(step_issue(SPLINE, what, task, move))
-    body = _body_deviation(machine, q[at], block.tool, shift, translation, turn)
-    return Allowance(translation, turn, float(shift.max()), body, MAX_SPEED_FACTOR), issues[:20]
+            issues.append(step_issue(SPLINE, message, task, move))
+    body = _body_deviation(machine, q[sample], block.tool, shift, translation, rotation)
+    return Allowance(translation, rotation, float(shift.max()), body, MAX_SPEED_FACTOR), issues[:20]
 
 
 def _replay_deviation(block: SplineBlock) -> tuple[FloatArray, FloatArray]:
-    """Deviation (N,) [m] and (N,) [rad] of the replay itself from the straight segments.
+    """Return the deviation (N,) [m] and (N,) [rad] of the replay itself from the straight segments.
 
-    Its corners are rounded over half of the shorter segment at most, by h |change of speed| / 4, where ramps
-    are up to twice as fast, and within its accuracy.
+    It rounds corners over half of the shorter segment, h in time, by at most h |change of velocity| / 4. Next
+    to ramps the speed is up to twice the mean. The accuracy of the replay is an upper bound.
     """
     step = spline_curve.segment_steps(block.pose)
-    rate = step[:, 2] / block.duration[:, None]
-    after = step[:-1, 3] / block.duration[1:, None]  # in the frame of the previous segment
+    velocity = step[:, 2] / block.duration[:, None]
+    next_velocity = step[:-1, 3] / block.duration[1:, None]  # in the frame of the previous segment
     half = 0.5 * np.minimum(block.duration[:-1], block.duration[1:])
-    change = 2.0 * half[:, None] * (np.abs(after) + np.abs(rate[:-1])) / 4.0
-    straight = 2.0 * half[:, None] * np.abs(after - rate[:-1]) / 4.0
+    change = 2.0 * half[:, None] * (np.abs(next_velocity) + np.abs(velocity[:-1])) / 4.0
+    straight = 2.0 * half[:, None] * np.abs(next_velocity - velocity[:-1]) / 4.0
     ramps = np.zeros(len(half), dtype=bool)
     ramps[:1] = ramps[-1:] = True
     change = np.where(ramps[:, None], change, straight)
@@ -308,29 +328,30 @@ def _replay_deviation(block: SplineBlock) -> tuple[FloatArray, FloatArray]:
 
 
 def _inverse(jacobian: FloatArray) -> FloatArray:
-    """Inverses (N, 6, 6), with very large entries for singular matrices."""
-    known = np.linalg.cond(jacobian) < 1.0 / np.finfo(np.float64).eps
+    """Return the inverses (N, 6, 6), with very large entries for singular matrices."""
+    regular = np.linalg.cond(jacobian) < 1.0 / np.finfo(np.float64).eps
     out = np.full_like(jacobian, 1e9)
-    out[known] = np.linalg.inv(jacobian[known])
+    out[regular] = np.linalg.inv(jacobian[regular])
     return out
 
 
 def _jacobian(
     machine: arm_model.RobotMachine, q: FloatArray, tool: FloatArray, base: FloatArray
 ) -> FloatArray:
-    """Jacobian (N, 6, 6) of the TCP in the world for joints q (N, 6).
+    """Return the Jacobian (N, 6, 6) of the TCP in the world at joints (N, 6) [rad], by central differences.
 
-    Rows are position [m/rad] and rotation times ``ROTATION_LEVER_M_PER_RAD``, by central differences.
+    The first three rows are the position [m/rad], the last three the rotation times
+    ``ROTATION_LEVER_M_PER_RAD``.
     """
-    size = 1e-5
+    joint_step = 1e-5
     out = np.empty((len(q), 6, 6))
     for joint in range(6):
         shift = np.zeros(6)
-        shift[joint] = size
+        shift[joint] = joint_step
         perturbed = [base @ machine.flange(q + sign * shift) @ tool for sign in (-1.0, 1.0)]
-        out[:, :3, joint] = (perturbed[1][:, :3, 3] - perturbed[0][:, :3, 3]) / (2 * size)
-        turn = perturbed[1][:, :3, :3] @ np.swapaxes(perturbed[0][:, :3, :3], 1, 2)
-        out[:, 3:, joint] = ROTATION_LEVER_M_PER_RAD * log_rotation(turn) / (2 * size)
+        out[:, :3, joint] = (perturbed[1][:, :3, 3] - perturbed[0][:, :3, 3]) / (2 * joint_step)
+        rotation = perturbed[1][:, :3, :3] @ np.swapaxes(perturbed[0][:, :3, :3], 1, 2)
+        out[:, 3:, joint] = ROTATION_LEVER_M_PER_RAD * log_rotation(rotation) / (2 * joint_step)
     return out
 
 
@@ -342,7 +363,7 @@ def _body_deviation(
     translation: FloatArray,
     rotation: FloatArray,
 ) -> float:
-    """Maximum deviation [m] of any body of the arm.
+    """Return the maximum deviation [m] of any body of the arm.
 
     The links up to the forearm move with the first three joints. Those of a wrist, whose axes meet, also
     move with two more joints about that point. The last link and the tool move with the TCP.
@@ -350,7 +371,7 @@ def _body_deviation(
     Args:
         machine: The arm.
         q: Joints, (N, 6) [rad].
-        tool: The tool, (4, 4) [m].
+        tool: TCP in the flange frame, (4, 4) [m].
         shift: Joint deviations, (N, 6) [rad].
         translation: Deviations of the TCP, (N,) [m].
         rotation: Rotation deviations of the TCP, (N,) [rad].
@@ -369,19 +390,21 @@ def _body_deviation(
 
 
 def _used_up_claims(context: Context, first: SplineBlock, allowance: Allowance) -> list[Issue]:
-    """Issues of claims whose tolerance a curve uses up."""
+    """Return an issue for each claim, at most 5, whose tolerance the deviation of curves uses up."""
     issues = []
     for claim in context.claims:
         used = claim.used_up(allowance)
         if used is not None:
-            what = f"curves may deviate {mm(used[0]):.4f} mm, which uses up the {mm(used[1]):g} mm "
-            what += f"that {type(claim).__name__} allows; put points closer to each other, or write SLIN"
-            issues.append(step_issue(SPLINE, what, first.task, first.moves[0]))
+            message = f"curves may deviate {mm(used[0]):.4f} mm, which uses up the {mm(used[1]):g} mm "
+            message += f"that {type(claim).__name__} allows; put points closer to each other, or write SLIN"
+            issues.append(step_issue(SPLINE, message, first.task, first.moves[0]))
     return issues[:5]
 
 
 def tightened(context: Context, allowance: Allowance) -> Context:
-    """Return the proof with tightened clearance and margins, and claims with tightened tolerances and feeds.
+    """Return the context of a proof with tightened clearance and margins, and with tightened claims.
+
+    If the replay of straight moves satisfies them, the controller's curves satisfy the original ones.
 
     Args:
         context: The proof.
@@ -397,5 +420,7 @@ def tightened(context: Context, allowance: Allowance) -> Context:
         for name, group in context.by_operation.items()
     }
     out = context.with_changes(problem, claims)
-    vars(out)["motion"] = context.motion  # depends on the text only
+    vars(out)["motion"] = (
+        context.motion
+    )  # it depends on the program text alone, so it need not be computed again
     return out

@@ -1,8 +1,9 @@
 """Controller files for power outputs, which go with KRL programs, and notes to the user.
 
-No output of KRL goes off at a stop by itself. Lines of the submit interpreter reset it, and also the real
-output if the cell has one besides the program's request. They hold the arm until the operator decides how to
-continue or, after a stop at which a torch burned, until the program is reset.
+An output of KRL stays on at a stop. Lines for the submit interpreter therefore reset the output that the
+program sets (its request). If the cell has a separate output that switches the power, they reset that one,
+too. They then hold the arm until the operator decides how to continue or, after a stop at which a torch
+burned, until the program is reset.
 """
 
 from collections.abc import Mapping, Sequence
@@ -37,13 +38,13 @@ def build_files(
     wires: Sequence[SignalWire] = (),
     torches: Sequence[str] = (),
 ) -> dict[str, str]:
-    """Return the files of the controller of an arm by name.
+    """Return the files of the controller of an arm by name: variables, submit interpreter, stops and README.
 
     Args:
         controller: Controllers of the cell.
         arm: Name of the arm.
         signals: Power outputs that its program switches.
-        wires: Running wires between it and another controller.
+        wires: Running wires between this controller and another one.
         torches: Those of ``signals`` that light a torch.
     """
     runs = KRL_RUNS + (f" AND {krl_power_term(controller, arm)}" if wires else "")
@@ -53,29 +54,32 @@ def build_files(
         line for signal, number in numbers.items() for line in _reset_request(number, flags[signal])
     ]
     submit = krl_submit_lines(controller, arm) if wires else []
-    submit += [f"IF NOT ({runs}) THEN", *reset_lines, "ENDIF"] if reset_lines else []
-    submit += _torch_lock([numbers[signal] for signal in torches]) if torches else []
+    if reset_lines:
+        submit += [f"IF NOT ({runs}) THEN", *reset_lines, "ENDIF"]
+    if torches:
+        submit += _torch_lock([numbers[signal] for signal in torches])
     for signal, number in numbers.items():
         output_number = controller.signal_number(arm, controller.interlock.power_output(signal).signal)
         if output_number is not None:
             submit.append(f"$OUT[{output_number}]=$OUT[{number}] AND {runs}")
     used_flags = [flag for flag in (POWER_FLAG, TORCH_FLAG) if flag in flags.values()]
-    submit += [f"IF {POWER_FLAG} THEN", "$OV_PRO=0", "ENDIF"] if POWER_FLAG in used_flags else []
+    if POWER_FLAG in used_flags:
+        submit += [f"IF {POWER_FLAG} THEN", "$OV_PRO=0", "ENDIF"]
     variables = used_flags + ([KRL_PARTNER_SEEN] if wires else [])
     out = {
         "config_user.dat": _text([f"DECL BOOL {name}=FALSE" for name in variables]),
         "sps_user.sub": _text(submit),
     }
-    if reset_lines:  # the real outputs too: a submit interpreter that is stopped resets none
+    if reset_lines:  # the power outputs, too, because a stopped submit interpreter resets none
         output_names = (controller.interlock.power_output(signal).signal for signal in signals)
-        outputs = (controller.signal_number(arm, lock) for lock in output_names)
+        outputs = (controller.signal_number(arm, name) for name in output_names)
         switch_off = [f"$OUT[{number}]=FALSE" for number in outputs if number is not None]
         out["ir_stopm_user.src"] = _text([*reset_lines, *switch_off])
     return out | {"README.txt": _readme(controller, arm, signals, wires, torches)}
 
 
 def krl_power_term(controller: Controller, arm: str) -> str:
-    """Return the additional AND term of the power of a KUKA arm's controller: the running input.
+    """Return the term that is ANDed to the condition for power: the input that the partner's program runs.
 
     Args:
         controller: Controllers of the cell.
@@ -95,13 +99,11 @@ def krl_submit_lines(controller: Controller, arm: str) -> list[str]:
         arm: Name of the arm.
     """
     signals = controller.handshake.of(arm)
-    out, enable = (
-        controller.signal_number(arm, signals.running),
-        controller.signal_number(arm, signals.move_enable),
-    )
+    running = controller.signal_number(arm, signals.running)
+    enable = controller.signal_number(arm, signals.move_enable)
     partner_running = krl_power_term(controller, arm)
     return [
-        f"$OUT[{out}]={KRL_RUNS} ; {signals.running}",
+        f"$OUT[{running}]={KRL_RUNS} ; {signals.running}",
         "IF NOT $PRO_ACT THEN",
         f"{KRL_PARTNER_SEEN}=FALSE",
         "ENDIF",
@@ -113,12 +115,12 @@ def krl_submit_lines(controller: Controller, arm: str) -> list[str]:
 
 
 def _reset_request(number: int | None, flag: str) -> list[str]:
-    """Statements that reset a request and record that it was on."""
+    """Return statements that reset the output of a request, and set a flag if it was on."""
     return [f"IF $OUT[{number}] THEN", f"{flag}=TRUE", "ENDIF", f"$OUT[{number}]=FALSE"]
 
 
 def _torch_lock(numbers: Sequence[int | None]) -> list[str]:
-    """Statements that block starts, and switching the torch on by hand, until the program is reset."""
+    """Return statements that block motion, and switching torches on by hand, until the program is reset."""
     return [
         *("IF $PRO_STATE1==#P_RESET THEN", f"{TORCH_FLAG}=FALSE", "ENDIF"),
         f"IF {TORCH_FLAG} THEN",
@@ -212,39 +214,43 @@ def _readme(
     wires: Sequence[SignalWire],
     torches: Sequence[str],
 ) -> str:
-    rows = []
+    """Return the README of a controller's files; see :func:`build_files` for the parameters."""
+    output_lines = []
     for signal in signals:
         output_name = controller.interlock.power_output(signal).signal
-        number, output_number = (
-            controller.signal_number(arm, signal),
-            controller.signal_number(arm, output_name),
-        )
+        number = controller.signal_number(arm, signal)
+        output_number = controller.signal_number(arm, output_name)
         if output_number is None:
-            rows.append(f"  $OUT[{number}] {signal}: set by the program, reset at a stop")
+            output_lines.append(f"  $OUT[{number}] {signal}: set by the program, reset at a stop")
         else:
-            rows.append(f"  $OUT[{number}] {signal}: request of the program, wired to nothing")
-            rows.append(f"  $OUT[{output_number}] {output_name}: this one switches the power")
+            output_lines.append(f"  $OUT[{number}] {signal}: request of the program, wired to nothing")
+            output_lines.append(f"  $OUT[{output_number}] {output_name}: this one switches the power")
     manual_requests = bool(set(signals) - set(torches))
-    stops, trial = (
-        (_STOP_FILE, _TRIAL if manual_requests else _TORCH_TRIAL)
-        if rows
-        else (_NO_STOP_FILE, _NO_POWER_TRIAL)
-    )
+    stops, trial = _NO_STOP_FILE, _NO_POWER_TRIAL
+    if output_lines:
+        stops, trial = _STOP_FILE, _TRIAL if manual_requests else _TORCH_TRIAL
     out = _INSTRUCTIONS.format(arm=arm, stops=stops, trial=trial)
     if wires:
-        out += _running_wires_section(controller, arm, wires, bool(rows))
-    if rows:
-        both = "\nThe power stays on only while the program of the other arm runs, too." if wires else ""
+        out += _running_wires_section(controller, arm, wires, bool(output_lines))
+    if output_lines:
+        partner_condition = (
+            "\nThe power stays on only while the program of the other arm runs, too." if wires else ""
+        )
         after_stop = [_RESTART_SECTION.format(flag=POWER_FLAG)] if manual_requests else []
-        after_stop += [_TORCH_SECTION.format(flag=TORCH_FLAG, torches=", ".join(torches))] if torches else []
-        out += _POWER_SECTION.format(signals="\n".join(rows), behind="\n\n".join(after_stop), both=both)
-        out += _HOT_WIRE_SECTION if manual_requests else ""
+        if torches:
+            after_stop.append(_TORCH_SECTION.format(flag=TORCH_FLAG, torches=", ".join(torches)))
+        out += _POWER_SECTION.format(
+            signals="\n".join(output_lines), behind="\n\n".join(after_stop), both=partner_condition
+        )
+        if manual_requests:
+            out += _HOT_WIRE_SECTION
     return out
 
 
 def _running_wires_section(
     controller: Controller, arm: str, wires: Sequence[SignalWire], powered: bool
 ) -> str:
+    """Return the section of the README on the running wires; ``powered``: the program switches power."""
     outgoing, incoming = handshake.running_wires(wires, arm)
     signals = controller.handshake.of(arm)
     running, partner_running, enable = (
@@ -278,12 +284,12 @@ def notes(
 
     They concern turn bits near zero (``post.turn_near_zero``), large rotations in one move
     (``post.krl_turn``), programs that exceed the memory of some controllers (``post.krl_size``), assumptions
-    of spline blocks (``post.spline``), and moves that are in no block (``post.spline_left``).
+    about spline blocks (``post.spline``), and moves that are not in a block (``post.spline_left``).
 
     Args:
         tasks: Tasks of KUKA arms.
         plan: The plan.
-        problem: Its problem.
+        problem: Problem of the plan.
         files: Texts of the programs by path.
     """
     out: list[Issue] = []
@@ -296,6 +302,7 @@ def notes(
 
 
 def _turn_bit_notes(task: TaskProgram) -> list[Issue]:
+    """Return a warning for each operation that starts with axes near zero, whose turn bits may be ignored."""
     out = []
     for number, operation in enumerate(task.operations, 1):
         q = spline_blocks.first_joints(operation)
@@ -318,17 +325,23 @@ def _turn_bit_notes(task: TaskProgram) -> list[Issue]:
 
 
 def _rotation_notes(task: TaskProgram, plan: Plan, dialect: KrlDialect) -> list[Issue]:
+    """Return an issue for each operation with a move that rotates far.
+
+    The planner rotates about one axis. A classical LIN swivels the tool axis by A and rotates about it by B.
+    In the middle of a move that rotates by w, with |A|^2 + |B|^2 = w^2, the orientations differ by |A x B| /
+    8, to second order, which is at most w^2 / 16.
+    """
     out = []
-    for operation, rows in zip(
+    for operation, moves in zip(
         task.operations, spline_blocks.operation_rows(task, TaskDeclarations(task, plan)), strict=True
     ):
-        if rows is None or not len(rows.rotation):
+        if moves is None or not len(moves.rotation):
             continue
-        worst = int(np.argmax(rows.rotation))
-        deviation = float(rows.rotation[worst]) ** 2 / 16.0
+        worst_index = int(np.argmax(moves.rotation))
+        deviation = float(moves.rotation[worst_index]) ** 2 / 16.0
         if deviation > MAX_ROTATION_DEVIATION_RAD:
-            count = int(np.sum(rows.rotation**2 / 16.0 > MAX_ROTATION_DEVIATION_RAD))
-            location = f"{operation.segments[worst]}, move {worst + 1}"
+            count = int(np.sum(moves.rotation**2 / 16.0 > MAX_ROTATION_DEVIATION_RAD))
+            location = f"{operation.segments[worst_index]}, move {worst_index + 1}"
             message = format_message(
                 "post.krl_turn",
                 operation=operation.name,
@@ -336,7 +349,7 @@ def _rotation_notes(task: TaskProgram, plan: Plan, dialect: KrlDialect) -> list[
                 arm=task.arm.name,
                 deviation_deg=np.rad2deg(deviation),
                 location=location,
-                rotation_deg=np.rad2deg(rows.rotation[worst]),
+                rotation_deg=np.rad2deg(moves.rotation[worst_index]),
             )
             out.append(
                 Issue(
@@ -358,16 +371,18 @@ def _rotation_notes(task: TaskProgram, plan: Plan, dialect: KrlDialect) -> list[
 
 
 def _spline_notes(task: TaskProgram, plan: Plan) -> list[Issue]:
+    """Return the notes on the spline blocks of all operations of a task."""
     runs_by_operation = spline_blocks.operation_runs(task, plan, TaskDeclarations(task, plan))
-    named = zip(task.operations, runs_by_operation, strict=True)
+    operations_with_runs = zip(task.operations, runs_by_operation, strict=True)
     return [
         issue
-        for operation, runs in named
+        for operation, runs in operations_with_runs
         for issue in spline_blocks.block_notes(operation.name, task.arm.name, runs, operation.segments)
     ]
 
 
 def _size_notes(task: TaskProgram, files: Mapping[str, str]) -> list[Issue]:
+    """Return a warning if the files of a task exceed the program memory of a controller."""
     size = sum(len(text) for path, text in files.items() if path.startswith(f"{task.arm.name}/"))
     if size <= MAX_PROGRAM_BYTES:
         return []

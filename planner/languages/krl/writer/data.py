@@ -1,6 +1,6 @@
-"""The data list of a KUKA arm's program: everything that its moves refer to, under one name each.
+"""The data list of a KUKA arm's program: tools, loads, bases and targets, each under one name.
 
-Loads: a KUKA controller takes one load, for the tool and the block that it holds together.
+A KUKA controller takes one load, for the tool together with the block that it holds.
 
 Status and turn select one of the arm's postures for a PTP to a pose. S bit 0 (1): the wrist centre is behind
 axis 1. Bit 1 (2): axis 3 is on the positive side of the posture in which shoulder, elbow and wrist centre
@@ -36,12 +36,12 @@ from planner.tooling import Tool
 def load_data(tool: Tool, held: HeldLoad | None) -> str:
     """Format a LOAD: mass [kg], centre in the flange frame [mm, deg], moments of inertia about its axes.
 
-    A tool is a point mass, as the problem states it; ``held`` has its own axes and moments. Together they
-    have the common centre of mass, with principal axes and moments by the parallel axis theorem.
+    A tool is a point mass, as the problem states it; ``held`` has its own axes and moments. The LOAD of
+    both has the common centre of mass, with principal axes and moments by the parallel axis theorem.
 
     Args:
         tool: The tool.
-        held: What it holds, or None.
+        held: Load of the block that the tool holds, or None.
 
     Raises:
         TandemError: ``post.tool`` for a tool without mass.
@@ -56,7 +56,7 @@ def load_data(tool: Tool, held: HeldLoad | None) -> str:
 
 
 def _combined_load(tool: Tool, held: HeldLoad) -> tuple[float, FloatArray, FloatArray, FloatArray]:
-    """Mass, centre (3,), axes (3, 3) and moments (3,) of tool and block in the flange frame."""
+    """Return mass [kg], centre (3,), axes (3, 3) and moments (3,) of tool and block in the flange frame."""
     held_axes = tool.tcp[:3, :3] @ held.axes
     held_centre = tool.tcp[:3, :3] @ held.cog + tool.tcp[:3, 3]
     mass = tool.mass + held.mass
@@ -71,13 +71,13 @@ def _combined_load(tool: Tool, held: HeldLoad) -> tuple[float, FloatArray, Float
 
 
 DEGREE_DECIMALS: Final = 4
-"""Decimals to which joints in degrees are rounded first, so that noise does not decide on a border."""
+"""Decimals to which joints in degrees are rounded, so that numerical noise near 0 does not decide a bit."""
 TURN_BIT_TOLERANCE_RAD: Final = np.deg2rad(2.0)
 """Joint angle [rad] up to which a controller may ignore the turn bit of an axis."""
 
 
 def status(robot: RobotData, q: FloatArray) -> IntArray:
-    """Return S (...,).
+    """Return the Status S (...,) of joints; the description of this module lists its bits.
 
     Args:
         robot: The robot.
@@ -87,14 +87,17 @@ def status(robot: RobotData, q: FloatArray) -> IntArray:
     p = robot.opw
     theta = p.signs * robot.from_controller(rounded) - p.offsets
     upper, elbow = theta[..., 1], theta[..., 2]
-    across = p.a2 * np.cos(elbow) + p.c3 * np.sin(elbow)
-    along = p.c2 + p.c3 * np.cos(elbow) - p.a2 * np.sin(elbow)
-    ahead = p.a1 + along * np.sin(upper) + across * np.cos(upper)
-    return np.asarray((ahead < 0.0) + 2 * (across >= 0.0) + 4 * (rounded[..., 4] < 0.0), dtype=np.int64)
+    # wrist centre across and along the upper arm, then horizontally ahead of axis 1
+    wrist_across = p.a2 * np.cos(elbow) + p.c3 * np.sin(elbow)
+    wrist_along = p.c2 + p.c3 * np.cos(elbow) - p.a2 * np.sin(elbow)
+    wrist_ahead = p.a1 + wrist_along * np.sin(upper) + wrist_across * np.cos(upper)
+    return np.asarray(
+        (wrist_ahead < 0.0) + 2 * (wrist_across >= 0.0) + 4 * (rounded[..., 4] < 0.0), dtype=np.int64
+    )
 
 
 def turn(robot: RobotData, q: FloatArray) -> IntArray:
-    """Return T (...,).
+    """Return the Turn T (...,) of joints: bit i - 1 is set if axis i is negative.
 
     Args:
         robot: The robot.
@@ -114,7 +117,7 @@ def axes_near_zero(robot: RobotData, q: FloatArray) -> IntArray:
 
 
 def _rounded(robot: RobotData, q: FloatArray) -> FloatArray:
-    """Joints (..., 6) [rad] as the controller stores them, rounded."""
+    """Return the controller's joint values (..., 6) [rad], rounded to ``DEGREE_DECIMALS`` in degrees."""
     return np.deg2rad(np.round(np.rad2deg(robot.to_controller(q)), DEGREE_DECIMALS))
 
 
@@ -129,8 +132,8 @@ class TaskDeclarations:
         task: The task.
         plan: The plan that is written.
         lines: Declarations by name.
-        tools: Names of tools, by tool name and value.
-        joints: Names of joint positions, by value.
+        tools: Names of tools without their prefix, by tool name and text of frame and load.
+        joints: Names of joint positions, by text of the position.
         loads: Names of loads.
     """
 
@@ -144,7 +147,7 @@ class TaskDeclarations:
         self.joint(JointMove(task.arm.home, "home", axis_setpoint=task.home_setpoint), 0)
 
     def declare(self, kind: str, name: str, value: str) -> str:
-        """Declare a name and return it.
+        """Declare a name, unless it is declared already with the same value, and return it.
 
         Args:
             kind: KRL type.
@@ -161,7 +164,7 @@ class TaskDeclarations:
         return name
 
     def tool(self, tool: Tool) -> str:
-        """Return the name of a tool's frame."""
+        """Return the name of a tool's frame, after declaring its frame and its load at first use."""
         key = (tool.name, frame(tool.tcp) + load_data(tool, None))
         if key not in self.tools:
             stem = identifier(f"t_{tool.name}", _STEM_LENGTH)[2:]
@@ -173,18 +176,18 @@ class TaskDeclarations:
         return f"t_{self.tools[key]}"
 
     def load(self, tool: Tool, held: HeldLoad | None) -> str:
-        """Return the name of the load of a tool with what it holds.
+        """Return the name of the load of a tool together with what it holds, after declaring it at first use.
 
         Args:
             tool: The tool.
-            held: What it holds, or None.
+            held: Load of the block that it holds, or None.
         """
         if held is None:
             return f"l_{self.tool(tool)[2:]}"
         return self.declare("LOAD", f"l_block_{held.setup}", load_data(tool, held))
 
     def base(self, operation: OperationProgram) -> str:
-        """Return the name of the base of an operation's moves, or of the cell's world if it has none."""
+        """Return the name of the base of an operation's moves: the world if the operation has no moves."""
         pose, word = self.base_pose(operation)
         return self.declare("FRAME", word, frame(pose))
 
@@ -192,7 +195,7 @@ class TaskDeclarations:
         """Return the base of an operation's moves in the robot's foot frame, (4, 4) [m], and its name.
 
         Raises:
-            TandemError: ``post.frame`` for a frame that KRL has no base for.
+            TandemError: ``post.frame`` if the moves are in a frame other than world and stock.
         """
         kind = "world" if operation.moves is None else operation.moves.frame
         foot = inverse(self.task.base)
@@ -205,7 +208,7 @@ class TaskDeclarations:
         raise issue_error("post.frame", message, hint="allowed: stock, world")
 
     def joint(self, step: JointMove, operation: int) -> str:
-        """Return the name of the joint position of a step.
+        """Return the name of the target of a joint move, after declaring it at first use.
 
         Args:
             step: The joint move.
@@ -214,13 +217,13 @@ class TaskDeclarations:
         text = e6axis(np.rad2deg(self.task.robot.to_controller(step.q)), step.axis_setpoint)
         if text not in self.joints:
             stem = "x_home" if step.role == "home" else f"x_{operation}_{step.role}"
-            count = sum(word.startswith(stem) for word in self.joints.values())
-            word = stem if step.role == "home" else f"{stem}_{count + 1}"
-            self.joints[text] = self.declare("E6AXIS", word, text)
+            count = sum(name.startswith(stem) for name in self.joints.values())
+            name = stem if step.role == "home" else f"{stem}_{count + 1}"
+            self.joints[text] = self.declare("E6AXIS", name, text)
         return self.joints[text]
 
     def start(self, operation: OperationProgram, q: FloatArray, number: int) -> str:
-        """Return the name of the first target of an operation: its pose in the base, status and turn.
+        """Declare the first target of an operation and return its name: pose in the base, status and turn.
 
         Args:
             operation: The operation.
@@ -234,7 +237,7 @@ class TaskDeclarations:
         return self.declare("E6POS", f"p_{number}_start", value)
 
     def start_pose(self, operation: OperationProgram, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return position (3,) [mm] and A, B, C (3,) [deg] of the TCP, as written.
+        """Return position (3,) [mm] and A, B, C (3,) [deg] of the TCP in the operation's base, as written.
 
         Args:
             operation: The operation.
@@ -251,7 +254,7 @@ class TaskDeclarations:
         Args:
             stem: Name of the data list.
             header: Comment lines.
-            digest: Text constants by name.
+            digest: Texts by name, such as the digest of the problem.
         """
         out = [f"DEFDAT {stem} PUBLIC", *header]
         for word, value in digest.items():

@@ -1,4 +1,4 @@
-"""The writer of KRL as the planner uses it."""
+"""The writer of KRL as the planner uses it: functions and properties under the names of `Writer`."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -16,6 +16,7 @@ from planner.targets import Targets
 
 
 def _refuse(problem: Problem, targets: Sequence[Targets], arms: Sequence[Arm]) -> list[Issue]:
+    """Return issues of signals that have no number, which KRL needs."""
     partners = problem.cell.controller.handshake
     return [
         issue
@@ -27,6 +28,7 @@ def _refuse(problem: Problem, targets: Sequence[Targets], arms: Sequence[Arm]) -
 def _controller_files(
     job: JobPrograms, tasks: Sequence[TaskProgram], controller: Controller, powered: PoweredSignals
 ) -> dict[str, str]:
+    """Return the files of the controller of the one task; KRL files do not depend on the job."""
     del job
     return controller_files.build_files(
         controller, tasks[0].arm.name, powered.signals, powered.wires, powered.torches

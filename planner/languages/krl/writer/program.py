@@ -1,8 +1,8 @@
-"""KRL programs of a job: for each KUKA arm a main program, its data list, and files with moves.
+"""Writes the KRL programs of a job: for each KUKA arm a main program, its data list, and files with moves.
 
-The main program calls subprograms with moves. PTP speeds are integer percentages of the axis speeds at which
-the TCP keeps its limit. For two controllers that share digital signals, the steps of
-:mod:`planner.languages.writing.handshake` are written as text.
+The main program calls subprograms with moves. The speed of a PTP is an integer percentage of the axis speeds,
+so low that the TCP keeps its limit. For two controllers that share digital signals, the steps of
+:mod:`planner.languages.writing.handshake` are written as statements.
 """
 
 import dataclasses
@@ -19,7 +19,6 @@ from planner.claims import sentences
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.languages.krl import sentences as krl_sentences
 from planner.languages.krl.writer import spline_blocks, syntax
-from planner.languages.krl.writer import syntax as linear_moves
 from planner.languages.krl.writer.data import TaskDeclarations
 from planner.languages.krl.writer.syntax import MoveText, comment, identifier
 from planner.languages.writing import handshake, layout
@@ -42,15 +41,13 @@ def partner_lines(
     Args:
         partner: The handshake as one of the two programs sees it.
         controller: Controllers of the cell.
-        steps: Its steps.
+        steps: Steps of the handshake.
         with_state: Whether the panel shows that the program waits. In a file with a meeting it already does.
     """
     waiting = krl_sentences.WAITING_FOR_PARTNER.format(arm=partner.other)
     signals = partner.handshake.of(partner.arm)
-    output_number, input_number = (
-        controller.signal_number(partner.arm, signals.output),
-        controller.signal_number(partner.arm, signals.input),
-    )
+    output_number = controller.signal_number(partner.arm, signals.output)
+    input_number = controller.signal_number(partner.arm, signals.input)
     running_number = controller.signal_number(partner.arm, signals.partner_running)
     out: list[str] = []
     for step in steps:
@@ -65,8 +62,9 @@ def partner_lines(
                     f"$IN[{running_number}]=={_level(1 - value)}", seconds, partner.wrong_level_text(value)
                 )
                 out += syntax.with_state(waiting, wait, controller.dialect) if with_state else wait
-            case handshake.StopAndAsk(text):  # krc2: the question itself has a HALT
-                out += ["HALT"] if controller.dialect == "krc4" else []
+            case handshake.StopAndAsk(text):
+                if controller.dialect == "krc4":  # in krc2 the question itself has a HALT
+                    out.append("HALT")
                 out += syntax.question_lines(text, controller.dialect)
             case handshake.AskOperator(text):
                 out += syntax.question_lines(text, controller.dialect)
@@ -78,7 +76,7 @@ def partner_lines(
 
 
 def partner_suffix(phases: tuple[int, ...]) -> str:
-    """Return the suffix of the name of the file with a meeting."""
+    """Return the suffix of the name of the subprogram with a meeting, for the phases that use it."""
     return f"meet_{phases[0]}" if len(phases) == 1 else "meet"
 
 
@@ -87,7 +85,7 @@ def _level(value: int) -> str:
 
 
 def _wait(condition: str, seconds: float, unanswered: str) -> list[str]:
-    """Wait while the condition holds; on a timeout the program halts, and then waits again."""
+    """Return statements that wait while a condition holds; on a timeout they halt, and then wait again."""
     return [
         "$TIMER[1]=0",
         "$TIMER_STOP[1]=FALSE",
@@ -106,7 +104,7 @@ def _wait(condition: str, seconds: float, unanswered: str) -> list[str]:
 UNKNOWN_START_PERCENT: Final = 10
 """Speed [%] of the first PTP of a program, which starts from an unknown position."""
 _SPEED_SAMPLES: Final = 400
-"""Number of samples of a PTP at which the speed of the TCP is computed."""
+"""Number of intervals of a PTP. The mean speed of the TCP is computed on each of them."""
 TRACK_SPEED_PERCENT: Final = 100
 """Speed [%] of a coordinated track. Less would slow down the tool."""
 _SPEED_FRACTION: Final = 0.99
@@ -116,7 +114,7 @@ _SPEED_FRACTION: Final = 0.99
 def ptp_percent(
     robot: RobotData, start: FloatArray, end: FloatArray, tcp: FloatArray, limit: float, max_fraction: float
 ) -> int:
-    """Return the speed of a PTP [%], at least 1.
+    """Return the largest speed of a PTP [%], at least 1, at which the TCP keeps its speed limit.
 
     The slowest axis runs at a fraction p of its catalogue speed and the others are synchronised with it. The
     TCP speed is then p times its value at full speed, v_tcp(p) = p v_tcp(1).
@@ -127,7 +125,7 @@ def ptp_percent(
         end: Joint angles at the end, (6,) [rad].
         tcp: The TCP in the flange frame, (4, 4) [m].
         limit: Maximum speed of the TCP [m/s].
-        max_fraction: Maximum fraction [-].
+        max_fraction: Maximum fraction of the axis speeds, for other reasons [-].
     """
     q = start + np.linspace(0.0, 1.0, _SPEED_SAMPLES + 1)[:, None] * (end - start)
     point = (forward_kinematics(robot, q) @ tcp)[:, :3, 3]
@@ -149,7 +147,7 @@ class KrlTask:
 
     Attributes:
         program: The task.
-        data: Its names and declarations.
+        data: Names and declarations of the task.
         moves: Text of the moves of each operation, None for an operation in which the arm has no moves.
     """
 
@@ -159,11 +157,16 @@ class KrlTask:
 
 
 class MainProgram:
-    """Writes the main program.
+    """Writes the main program of a task, and the statements of its subprograms.
 
     Attributes:
-        stem: Name of the main program, and start of the names of its subprograms.
-        bodies: Statements of its subprograms by name, filled by :meth:`lines`.
+        stem: Name of the main program, and prefix of the names of its subprograms.
+        split: Parts of the moves of the job, each of which goes into one file.
+        moves: Text of the moves of each operation.
+        partner: The handshake with the other controller, or None.
+        bodies: Statements of the subprograms by name, filled by :meth:`lines`.
+        speeds: Speeds of the external axes, by column.
+        axis_directions: Directions in the foot's axes of the external axes that move the arm, by column.
     """
 
     def __init__(
@@ -185,13 +188,18 @@ class MainProgram:
         self.speeds = external_axis_speeds(task, plan, problem)
         self.axis_directions = {axis.column: task.base[:3, :3].T @ axis.axis for axis in task.arm.linear_axes}
         self._held_load: layout.HeldLoad | None = None
+        """Load of the block that the tool holds at this point of the program."""
         self._axis_setpoint: layout.ExternalAxisValues | None = None
+        """Values of the external axes at this point of the program, None if unknown."""
         self._joints: FloatArray | None = None
+        """Joint angles (6,) [rad] at this point of the program, None if unknown."""
         self._percent = 0
+        """Speed of the axes in force [%], 0 if not set."""
         self._axes_slowed = False
+        """Whether the external axes have the speeds for motion between stations."""
 
     def lines(self) -> list[str]:
-        """Return the statements of the main program."""
+        """Return the statements of the main program, and fill ``bodies``."""
         out = [*syntax.STOP_INTERRUPT, "BAS(#INITMOV,0)", "$ADVANCE=3", "$IPO_MODE=#BASE", "$ORI_TYPE=#VAR"]
         out += [self._switch(signal, False) for signal in self.job.switched_signals(self.task)]
         out += [*syntax.message_setup(self.dialect), *self._robroot_check()]
@@ -212,6 +220,7 @@ class MainProgram:
         return out
 
     def _operation(self, index: int, operation: layout.OperationProgram) -> list[str]:
+        """Return the statements of an operation. Consecutive runs of segments become calls of subprograms."""
         out = comment(f"Operation {operation.name}.")
         if any(isinstance(step, layout.JointMove | layout.SegmentRun) for step in operation.steps):
             out += [
@@ -219,9 +228,13 @@ class MainProgram:
                 f"$LOAD={self.data.load(operation.arm.tool, self._held_load)}",
                 f"$BASE={self.data.base(operation)}",
             ]
-        plain = (step for step in operation.steps if not isinstance(step, layout.SyncOn | layout.SyncOff))
-        for moving, steps in itertools.groupby(plain, lambda step: isinstance(step, layout.SegmentRun)):
-            if moving:
+        steps_without_sync = (
+            step for step in operation.steps if not isinstance(step, layout.SyncOn | layout.SyncOff)
+        )
+        for is_run, steps in itertools.groupby(
+            steps_without_sync, lambda step: isinstance(step, layout.SegmentRun)
+        ):
+            if is_run:
                 out += self._runs(
                     index, operation, [step for step in steps if isinstance(step, layout.SegmentRun)]
                 )
@@ -234,13 +247,15 @@ class MainProgram:
     def _step(
         self, step: layout.TaskStep, index: int, operation: layout.OperationProgram, question_follows: bool
     ) -> list[str]:
-        """Lines of a step; ``question_follows``: a question follows it, apart from other messages."""
+        """Return the statements of a step; ``question_follows``: a question follows, maybe after messages."""
         match step:
             case layout.JointMove():
                 return self._ptp(step, index, operation)
             case layout.AxesCheck(station):
                 names = external_axis_names(self.task)
-                checks = (syntax.axis_check(names[c], c, value, self.dialect) for c, value in station)
+                checks = (
+                    syntax.axis_check(names[column], column, value, self.dialect) for column, value in station
+                )
                 return [line for check in checks for line in check]
             case layout.Meeting(number, reached, seconds) if self.partner is not None:
                 steps = self.partner.meeting_after_solo(number, seconds)
@@ -254,6 +269,7 @@ class MainProgram:
         return []
 
     def _ptp(self, step: layout.JointMove, index: int, operation: layout.OperationProgram) -> list[str]:
+        """Return a PTP with its speed settings, and a check of the foot if an external axis moves it."""
         limits = self.problem.settings
         percent = UNKNOWN_START_PERCENT
         if self._joints is not None:
@@ -261,7 +277,8 @@ class MainProgram:
             percent = ptp_percent(self.task.robot, self._joints, step.q, tcp, limits.tcp_speed, max_fraction)
         out = [] if self._axes_slowed else self._external_axis_speeds()
         self._axes_slowed = True
-        out += [f"$VEL_AXIS[{i}]={percent}" for i in range(1, 7)] if percent != self._percent else []
+        if percent != self._percent:
+            out += [f"$VEL_AXIS[{i}]={percent}" for i in range(1, 7)]
         self._joints, self._percent = step.q, percent
         if step.role == "start" and operation.moves is not None:
             return [*out, f"PTP {self.data.start(operation, step.q, index + 1)}"]
@@ -275,7 +292,7 @@ class MainProgram:
         return syntax.robroot_check(self.task.arm.name, self.dialect, self.axis_directions)
 
     def _external_axis_speeds(self) -> list[str]:
-        """Speeds of the external axes between stations, as integer percentages of their own maximum."""
+        """Return settings of the external axes' speeds between stations, as whole percentages."""
         fractions = {column: speed.travel / speed.rated for column, speed in self.speeds.items()}
         percents = {
             column: max(1, int(np.floor(100.0 * fraction + 1e-9))) for column, fraction in fractions.items()
@@ -283,6 +300,7 @@ class MainProgram:
         return [f"$VEL_EXTAX[{column + 1}]={percent}" for column, percent in percents.items()]
 
     def _action(self, action: TargetAction, question_follows: bool) -> list[str]:
+        """Return the statements of an action at a target: message, question, output, wait, or input."""
         match action.kind:
             case "message":
                 return syntax.message_lines(action.text, self.dialect, before_question=question_follows)
@@ -296,19 +314,18 @@ class MainProgram:
                 return self._input(action)
 
     def _input(self, action: TargetAction) -> list[str]:
-        """Wait for an input of the process.
+        """Return a wait for an input of the process.
 
-        On a timeout everything that the program switches goes off, the panel shows the reason, and the
-        program never resumes.
+        On a timeout the program switches all its outputs off, shows the reason, and never resumes.
         """
         number = self.controller.signal_number(self.task.arm.name, action.signal)
-        seconds = math.ceil(1e3 * action.seconds)
-        text = krl_sentences.INPUT_TIMEOUT.format(signal=action.signal, seconds=1e-3 * seconds)
+        milliseconds = math.ceil(1e3 * action.seconds)
+        text = krl_sentences.INPUT_TIMEOUT.format(signal=action.signal, seconds=1e-3 * milliseconds)
         return [
             "$TIMER[1]=0",
             "$TIMER_STOP[1]=FALSE",
             f"WHILE $IN[{number}]==FALSE ; {action.signal}",
-            f"IF $TIMER[1]>{seconds} THEN",
+            f"IF $TIMER[1]>{milliseconds} THEN",
             *(self._switch(signal, False) for signal in self.job.switched_signals(self.task)),
             *syntax.end_program(text, self.dialect),
             "ENDIF",
@@ -326,37 +343,37 @@ class MainProgram:
     def _runs(
         self, index: int, operation: layout.OperationProgram, runs: Sequence[layout.SegmentRun]
     ) -> list[str]:
-        """Calls of the subprograms with the moves of consecutive runs."""
+        """Return calls of the subprograms with the moves of consecutive runs, and write these subprograms."""
         if operation.moves is None:
             return []
-        first, last = runs[0].first, runs[-1].last
-        inside = (p for p in self.split if p.operation == index and first <= p.first < last)
+        first_move, end_move = runs[0].first, runs[-1].last
+        parts = (
+            part for part in self.split if part.operation == index and first_move <= part.first < end_move
+        )
         calls = []
-        for _, grouped in itertools.groupby(inside, lambda part: part.module):
-            word = f"{self.stem}_{len(self.bodies) + 1}"
-            self.bodies[word] = self._moves(index, operation, grouped)
-            calls.append(f"{word}()")
-        self._joints = operation.moves.q[last - 1]
+        for _, grouped in itertools.groupby(parts, lambda part: part.module):
+            name = f"{self.stem}_{len(self.bodies) + 1}"
+            self.bodies[name] = self._moves(index, operation, grouped)
+            calls.append(f"{name}()")
+        self._joints = operation.moves.q[end_move - 1]
         if operation.moves.track_positions is not None:  # the tool's speed determines that of the track
             calls = [f"$VEL_EXTAX[{layout.TRACK_COLUMN + 1}]={TRACK_SPEED_PERCENT}", *calls]
-            self._axes_slowed, self._axis_setpoint = (
-                False,
-                syntax.with_track_position(
-                    operation.axis_setpoint, operation.moves.track_positions[last - 1]
-                ),
+            self._axes_slowed = False
+            self._axis_setpoint = syntax.with_track_position(
+                operation.axis_setpoint, operation.moves.track_positions[end_move - 1]
             )
-        if self.partner is not None and operation.meets[first:last].any():
-            together = krl_sentences.MOVING_WITH_PARTNER.format(arm=self.partner.other)
-            return syntax.with_state(together, calls, self.dialect)
+        if self.partner is not None and operation.meets[first_move:end_move].any():
+            state_text = krl_sentences.MOVING_WITH_PARTNER.format(arm=self.partner.other)
+            return syntax.with_state(state_text, calls, self.dialect)
         return calls
 
     def _moves(
-        self, index: int, operation: layout.OperationProgram, inside: Iterable[layout.ModulePart]
+        self, index: int, operation: layout.OperationProgram, parts: Iterable[layout.ModulePart]
     ) -> list[str]:
-        """Lines of a file. All settings precede its first move."""
-        lines, track = self.moves[index], operation.moves
+        """Return the statements of a subprogram with moves. All settings precede its first move."""
+        text, moves = self.moves[index], operation.moves
         out: list[str] = []
-        if lines is None or track is None:
+        if text is None or moves is None:
             return out
         calls = {}
         if self.partner is not None:
@@ -364,21 +381,22 @@ class MainProgram:
                 row: f"{self.stem}_{partner_suffix(self.partner.phases(int(operation.meets[row])))}()"
                 for row in np.flatnonzero(operation.meets).tolist()
             }
-        for number, part in enumerate(inside):
-            seconds = layout.format_short(float(track.duration[part.first : part.last].sum()), 2)
+        for number, part in enumerate(parts):
+            seconds = layout.format_short(float(moves.duration[part.first : part.last].sum()), 2)
             out += comment(
                 f"Segment {layout.segment_mark(part.segment)}: {part.last - part.first} moves, {seconds} s."
             )
             for row in range(part.first, part.last):
-                out += lines.lines(row, fresh=number == 0 and row == part.first)
-                out += [calls[row]] if row in calls else []
+                out += text.lines(row, fresh=number == 0 and row == part.first)
+                if row in calls:  # both arms meet after this move
+                    out.append(calls[row])
         return out
 
 
 _HEADER_BYTES: Final = 1500
-"""Size of a part without its moves [bytes]: header of a file, settings, comments."""
+"""Upper bound on the size of a part without its moves [bytes]: header of a file, settings, comments."""
 _CALL_BYTES: Final = 30
-"""Size of the call that a handshake adds to each move [bytes]."""
+"""Upper bound on the size of the call that a handshake adds to each move [bytes]."""
 
 
 def write(
@@ -388,30 +406,31 @@ def write(
     problem: Problem,
     margins: Margins,
 ) -> WrittenPrograms:
-    """Write the programs of KUKA arms.
+    """Write the programs of KUKA arms: the moves of all arms are split into files at the same targets.
 
     Args:
         tasks: Tasks to write.
         job: All tasks of the job.
         plan: The plan.
-        problem: Its problem.
+        problem: Problem of the plan.
         margins: Smallest margins of the plan, for the header.
 
     Raises:
-        TandemError: ``post.*``.
+        TandemError: ``post.*`` if the job cannot be written in KRL, such as names that are not allowed.
     """
     limits = problem.cell.controller
-    data = {task.number: TaskDeclarations(task, plan) for task in tasks}
-    moves = {task.number: _move_texts(task, plan, problem, data[task.number]) for task in tasks}
-    call = _CALL_BYTES if job.handshake is not None else 0
+    declarations = {task.number: TaskDeclarations(task, plan) for task in tasks}
+    moves = {task.number: _move_texts(task, plan, problem, declarations[task.number]) for task in tasks}
+    call_bytes = _CALL_BYTES if job.handshake is not None else 0
     sizes = [
-        np.max([_sizes(moves[t.number][i], len(t.operations[i].ids)) for t in tasks], axis=0) + call
+        np.max([_sizes(moves[task.number][i], len(task.operations[i].ids)) for task in tasks], axis=0)
+        + call_bytes
         for i in range(len(plan.operations))
     ]
     split = layout.module_parts(job, sizes, _HEADER_BYTES, limits.max_moves, limits.max_bytes)
     out: dict[str, str] = {}
     for task in tasks:
-        krl_task = KrlTask(task, data[task.number], moves[task.number])
+        krl_task = KrlTask(task, declarations[task.number], moves[task.number])
         out |= _files(krl_task, job, plan, problem, margins, split)
     layout.require_sizes(out, limits, "files")
     return WrittenPrograms(out)
@@ -419,28 +438,27 @@ def write(
 
 def _move_texts(
     task: layout.TaskProgram, plan: Plan, problem: Problem, data: TaskDeclarations
-) -> list[linear_moves.MoveText | None]:
+) -> list[MoveText | None]:
+    """Return the text of the moves of each operation, as spline blocks if the problem requires them."""
     controller = problem.cell.controller
-    rows = spline_blocks.operation_rows(task, data)
-    lines = [
+    moves_by_operation = spline_blocks.operation_rows(task, data)
+    straight_texts = [
         None
         if moves is None
-        else linear_moves.move_text(
-            moves, controller.dialect, operation.axis_setpoint, _track_positions(operation)
-        )
-        for moves, operation in zip(rows, task.operations, strict=True)
+        else syntax.move_text(moves, controller.dialect, operation.axis_setpoint, _track_positions(operation))
+        for moves, operation in zip(moves_by_operation, task.operations, strict=True)
     ]
     if controller.path == "slin":
-        return lines
+        return straight_texts
     runs_by_operation = spline_blocks.operation_runs(task, plan, data)
     return [
         None if text is None or moves is None else spline_blocks.with_blocks(text, moves, runs)
-        for text, moves, runs in zip(lines, rows, runs_by_operation, strict=True)
+        for text, moves, runs in zip(straight_texts, moves_by_operation, runs_by_operation, strict=True)
     ]
 
 
 def _track_positions(operation: layout.OperationProgram) -> FloatArray | None:
-    """Values (M,) [mm] of a coordinated track, None if the track does not move."""
+    """Return the values (M,) [mm] of a coordinated track, None if the track does not move with the tool."""
     return None if operation.moves is None else operation.moves.track_positions
 
 
@@ -452,6 +470,7 @@ def _files(
     margins: Margins,
     split: Sequence[layout.ModulePart],
 ) -> dict[str, str]:
+    """Return the files of one task by path: main program, data list, and subprograms."""
     task = krl_task.program
     main = MainProgram(krl_task, job, plan, problem, split)
     stem = main.stem
@@ -461,12 +480,12 @@ def _files(
     head = [line for sentence in header_sentences for line in comment(sentence)]
     digest_comment = comment(f"Problem {plan.problem_name}, SHA-256 {plan.digest}.")
     dialect = problem.cell.controller.dialect
-    note = "; problem that this program was planned for; the proof starts from this digest"
-    listed = krl_task.data.data_list(stem, [*head, note], {"problem_digest": plan.digest})
+    digest_note = "; problem that this program was planned for; the proof starts from this digest"
+    data_lines = krl_task.data.data_list(stem, [*head, digest_note], {"problem_digest": plan.digest})
     head = [*syntax.declarations(dialect), *head]
-    files = {f"{stem}.src": _program(stem, head, body, main.bodies, dialect), f"{stem}.dat": listed}
-    for word, lines in main.bodies.items():
-        files[f"{word}.src"] = _program(word, digest_comment, lines, main.bodies, dialect)
+    files = {f"{stem}.src": _program(stem, head, body, main.bodies, dialect), f"{stem}.dat": data_lines}
+    for name, lines in main.bodies.items():
+        files[f"{name}.src"] = _program(name, digest_comment, lines, main.bodies, dialect)
     return {
         f"{task.arm.name}/{path}": "".join(
             f"{line}{layout.LINE_END}" for line in ["&ACCESS RVP", "&REL 1", *lines]
@@ -476,15 +495,23 @@ def _files(
 
 
 def _program(
-    word: str, head: Sequence[str], body: Sequence[str], known: Mapping[str, object], dialect: KrlDialect
+    name: str,
+    head: Sequence[str],
+    body: Sequence[str],
+    subprograms: Mapping[str, object],
+    dialect: KrlDialect,
 ) -> list[str]:
-    """A DEF; krc2 also needs declarations of the programs that it calls."""
-    called = dict.fromkeys(line[:-2] for line in body if line.endswith("()") and line[:-2] in known)
+    """Return the lines of a program, DEF to END, with statements ``body`` after lines ``head``.
+
+    krc2 also needs declarations of the ``subprograms`` (names as keys) that it calls.
+    """
+    called = dict.fromkeys(line[:-2] for line in body if line.endswith("()") and line[:-2] in subprograms)
     declared = [f"EXT {other}()" for other in called] if dialect == "krc2" else []
     if dialect == "krc2" and any(line.startswith("BAS(") for line in body):
         declared.insert(0, syntax.EXT_BAS)
-    return [f"DEF {word}()", *declared, *head, *body, "END"]
+    return [f"DEF {name}()", *declared, *head, *body, "END"]
 
 
-def _sizes(lines: linear_moves.MoveText | None, count: int) -> IntArray:
+def _sizes(lines: MoveText | None, count: int) -> IntArray:
+    """Return the size (M,) of each move of an operation [bytes]; ``count`` zeros if the arm does not move."""
     return np.zeros(count, dtype=np.int64) if lines is None else lines.sizes()

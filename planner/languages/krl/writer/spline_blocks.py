@@ -1,9 +1,8 @@
 """Spline blocks of KRL (``path: spline``): which moves form blocks, and their text.
 
-All moves from stop to stop go into one block, or into none. They form no block if a curve through their
-points might deviate too far from the straight moves or be too fast for the allowance
-(:data:`MAX_DEVIATION_MM`, :class:`planner.targets.CornerRounding`), or if there are more points than a block
-may have.
+All moves from one stop to the next go into one block, or all of them stay straight. They stay straight if a
+curve through their points might deviate too far from the straight moves (:data:`MAX_DEVIATION_MM`,
+:class:`planner.targets.CornerRounding`) or be too fast, or if there are more points than a block may have.
 
 The writer has its own bound on the deviation of a block's curve from straight moves. docs/krl.md describes
 the family of curves. The proof has a separate bound (``languages/krl/reader/spline_curve.py``), which blocks
@@ -37,6 +36,10 @@ from planner.problem import Problem
 from planner.targets import Targets
 
 _Terms = tuple[FloatArray, FloatArray, FloatArray]
+"""Bounds on the terms of a move's curve: slope at start and end, curvature at start and end.
+
+Largest parts across the move (4,) [mm], and smallest and largest parts along it (4,), relative to its length.
+"""
 
 ROTATION_LEVER_MM_PER_RAD: Final = 100.0
 """Lever arm that converts rotations to lengths [mm/rad]."""
@@ -45,11 +48,11 @@ MAX_DEVIATION_MM: Final = 0.08
 MAX_ROTATION_RAD: Final = 0.1
 """Maximum rotation of a move of a block [rad]."""
 _NEIGHBOUR_WEIGHT: Final = 0.125
-"""Weight of the bend at a neighbouring point in the slope at a point, if the block continues beyond it."""
+"""Maximum weight of the bend at a neighbouring point in the slope at a point, if moves follow beyond it."""
 _BEND_FACTOR: Final = 2.0
-"""Curvature at a point relative to that of its two moves alone, if a move follows on either side."""
+"""Maximum curvature at a point between two moves, relative to the largest change of slope around it."""
 _END_WEIGHT: Final = 0.5
-"""``_NEIGHBOUR_WEIGHT`` if that neighbour is an end of the block."""
+"""Maximum weight of the bend at the neighbouring point in the slope at an end of the block."""
 _CURVE_GRID: Final = np.linspace(0.0, 1.0, 129)
 """Parameters of a move's curve, 0 to 1, at which it is bounded."""
 _HERMITE: Final = np.array(
@@ -63,14 +66,18 @@ _CURVE_VALUES: Final = _HERMITE @ _POWERS
 _CURVE_RATES: Final = (_HERMITE[:, 1:] * np.arange(1, 6)) @ _POWERS[:5]
 """First derivatives of the Hermite terms on the grid, (4, G)."""
 _GRID_FACTOR: Final = 1.004
-"""Covers values between grid points, with a small reserve so that written blocks pass the proof."""
+"""Upper bound on the ratio of the maximum between grid points to that on the grid.
+
+It is larger than that of the proof, so that written blocks pass.
+"""
 
 
 class MoveCurveBounds(NamedTuple):
     """Bounds on M moves of a block, for all curves of the family.
 
     Attributes:
-        deviation: Deviation from the straight move, (M,) [mm, rotations by LEVER_MM_PER_RAD].
+        deviation: Deviation from the straight move, (M,) [mm]; rotations are times
+            ``ROTATION_LEVER_MM_PER_RAD``.
         translation: Its translational part, (M,) [mm].
         rotation: Its rotational part, (M,) [rad].
         speed: Speed of the TCP, (M,) [mm/s].
@@ -83,7 +90,10 @@ class MoveCurveBounds(NamedTuple):
 
 
 def bound_curves(position: FloatArray, quaternion: FloatArray, duration: FloatArray) -> MoveCurveBounds:
-    """Bound the curves of a block.
+    """Bound the deviation and the speed of all curves of the family on a block.
+
+    The knots of the deviation are between even and by length, those of the speed are by time. At an end of
+    the block the arm may be at rest or not; both cases count for the deviation.
 
     Args:
         position: Points, (M + 1, 3) [mm].
@@ -92,20 +102,22 @@ def bound_curves(position: FloatArray, quaternion: FloatArray, duration: FloatAr
     """
     deviation, translation, rotation_deviation, speed = np.empty((4, len(duration)))
     rotation = from_quaternion(quaternion)
-    last = len(duration)
-    for i in range(last):
-        ends = np.clip(np.arange(i - 2, i + 4), 0, last)
-        turn = log_rotation(rotation[i].T @ rotation[ends])
-        step = np.diff(np.concatenate([position[ends], ROTATION_LEVER_MM_PER_RAD * turn], axis=1), axis=0)
-        exists = (np.arange(i - 2, i + 3) >= 0) & (np.arange(i - 2, i + 3) < last)
+    count = len(duration)
+    for i in range(count):
+        index = np.clip(np.arange(i - 2, i + 4), 0, count)
+        rotation_vectors = log_rotation(rotation[i].T @ rotation[index])
+        step = np.diff(
+            np.concatenate([position[index], ROTATION_LEVER_MM_PER_RAD * rotation_vectors], axis=1), axis=0
+        )
+        exists = (np.arange(i - 2, i + 3) >= 0) & (np.arange(i - 2, i + 3) < count)
         time_ratio = np.ones(5)
         time_ratio[exists] = duration[np.arange(i - 2, i + 3)[exists]] / duration[i]
         lengths = np.linalg.norm(step, axis=1)
         length_ratio = np.where(exists, lengths / max(lengths[2], 1e-12), 1.0)
         knot_ratios = np.stack([np.ones(5), np.maximum(length_ratio, 1e-9)])
         open_ends = [k for k in (0, 1) if not exists[1 + 2 * k]]
-        rests = [[], *([k] for k in open_ends), open_ends]
-        for components, out in (
+        resting_ends = [[], *([k] for k in open_ends), open_ends]
+        for components, values in (
             (slice(0, 6), deviation),
             (slice(0, 3), translation),
             (slice(3, 6), rotation_deviation),
@@ -113,10 +125,11 @@ def bound_curves(position: FloatArray, quaternion: FloatArray, duration: FloatAr
             terms_at_components = _slope_bounds(
                 step, 1.0 / knot_ratios.max(axis=0), 1.0 / knot_ratios.min(axis=0), exists, components
             )
-            out[i] = max(
-                _max_deviation(*_at_rest(terms_at_components, ends), step, components) for ends in rests
+            values[i] = max(
+                _max_deviation(*_at_rest(terms_at_components, ends), step, components)
+                for ends in resting_ends
             )
-        if np.linalg.norm(turn[3] - turn[2]) > MAX_ROTATION_RAD and exists.sum() > 1:
+        if np.linalg.norm(rotation_vectors[3] - rotation_vectors[2]) > MAX_ROTATION_RAD and exists.sum() > 1:
             deviation[i] = np.inf
         tcp = step[:, :3]
         terms = _at_rest(_slope_bounds(tcp, 1.0 / time_ratio, 1.0 / time_ratio, exists), open_ends)
@@ -131,24 +144,27 @@ def _slope_bounds(
     exists: BoolArray,
     components: slice = slice(None),
 ) -> _Terms:
-    """Bounds on slopes, less the move's own, and curvatures at both ends of the middle of five steps (5, D).
+    """Return bounds on slopes, less the move's own, and curvatures at both ends of a move.
 
-    Returns the largest parts across the move (4,), in the components ``components`` of D, and the smallest
-    and largest parts along it, relative to its own length.
+    The move is the middle one of five steps (5, D) [mm]; those that ``exists`` (5,) are moves of the block.
+    Parts across the move are measured in ``components`` of D. The ratios (5,) are those of the move's knot
+    interval to that of each step.
     """
-    size = float(np.linalg.norm(step[2]))
-    direction = step[2] / max(size, 1e-12)
+    length = float(np.linalg.norm(step[2]))
+    direction = step[2] / max(length, 1e-12)
     along = step @ direction
-    side = (step - along[:, None] * direction)[:, components]
-    relative = along / max(size, 1e-12)
+    across_step = (step - along[:, None] * direction)[:, components]
+    relative = along / max(length, 1e-12)
     corners = np.stack([min_ratio, max_ratio])
-    offsets = (max_ratio * np.linalg.norm(side, axis=1)).tolist()
+    offsets = (max_ratio * np.linalg.norm(across_step, axis=1)).tolist()
     slopes = np.sort(corners * relative, axis=0)
-    bend, shift, scale = np.zeros(4), np.zeros(4), np.zeros(4)
+    bend_across, bend_along, scale = np.zeros(4), np.zeros(4), np.zeros(4)
     for k in np.flatnonzero(exists[1:] & exists[:-1]).tolist():
         pairs = [(a, b) for a in corners[:, k] for b in corners[:, k + 1]]
-        bend[k] = max(float(np.linalg.norm(b * side[k + 1] - a * side[k])) for a, b in pairs)
-        shift[k] = max(abs(b * relative[k + 1] - a * relative[k]) for a, b in pairs)
+        bend_across[k] = max(
+            float(np.linalg.norm(b * across_step[k + 1] - a * across_step[k])) for a, b in pairs
+        )
+        bend_along[k] = max(abs(b * relative[k + 1] - a * relative[k]) for a, b in pairs)
         scale[k] = 2.0 / (1.0 / max_ratio[k] + 1.0 / max_ratio[k + 1])
     across, low, high = [], [], []
     for k in (1, 2):
@@ -158,41 +174,50 @@ def _slope_bounds(
                 _NEIGHBOUR_WEIGHT if exists[k] else _END_WEIGHT,
             ]
         )
-        slack = float(weight @ shift[[k - 1, k + 1]])
-        across.append(max(offsets[k], offsets[k + 1]) + float(weight @ bend[[k - 1, k + 1]]))
+        outer_slope = float(weight @ bend_along[[k - 1, k + 1]])
+        across.append(max(offsets[k], offsets[k + 1]) + float(weight @ bend_across[[k - 1, k + 1]]))
         adjacent = [j for j in (k, k + 1) if exists[j]]
-        low.append(slopes[0, adjacent].min() - slack - 1.0)
-        high.append(slopes[1, adjacent].max() + slack - 1.0)
+        low.append(slopes[0, adjacent].min() - outer_slope - 1.0)
+        high.append(slopes[1, adjacent].max() + outer_slope - 1.0)
     for k in (0, 1):
-        bends = _BEND_FACTOR if exists[1 + 2 * k] else 1.0
-        across.append(bends * float((scale * bend)[k : k + 3].max()))
-        high.append(bends * float((scale * shift)[k : k + 3].max()))
+        factor = _BEND_FACTOR if exists[1 + 2 * k] else 1.0
+        across.append(factor * float((scale * bend_across)[k : k + 3].max()))
+        high.append(factor * float((scale * bend_along)[k : k + 3].max()))
         low.append(-high[-1])
     return np.array(across), np.array(low), np.array(high)
 
 
 def _at_rest(terms: _Terms, ends: list[int]) -> _Terms:
-    """The terms if the arm is at rest at the first (0) or last (1) end of the move."""
+    """Return the terms if the arm is at rest at the start (0) or the end (1) of the move, or at both."""
     across, low, high = (value.copy() for value in terms)
     for k in ends:
         across[[k, k + 2]] = 0.0
-        low[[k, k + 2]] = high[[k, k + 2]] = [-1.0, 0.0]
+        low[[k, k + 2]] = high[[k, k + 2]] = [
+            -1.0,
+            0.0,
+        ]  # slope 0 is -1, because the move's own is subtracted
     return across, low, high
 
 
 def _max_deviation(
     across: FloatArray, low: FloatArray, high: FloatArray, step: FloatArray, components: slice
 ) -> float:
-    """Maximum deviation [mm] of a curve of the middle one of five steps (5, D) from the straight moves."""
+    """Return the maximum deviation [mm] of the curves of a move, the middle of five steps (5, D) [mm].
+
+    It is the deviation across the move plus that of an overrun of its ends, both in ``components`` of D.
+    """
     up, down = np.maximum(_CURVE_VALUES, 0.0), np.minimum(_CURVE_VALUES, 0.0)
     over = float((_CURVE_GRID + high @ up + low @ down - 1.0).max())
     under = float((-_CURVE_GRID - low @ up - high @ down).max())
-    between = float(np.maximum(np.abs(low), np.abs(high)) @ [4.0, 4.0, 1.0, 1.0]) * _CURVE_GRID[1] ** 2 / 8.0
+    # second derivatives of the four terms are at most 4, 4, 1 and 1
+    between_grid_points = (
+        float(np.maximum(np.abs(low), np.abs(high)) @ [4.0, 4.0, 1.0, 1.0]) * _CURVE_GRID[1] ** 2 / 8.0
+    )
     lengths = np.linalg.norm(step, axis=1)
     unit = step / np.maximum(lengths, 1e-12)[:, None]
     overrun_deviation = 0.0
     for k, overrun in ((1, under), (3, over)):
-        beyond = (max(overrun, 0.0) + between) * lengths[2]
+        beyond = (max(overrun, 0.0) + between_grid_points) * lengths[2]
         direction_change = unit[2] - unit[k] if beyond <= lengths[k] else unit[2]
         overrun_deviation = max(
             overrun_deviation, beyond * float(np.linalg.norm(direction_change[components]))
@@ -201,24 +226,24 @@ def _max_deviation(
 
 
 def _max_rate(across: FloatArray, low: FloatArray, high: FloatArray, size: float) -> float:
-    """Maximum of the derivative of a move by its own relative time [mm]."""
+    """Return the maximum [mm] of |dx/du| of a move of length ``size`` [mm], by its curve parameter u."""
     up, down = np.maximum(_CURVE_RATES, 0.0), np.minimum(_CURVE_RATES, 0.0)
-    fast = np.maximum(np.abs(1.0 + high @ up + low @ down), np.abs(1.0 + low @ up + high @ down)) * size
-    return _GRID_FACTOR * float(np.hypot(fast, across @ np.abs(_CURVE_RATES)).max())
+    along = np.maximum(np.abs(1.0 + high @ up + low @ down), np.abs(1.0 + low @ up + high @ down)) * size
+    return _GRID_FACTOR * float(np.hypot(along, across @ np.abs(_CURVE_RATES)).max())
 
 
 MAX_BLOCK_POINTS: Final = 500
 """Maximum number of points of a block."""
 MAX_SPEED_FACTOR: Final = 1.14
-"""Maximum TCP speed between two points relative to neighbouring moves. Feeds are lowered by more."""
+"""Maximum TCP speed between two points relative to neighbouring moves; the proof allows 1.15."""
 _SPEED_FACTOR: Final = 1.02
-"""Ratio of $VEL.CP to the speed of the block's fastest move, so that the block's times can be kept."""
+"""Ratio of $VEL.CP to the speed of the block's fastest move, so that the controller can keep the times."""
 _CLOSER_FACTOR: Final = 1.1
-"""Reserve in the advised target distance, beyond what the square root gives."""
+"""Reserve in the advised target distance, as a factor on the estimate by the square root."""
 _PARTS_TOTAL: Final = 100.0
 """Sum of the parts of a block's time [%]."""
 _PART_DECIMALS: Final = 8
-"""Decimals of these parts."""
+"""Decimals of the parts of a block's time [%]."""
 _BLOCK_TIME_DECIMALS: Final = 5
 """Decimals of a block's time in s."""
 
@@ -229,7 +254,7 @@ SPLINE_ASSUMPTIONS: Final = (
     "its END; a time that can be kept is kept; a block ends in an exact stop.",
     "Run them without process first, and compare the time of each block with its TIME_BLOCK END.",
 )
-"""Assumptions behind programs with blocks, for their headers."""
+"""Assumptions about how controllers plan spline blocks, for the headers of programs."""
 
 
 def spline_refusals(problem: Problem, targets_by_operation: Sequence[Targets]) -> tuple[Issue, ...]:
@@ -237,7 +262,7 @@ def spline_refusals(problem: Problem, targets_by_operation: Sequence[Targets]) -
 
     Args:
         problem: The problem.
-        targets_by_operation: Targets of its operations.
+        targets_by_operation: Targets of each of its operations.
     """
     if problem.cell.controller.path != "spline":
         return ()
@@ -246,25 +271,29 @@ def spline_refusals(problem: Problem, targets_by_operation: Sequence[Targets]) -
     for arm in problem.cell.arms:
         data = arm.data
         if data.family != "KUKA" or data.coupling is not None:
-            got = f"path: spline for {arm.name} ({arm.robot}); allowed: KUKA arms without parallel rods"
-            issues.append(Issue("post.path", got, field="controller.path", arm=arm.name, hint=hint))
+            message = f"path: spline for {arm.name} ({arm.robot}); allowed: KUKA arms without parallel rods"
+            issues.append(Issue("post.path", message, field="controller.path", arm=arm.name, hint=hint))
     for arm in problem.cell.arms:
         if arm.sag is not None:
-            got = f"path: spline for {arm.name}, whose sag compensation is proven on straight moves only"
-            issues.append(Issue("post.path", got, field="controller.path", arm=arm.name, hint=hint))
+            message = f"path: spline for {arm.name}, whose sag compensation is proven on straight moves only"
+            issues.append(Issue("post.path", message, field="controller.path", arm=arm.name, hint=hint))
         if arm.has_coordinated_track:
-            got = f"path: spline for {arm.name} on a coordinated track, whose motion on a curve is not known"
-            issues.append(Issue("post.path", got, field="controller.path", arm=arm.name, hint=hint))
+            message = (
+                f"path: spline for {arm.name} on a coordinated track, whose motion on a curve is not known"
+            )
+            issues.append(Issue("post.path", message, field="controller.path", arm=arm.name, hint=hint))
     kinds = dict.fromkeys(kind for t in targets_by_operation for kind in kinds_on_straight_moves(t.claims))
     if kinds:
-        got = f"path: spline for work that claims {', '.join(kinds)}, which is proven on straight moves only"
+        message = (
+            f"path: spline for work that claims {', '.join(kinds)}, which is proven on straight moves only"
+        )
         issues.append(
-            Issue("post.path", f"{got}; allowed: milling and poses", field="controller.path", hint=hint)
+            Issue("post.path", f"{message}; allowed: milling and poses", field="controller.path", hint=hint)
         )
     if any((targets.feed_min > 0.0).any() for targets in targets_by_operation):
-        got = "path: spline for work with a minimum feed, but the minimum speed of a curve is not known"
+        message = "path: spline for work with a minimum feed, but the minimum speed of a curve is not known"
         issues.append(
-            Issue("post.path", f"{got}; allowed: no minimum feed", field="controller.path", hint=hint)
+            Issue("post.path", f"{message}; allowed: no minimum feed", field="controller.path", hint=hint)
         )
     if changing := [
         (segment, targets.feed_source)
@@ -272,13 +301,13 @@ def spline_refusals(problem: Problem, targets_by_operation: Sequence[Targets]) -
         for segment in _segments_with_varying_feed(targets)
     ]:
         segment, source = changing[0]
-        got = f"path: spline in {segment}, whose feed changes in {source}"
-        issues.append(Issue("post.path", f"{got}; allowed: one feed", field="controller.path", hint=hint))
+        message = f"path: spline in {segment}, whose feed changes in {source}"
+        issues.append(Issue("post.path", f"{message}; allowed: one feed", field="controller.path", hint=hint))
     return tuple(issues)
 
 
 def _segments_with_varying_feed(targets: Targets) -> Iterator[Segment]:
-    """Segments with several feeds read from a file point by point, without moves from and to rest."""
+    """Yield the segments whose feed, read from a file, varies; moves from and to rest do not count."""
     if not targets.feed_source:
         return
     moving = ~(targets.stop | np.append(True, targets.stop[:-1]))
@@ -291,15 +320,15 @@ def _segments_with_varying_feed(targets: Targets) -> Iterator[Segment]:
 
 
 class StopToStopRun(NamedTuple):
-    """Moves ``first`` to ``last`` - 1, from stop to stop.
+    """Moves of an operation from one stop to the next, which form a spline block or not.
 
     Attributes:
-        first: First move.
-        last: Move after the last one.
-        reason: Why they form no block, "" if they do.
-        worst: The move that decides.
+        first: Index of the first move.
+        last: Index of the move after the last one.
+        reason: Reason why they do not form a block, "" if they do.
+        worst: Index of the move to which the reason applies or, in a block, that may deviate most.
         deviation: Maximum deviation of curves from the straight moves [mm].
-        remedy: Remedy so that they form a block.
+        remedy: What the user can do so that they form a block.
     """
 
     first: int
@@ -315,8 +344,8 @@ class CurveLimits:
     """Limits on the curves of the spline blocks of an operation.
 
     Attributes:
-        allowed: Pairs of lever [mm] and maximum deviation [mm] of points at this distance from the TCP.
-        keeps_feed: Whether there are feeds to keep between targets.
+        allowed: Pairs of distance from the TCP [mm] and maximum deviation [mm] of points at that distance.
+        keeps_feed: Whether the tool must also keep its feed between targets.
     """
 
     allowed: Sequence[tuple[float, float]]
@@ -326,7 +355,9 @@ class CurveLimits:
 def stop_to_stop_runs(
     moves: KrlMoves, start: tuple[FloatArray, FloatArray], segments: tuple[Segment, ...], limits: CurveLimits
 ) -> list[StopToStopRun]:
-    """Return the runs of two or more moves from stop to stop in which the arm does not stand still.
+    """Return the runs of moves from stop to stop, and decide which of them form spline blocks.
+
+    Single moves, and runs in which the arm stands still during a move, are left out.
 
     Args:
         moves: Moves of an operation.
@@ -338,17 +369,19 @@ def stop_to_stop_runs(
     position = np.concatenate([start[0][None], moves.position])
     quaternion = to_quaternion(rotation(np.concatenate([start[1][None], moves.angles])))
     ends = (np.flatnonzero(moves.stop) + 1).tolist()
-    for first, last in itertools.pairwise([0, *ends]):
-        if moves.still[first:last].any() or last - first == 1:
+    for first, end in itertools.pairwise([0, *ends]):
+        if moves.still[first:end].any() or end - first == 1:
             continue
-        if last - first > MAX_BLOCK_POINTS:
-            why = f"{last - first} points without a stop; a block has {MAX_BLOCK_POINTS} at most"
-            do = f"stop the motion every {MAX_BLOCK_POINTS} moves, or put targets farther apart"
-            out.append(StopToStopRun(first, last, why, first, 0.0, do))
+        if end - first > MAX_BLOCK_POINTS:
+            reason = f"{end - first} points without a stop; a block has {MAX_BLOCK_POINTS} at most"
+            remedy = f"stop the motion every {MAX_BLOCK_POINTS} moves, or put targets farther apart"
+            out.append(StopToStopRun(first, end, reason, first, 0.0, remedy))
             continue
-        rows = slice(first, last)
-        bounds = bound_curves(position[first : last + 1], quaternion[first : last + 1], moves.duration[rows])
-        out.append(_check_run(moves, first, last, bounds, segments, limits))
+        run_moves = slice(first, end)
+        bounds = bound_curves(
+            position[first : end + 1], quaternion[first : end + 1], moves.duration[run_moves]
+        )
+        out.append(_check_run(moves, first, end, bounds, segments, limits))
     return out
 
 
@@ -360,14 +393,20 @@ def _check_run(
     segments: tuple[Segment, ...],
     limits: CurveLimits,
 ) -> StopToStopRun:
-    mean = moves.length[first:last] / moves.duration[first:last]
+    """Return the run of the moves ``first`` to ``last`` - 1, with a reason if its curves exceed a limit.
+
+    ``bounds`` are those of the run; ``moves`` and ``segments`` are those of the operation.
+    """
+    mean_speed = moves.length[first:last] / moves.duration[first:last]
     labels = [str(segment) for segment in segments[first:last]]
-    nearby_speed = mean.copy()
+    nearby_speed = mean_speed.copy()
     for i in range(last - first):
         for j in range(max(i - 2, 0), min(i + 3, last - first)):
-            nearby_speed[i] = max(nearby_speed[i], mean[j]) if labels[i] == labels[j] else nearby_speed[i]
+            nearby_speed[i] = (
+                max(nearby_speed[i], mean_speed[j]) if labels[i] == labels[j] else nearby_speed[i]
+            )
     deviation, speed = bounds.deviation, bounds.speed
-    worst = int(np.argmax(deviation))
+    worst_index = int(np.argmax(deviation))
     for lever, limit in limits.allowed:
         lever_deviation = np.maximum(
             bounds.translation + lever * bounds.rotation,
@@ -375,34 +414,34 @@ def _check_run(
         )
         k = int(np.argmax(lever_deviation))
         if lever_deviation[k] > limit:
-            why = (
-                f"a curve may deviate {lever_deviation[k]:.3f} mm from the straight move; allowed: {limit:g} "
-                "mm"
+            reason = (
+                f"a curve may deviate {lever_deviation[k]:.3f} mm from the straight move; "
+                f"allowed: {limit:g} mm"
             )
             # the deviation of a smooth path from its chords is proportional to the square of their length
             closer = f"{_CLOSER_FACTOR * np.sqrt(lever_deviation[k] / limit):.1f}"
-            do = f"put targets {closer} times as close there, or stop where the path has a kink"
+            remedy = f"put targets {closer} times as close there, or stop where the path has a kink"
             if np.isinf(lever_deviation[k]):
                 limit = np.floor(10.0 * np.rad2deg(MAX_ROTATION_RAD)) / 10.0
-                why = f"it rotates by more than {limit:.1f} degrees, the maximum for a move of a block"
-                do = f"put targets closer there, so that each move rotates by {limit:.1f} degrees or less"
-            return StopToStopRun(first, last, why, first + k, float(deviation[worst]), do)
-    fast = int(np.argmax(speed - MAX_SPEED_FACTOR * nearby_speed))
-    if limits.keeps_feed and speed[fast] > MAX_SPEED_FACTOR * nearby_speed[fast] + 1e-9:
-        why = (
-            f"a curve may reach {speed[fast]:.2f} mm/s, with {nearby_speed[fast]:.2f} mm/s on the moves near "
-            "it"
+                reason = f"it rotates by more than {limit:.1f} degrees, the maximum for a move of a block"
+                remedy = f"put targets closer there, so that each move rotates by {limit:.1f} degrees or less"
+            return StopToStopRun(first, last, reason, first + k, float(deviation[worst_index]), remedy)
+    fastest = int(np.argmax(speed - MAX_SPEED_FACTOR * nearby_speed))
+    if limits.keeps_feed and speed[fastest] > MAX_SPEED_FACTOR * nearby_speed[fastest] + 1e-9:
+        reason = (
+            f"a curve may reach {speed[fastest]:.2f} mm/s, with {nearby_speed[fastest]:.2f} mm/s "
+            "on the moves near it"
         )
-        do = "space targets evenly there, or stop"
-        return StopToStopRun(first, last, why, first + fast, float(deviation[worst]), do)
-    return StopToStopRun(first, last, "", first + worst, float(deviation[worst]))
+        remedy = "space targets evenly there, or stop"
+        return StopToStopRun(first, last, reason, first + fastest, float(deviation[worst_index]), remedy)
+    return StopToStopRun(first, last, "", first + worst_index, float(deviation[worst_index]))
 
 
 def with_blocks(lines: MoveText, moves: KrlMoves, runs: list[StopToStopRun]) -> MoveText:
-    """Return the text of all moves, with spline blocks.
+    """Return the text of all moves, in which the moves of each run without a reason form a spline block.
 
     Args:
-        lines: Text of straight moves.
+        lines: Text of all moves as straight moves.
         moves: The moves.
         runs: Runs of moves from stop to stop.
     """
@@ -410,24 +449,24 @@ def with_blocks(lines: MoveText, moves: KrlMoves, runs: list[StopToStopRun]) -> 
     for run in runs:
         if run.reason:
             continue
-        rows = slice(run.first, run.last)
-        fastest = float((moves.length[rows] / moves.duration[rows]).max())
-        digits = 10.0**SPEED_DECIMALS
-        speed = max(np.ceil(_SPEED_FACTOR * 1e-3 * fastest * digits) / digits, MIN_SPEED_M_S)
-        values[rows, :3] = speed, FREE_ROTATION_SPEED_DEG_S, FREE_ROTATION_SPEED_DEG_S
-        values[rows, 3:] = values[run.first, 3:]
-        parts = _time_parts(moves.duration[rows])
+        run_moves = slice(run.first, run.last)
+        fastest = float((moves.length[run_moves] / moves.duration[run_moves]).max())
+        scale = 10.0**SPEED_DECIMALS
+        speed = max(np.ceil(_SPEED_FACTOR * 1e-3 * fastest * scale) / scale, MIN_SPEED_M_S)
+        values[run_moves, :3] = speed, FREE_ROTATION_SPEED_DEG_S, FREE_ROTATION_SPEED_DEG_S
+        values[run_moves, 3:] = values[run.first, 3:]
+        parts = _time_parts(moves.duration[run_moves])
         for row, part in zip(range(run.first, run.last), parts, strict=True):
             pose_text = text[row][text[row].index("{") : text[row].index("}") + 1]
             text[row] = f"SPL {pose_text}\nTIME_BLOCK PART = {format_short(part, _PART_DECIMALS)}"
         text[run.first] = f"SPLINE\nTIME_BLOCK START\n{text[run.first]}"
-        seconds = format_short(float(moves.duration[rows].sum()), _BLOCK_TIME_DECIMALS)
+        seconds = format_short(float(moves.duration[run_moves].sum()), _BLOCK_TIME_DECIMALS)
         text[run.last - 1] += f"\nTIME_BLOCK END = {seconds}\nENDSPLINE"
     return lines.replaced(text, values)
 
 
 def _time_parts(duration: FloatArray) -> list[float]:
-    """Parts (M,) of 100 of the times, as written; their sum is 100 to within their decimals."""
+    """Return the parts (M,) [%] of the durations (M,), rounded as written so that their sum is 100."""
     edges = np.round(_PARTS_TOTAL * np.append(0.0, np.cumsum(duration)) / duration.sum(), _PART_DECIMALS)
     return [float(value) for value in np.round(np.diff(edges), _PART_DECIMALS)]
 
@@ -435,12 +474,12 @@ def _time_parts(duration: FloatArray) -> list[float]:
 def block_notes(
     name: str, arm: str, runs: list[StopToStopRun], segments: tuple[Segment, ...]
 ) -> Iterator[Issue]:
-    """Yield notes on an operation's blocks: their assumptions, and the moves that are in none.
+    """Yield a note on the assumptions about an operation's blocks, and one on the moves that stay straight.
 
     Args:
         name: Name of the operation.
         arm: Name of the arm.
-        runs: Its runs from stop to stop.
+        runs: Runs of the operation from stop to stop.
         segments: Segment of each move.
     """
     blocks = [run for run in runs if not run.reason]
@@ -448,42 +487,42 @@ def block_notes(
     points = sum(run.last - run.first for run in blocks)
     count = sum(run.last - run.first for run in runs)
     if blocks:
-        worst = max(blocks, key=lambda run: run.deviation)
-        what = (
+        block = max(blocks, key=lambda run: run.deviation)
+        message = (
             f"operation {name}: {points} of {count} moves of arm {arm} are in {len(blocks)} spline blocks, "
-            f"whose curves may deviate {worst.deviation:.4f} mm from the straight moves; how a controller "
-            "plans them, and keeps their times, was not observed on a controller"
+            f"whose curves may deviate {block.deviation:.4f} mm from the straight moves; how a "
+            "controller plans them, and keeps their times, was not observed on a controller"
         )
         hint = "run them without process first, and check the times of the blocks; straight moves, which "
         hint += "were observed, are controller: {path: slin}"
         yield Issue(
-            "post.spline", what, Severity.WARNING, arm=arm, value=worst.deviation, unit="mm", hint=hint
+            "post.spline", message, Severity.WARNING, arm=arm, value=block.deviation, unit="mm", hint=hint
         )
     if straight_runs:
         first = straight_runs[0]
         target = f"{segments[first.worst]}, move {first.worst + 1}"
-        what = (
+        message = (
             f"operation {name}: {count - points} of {count} moves of arm {arm} stay SLIN, in "
             f"{len(straight_runs)} runs from stop to stop; the first because at {target}: {first.reason}"
         )
         yield dataclasses.replace(
-            Issue("post.spline_left", what, Severity.WARNING, arm=arm, target=target, hint=first.remedy),
+            Issue("post.spline_left", message, Severity.WARNING, arm=arm, target=target, hint=first.remedy),
             value=float(count - points),
         )
 
 
 def first_joints(operation: OperationProgram) -> FloatArray | None:
     """Return the joints (6,) [rad] at the first target of an operation; None if the arm has no moves."""
-    starts = (s.q for s in operation.steps if isinstance(s, JointMove) and s.role == "start")
+    starts = (step.q for step in operation.steps if isinstance(step, JointMove) and step.role == "start")
     return None if operation.moves is None else next(starts, None)
 
 
 def operation_rows(task: TaskProgram, data: TaskDeclarations) -> list[syntax.KrlMoves | None]:
-    """Return the moves of each operation; None if the arm has none.
+    """Return the moves of each operation, with values as KRL states them; None if the arm has no moves.
 
     Args:
         task: The task.
-        data: Its names and declarations.
+        data: Names and declarations of the task.
     """
     out: list[syntax.KrlMoves | None] = []
     for operation in task.operations:
@@ -497,12 +536,12 @@ def operation_rows(task: TaskProgram, data: TaskDeclarations) -> list[syntax.Krl
 
 
 def operation_runs(task: TaskProgram, plan: Plan, data: TaskDeclarations) -> list[list[StopToStopRun]]:
-    """Return the runs of each operation from stop to stop.
+    """Return the runs of each operation from stop to stop; an empty list if the arm has no moves in it.
 
     Args:
         task: The task.
         plan: The plan.
-        data: Its names and declarations.
+        data: Names and declarations of the task.
     """
     out: list[list[StopToStopRun]] = []
     for number, (operation, moves) in enumerate(

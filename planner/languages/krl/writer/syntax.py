@@ -1,10 +1,10 @@
 """Formats KRL: numbers, names, aggregates, straight moves, and panel output.
 
-Dialogs are krc4; comments and HALT are krc2. HALT is no confirmation: in automatic external a PLC that
-pulses its start signal resumes after it. Dialogs are answered at the panel in every mode. Without dialogs
-(krc2) this mode is refused.
+Questions are dialogs in krc4, and comments with HALT in krc2. HALT alone is not a confirmation: in automatic
+external a PLC that pulses its start signal resumes after it. Programs of krc2 therefore refuse that mode.
+Dialogs are answered at the panel in every mode.
 
-**Straight moves** are formatted for whole tracks at once (`KrlMoves`, `move_text`): poses, speeds, corners,
+**Straight moves** of an operation are formatted together (`KrlMoves`, `move_text`): poses, speeds, corners,
 and their text. KRL states no times: the speeds of a move follow from its planned time, rounded down.
 """
 
@@ -66,7 +66,7 @@ def identifier(text: str, length: int = MAX_NAME_LENGTH) -> str:
         length: Maximum length; longer names are cut.
 
     Raises:
-        TandemError: ``post.name`` if the result is no valid KRL name.
+        TandemError: ``post.name`` if the result is not a valid KRL name.
     """
     out = re.sub(r"[^a-z0-9]+", "_", to_ascii(text).lower()).strip("_")[:length].rstrip("_")
     if not re.match(r"[a-z]", out) or out in RESERVED:
@@ -76,20 +76,20 @@ def identifier(text: str, length: int = MAX_NAME_LENGTH) -> str:
 
 
 def comment(text: str) -> list[str]:
-    """Return comment lines of plain text, wrapped."""
+    """Return a text as comment lines, wrapped and in ASCII."""
     return [f"; {line}" for line in textwrap.wrap(to_ascii(text), 100)]
 
 
 def abc(rotation: FloatArray) -> FloatArray:
     """Return KUKA's A, B, C (..., 3) [deg] of rotations R = Rz(A) Ry(B) Rx(C), (..., 3, 3).
 
-    C is 0 if B is +-90.
+    If B is +-90, A and C rotate about the same axis, and C is set to 0.
     """
     r = np.asarray(rotation, dtype=np.float64)
-    flat = np.hypot(r[..., 0, 0], r[..., 1, 0])
-    pole = flat < _POLE_COSINE
+    cosine_of_b = np.hypot(r[..., 0, 0], r[..., 1, 0])
+    pole = cosine_of_b < _POLE_COSINE
     a = np.where(pole, np.arctan2(-r[..., 0, 1], r[..., 1, 1]), np.arctan2(r[..., 1, 0], r[..., 0, 0]))
-    b = np.arctan2(-r[..., 2, 0], flat)
+    b = np.arctan2(-r[..., 2, 0], cosine_of_b)
     c = np.where(pole, 0.0, np.arctan2(r[..., 2, 1], r[..., 2, 2]))
     return np.asarray(np.rad2deg(np.stack([a, b, c], axis=-1)))
 
@@ -98,16 +98,16 @@ def rotation(degrees: FloatArray) -> FloatArray:
     """Return the rotations (..., 3, 3) of KUKA's A, B, C (..., 3) [deg]."""
     cos, sin = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
     (ca, cb, cc), (sa, sb, sc) = np.moveaxis(cos, -1, 0), np.moveaxis(sin, -1, 0)
-    rows = [
+    matrix = [
         [ca * cb, ca * sb * sc - sa * cc, ca * sb * cc + sa * sc],
         [sa * cb, sa * sb * sc + ca * cc, sa * sb * cc - ca * sc],
         [-sb, cb * sc, cb * cc],
     ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return np.stack([np.stack(row, axis=-1) for row in matrix], axis=-2)
 
 
 def frame(pose: FloatArray, decimals: int = 4) -> str:
-    """Format a FRAME; angles have 6 decimals.
+    """Format a FRAME: X, Y, Z [mm] and A, B, C [deg], the angles with 6 decimals.
 
     Args:
         pose: The pose, (4, 4) [m].
@@ -125,14 +125,14 @@ def e6pos(
     turn: int,
     station: ExternalAxisValues | None = None,
 ) -> str:
-    """Format an E6POS.
+    """Format an E6POS: a pose with Status, Turn and all external axes.
 
     Args:
-        position: Position as targets are written, (3,) [mm].
+        position: Position, rounded as in targets, (3,) [mm].
         angles: A, B, C, (3,) [deg].
-        status: S.
-        turn: T.
-        station: Values of the external axes, or None.
+        status: Status S.
+        turn: Turn T.
+        station: Values of the external axes, or None if the cell has none.
     """
     values = [*(format_fixed(v, 4) for v in position), *(format_fixed(v, ANGLE_DECIMALS) for v in angles)]
     fields = dict(zip("XYZABC", values, strict=True)) | {"S": str(status), "T": str(turn)}
@@ -140,18 +140,18 @@ def e6pos(
 
 
 def e6axis(degrees: FloatArray, station: ExternalAxisValues | None = None) -> str:
-    """Format an E6AXIS.
+    """Format an E6AXIS: joint values and all external axes.
 
     Args:
-        degrees: Joint values of the controller, (6,) [deg].
-        station: Values of the external axes, or None.
+        degrees: Joint values as the controller counts them, (6,) [deg].
+        station: Values of the external axes, or None if the cell has none.
     """
     fields = {f"A{i}": format_fixed(v, 6) for i, v in enumerate(degrees, 1)}
     return aggregate(fields | _all_external_axes(station))
 
 
 def _all_external_axes(station: ExternalAxisValues | None) -> dict[str, str]:
-    """E1 to E6 [mm or deg] at a station; unused axes are 0."""
+    """Return E1 to E6 [mm or deg] at a station as text by name; unused axes are 0."""
     values = dict(station or ())
     columns = range(_EXTERNAL_AXIS_COUNT)
     return {
@@ -161,14 +161,14 @@ def _all_external_axes(station: ExternalAxisValues | None) -> dict[str, str]:
 
 
 def stated_external_axes(station: ExternalAxisValues | None) -> str:
-    """Return the external axes that follow the pose of a target in place: those that the program moves."""
+    """Return the text of the external axes after the pose of a target: of those that the program moves."""
     return "".join(
         f",E{column + 1} {format_fixed(value, EXTERNAL_AXIS_DECIMALS)}" for column, value in station or ()
     )
 
 
 def with_track_position(station: ExternalAxisValues | None, value: float) -> ExternalAxisValues:
-    """Return a station with another value [mm] of the track.
+    """Return a station in which the track has another value.
 
     Args:
         station: Values of the external axes, or None.
@@ -261,8 +261,8 @@ def message_lines(text: str, dialect: KrlDialect, before_question: bool = False)
     Args:
         text: The message.
         dialect: KRL dialect.
-        before_question: A question follows whose answer depends on the message, so that the operator must
-            read it first (krc4: dialogs with the key Read).
+        before_question: Whether a question follows whose answer depends on the message. The operator must
+            then confirm that he has read it (krc4: dialogs with the key Read).
     """
     if dialect == "krc2":
         return _marked_comment("*", text)
@@ -274,7 +274,7 @@ def message_lines(text: str, dialect: KrlDialect, before_question: bool = False)
 
 
 def with_state(text: str, lines: list[str], dialect: KrlDialect) -> list[str]:
-    """Return statements with a text on the panel while they run (krc4).
+    """Return statements during which the panel shows a text (krc4); in krc2 the statements alone.
 
     Args:
         text: The text.
@@ -289,7 +289,9 @@ def with_state(text: str, lines: list[str], dialect: KrlDialect) -> list[str]:
 
 
 def end_program(text: str, dialect: KrlDialect) -> list[str]:
-    """Return statements that show a reason, on the panel (krc4) or as a comment, and never resume.
+    """Return statements that end the program: they show a reason and then halt again after every start.
+
+    The reason is a message on the panel in krc4 and a comment in krc2.
 
     Args:
         text: The reason.
@@ -304,12 +306,12 @@ def end_program(text: str, dialect: KrlDialect) -> list[str]:
 def robroot_check(
     arm: str, dialect: KrlDialect, axis_directions: Mapping[int, FloatArray] | None = None
 ) -> list[str]:
-    """Return statements that halt, at every start, until the robot's foot is where the plan has it.
+    """Return statements that halt, again after every start, until the robot's foot is where the plan has it.
 
-    ``$ROBROOT`` must be zero, by the length of its position and by the sum of its angles, which bounds every
-    rotation. For an arm on external axes ``$ROBROOT`` has no effect, and ``$ROBROOT_C`` is the pose of the
-    foot (KR C2 machine data, 2.1.9 $ERSYSROOT). It must equal the values of the axes times their directions,
-    by the sum of the deviations along the axes of ``$WORLD``.
+    ``$ROBROOT`` must be zero. The program compares the length of its position, and the sum of its angles,
+    which bounds every rotation. For an arm on external axes ``$ROBROOT`` has no effect, and ``$ROBROOT_C`` is
+    the pose of the foot (KR C2 machine data, 2.1.9 $ERSYSROOT). Its position must equal the axis values times
+    their directions. The program compares the sum of the deviations along the axes of ``$WORLD``.
 
     Args:
         arm: Name of the arm.
@@ -338,41 +340,41 @@ def robroot_check(
             *(f"tm_shift=tm_shift+{deviation}" for deviation in deviations[1:]),
         ]
     deviation_lines = [*shift_lines, rotation_line]
-    names = (
+    text = (
         krl_sentences.ROBROOT_TRACK_DEVIATION if axis_directions else krl_sentences.ROBROOT_DEVIATION
     ).format(arm=arm)
     if dialect == "krc2":
         shown = comment(
             (KRC2_ROBROOT_TRACK_DEVIATION if axis_directions else KRC2_ROBROOT_DEVIATION).format(arm=arm)
         )
-        after: list[str] = []
+        parameter_reset: list[str] = []
     else:
         shown = [
             "tm_par[1].Par_Type=#VALUE",
             "tm_par[1].Par_Real=tm_shift",
             "tm_par[2].Par_Type=#VALUE",
             "tm_par[2].Par_Real=tm_turn",
-            _message(names, 4),
+            _message(text, 4),
             "tm_ticket=Set_KrlMsg(#NOTIFY,tm_msg,tm_par[],tm_opt)",
         ]
-        after = ["tm_par[1].Par_Type=#EMPTY", "tm_par[2].Par_Type=#EMPTY"]
+        parameter_reset = ["tm_par[1].Par_Type=#EMPTY", "tm_par[2].Par_Type=#EMPTY"]
     loop = f"WHILE (tm_shift>{ROBROOT_POSITION_TOLERANCE_MM}) OR (tm_turn>{ROBROOT_ROTATION_TOLERANCE_DEG})"
-    return [*deviation_lines, loop, *shown, "HALT", *deviation_lines, "ENDWHILE", *after]
+    return [*deviation_lines, loop, *shown, "HALT", *deviation_lines, "ENDWHILE", *parameter_reset]
 
 
 def axis_check(axis: tuple[str, str], column: int, home: float, dialect: KrlDialect) -> list[str]:
     """Return statements that stop the program for good if an external axis is not at home.
 
     Args:
-        axis: Name of the axis, and unit of its values.
+        axis: Name of the axis, and unit of its values: "mm" or "deg".
         column: Number of the axis, from 0.
         home: Its home [mm or deg].
         dialect: KRL dialect.
     """
-    unit, sign = axis
+    name, unit = axis
     home_text = format_fixed(home, EXTERNAL_AXIS_DECIMALS)
     offset = f"{'+' if home_text.startswith('-') else '-'}{home_text.removeprefix('-')}"
-    text = krl_sentences.KRL_AXIS_NOT_HOME.format(unit=unit, sign=sign, home=home_text)
+    text = krl_sentences.KRL_AXIS_NOT_HOME.format(unit=name, sign=unit, home=home_text)
     shown = comment(text.replace("%1", "tm_shift"))
     if dialect == "krc4":
         shown = [
@@ -381,35 +383,41 @@ def axis_check(axis: tuple[str, str], column: int, home: float, dialect: KrlDial
             _message(text, 6),
             "tm_ticket=Set_KrlMsg(#NOTIFY,tm_msg,tm_par[],tm_opt)",
         ]
-    tolerance = AXIS_HOME_TOLERANCE[sign]
+    tolerance = AXIS_HOME_TOLERANCE[unit]
     deviation_line = f"tm_shift=ABS($AXIS_ACT.E{column + 1}{offset})"
     return [deviation_line, f"IF tm_shift>{tolerance} THEN", *shown, "LOOP", "HALT", "ENDLOOP", "ENDIF"]
 
 
 def _refuse_external_mode() -> list[str]:
+    """Return statements that halt while the mode of operation is automatic external."""
     return ["WHILE $MODE_OP==#EX", *comment(EXTERNAL_MODE_REFUSAL), "HALT", "ENDWHILE"]
 
 
 def _marked_comment(mark: str, text: str) -> list[str]:
+    """Return a text as comment lines that the reader recognises by their mark: "?" or "*"."""
     return [
         f";{mark} {line}" for line in textwrap.wrap(to_ascii(text), _COMMENT_WIDTH, break_on_hyphens=False)
     ]
 
 
 def _message_parts(text: str) -> list[str]:
-    """A text in parts that fit into a message.
+    """Split a text at blanks into parts that fit into a message.
 
     Raises :class:`planner.issues.TandemError` (``post.name``) for texts that cannot be shown: long words,
     quotes, parameter marks.
     """
-    flat = to_ascii(text)
-    word = max(flat.split(), key=len, default="")
-    if len(word) > MAX_TEXT_LENGTH or '"' in flat or re.search(r"%\d", flat):
-        got = f"{word[:20]}... of {len(word)} characters" if len(word) > MAX_TEXT_LENGTH else repr(flat)
-        what = f"the panel of a KUKA controller cannot show {got}"
+    ascii_text = to_ascii(text)
+    longest_word = max(ascii_text.split(), key=len, default="")
+    if len(longest_word) > MAX_TEXT_LENGTH or '"' in ascii_text or re.search(r"%\d", ascii_text):
+        got = (
+            f"{longest_word[:20]}... of {len(longest_word)} characters"
+            if len(longest_word) > MAX_TEXT_LENGTH
+            else repr(ascii_text)
+        )
+        message = f"the panel of a KUKA controller cannot show {got}"
         hint = f"give names of at most {MAX_TEXT_LENGTH} characters, without quotes and %"
-        raise issue_error("post.name", what, hint=hint)
-    return textwrap.wrap(flat, MAX_TEXT_LENGTH, break_on_hyphens=False, break_long_words=False)
+        raise issue_error("post.name", message, hint=hint)
+    return textwrap.wrap(ascii_text, MAX_TEXT_LENGTH, break_on_hyphens=False, break_long_words=False)
 
 
 def _message(text: str, number: int) -> str:
@@ -417,7 +425,7 @@ def _message(text: str, number: int) -> str:
 
 
 def _dialog(text: str, yes: str, no: str = "") -> list[str]:
-    """A dialog that reappears until its first key is pressed, also if it cannot be shown."""
+    """Return a dialog that reappears until its first key is pressed, also if it cannot be shown."""
     other = f'{{SK_type #VALUE,SK_txt[] "{no}"}}' if no else "{SK_type #EMPTY}"
     return [
         "tm_answer=0",
@@ -460,11 +468,11 @@ _MODAL_SETTINGS: Final = ("$VEL.CP", "$VEL.ORI1", "$VEL.ORI2", "$APO.CDIS", "$AP
 
 @dataclasses.dataclass(frozen=True)
 class KrlMoves:
-    """M moves, with all values as KRL states them.
+    """M moves of an operation, with all values as KRL states them.
 
     Attributes:
-        position: Targets, (M, 3) [mm].
-        angles: A, B, C, (M, 3) [deg].
+        position: Positions of the targets in $BASE, (M, 3) [mm].
+        angles: A, B, C of the targets, (M, 3) [deg].
         length: Distance from the previous pose, (M,) [mm].
         rotation: Rotation from the previous pose, (M,) [rad].
         duration: Planned time, (M,) [s].
@@ -473,7 +481,7 @@ class KrlMoves:
         distance: Approximation distance of the corner, (M,) [mm].
         angle: Approximation angle of the corner, (M,) [deg].
         stop: Whether the move ends in an exact stop, (M,).
-        still: Whether the move goes nowhere, (M,).
+        still: Whether the target equals the previous pose, so that the arm does not move, (M,).
     """
 
     position: FloatArray
@@ -490,42 +498,47 @@ class KrlMoves:
 
 
 def rounded_pose(pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return positions (..., 3) [mm] and A, B, C (..., 3) [deg] of poses (..., 4, 4) [m], as written.
+    """Return positions (..., 3) [mm] and A, B, C (..., 3) [deg] of poses (..., 4, 4) [m].
 
-    They are rounded to the written decimals.
+    They are rounded to the decimals with which targets are written.
     """
     position = np.round(1e3 * pose[..., :3, 3], POSITION_DECIMALS) + 0.0
     return position, np.round(abc(pose[..., :3, :3]), ANGLE_DECIMALS) + 0.0
 
 
 def krl_moves(track: MoveTable, stop: BoolArray, start: tuple[FloatArray, FloatArray]) -> KrlMoves:
-    """Return the moves of a track.
+    """Return the moves of an operation, with speeds that take at least the planned time.
+
+    A move whose TCP moves far and fast enough is timed by its TCP speed, any other by its rotation speed. The
+    move before one in which the arm stands still ends in a stop, too.
 
     Args:
-        track: Targets of one operation.
+        track: Targets of one operation, with their durations.
         stop: Which moves end in a stop, (M,).
-        start: Position (3,) [mm] and angles (3,) [deg] before them, as written.
+        start: Position (3,) [mm] and angles (3,) [deg] before the first move, as written.
     """
     angles = np.round(abc(from_quaternion(track.quaternion)), ANGLE_DECIMALS) + 0.0
     position, angles = np.concatenate([start[0][None], track.position]), np.vstack([start[1], angles])
     _snap_in_place(position, angles)
     length = np.linalg.norm(np.diff(position, axis=0), axis=1)
-    turn = _rotation_angles(angles)
-    still = np.all(np.diff(position, axis=0) == 0.0, axis=1) & (turn == 0.0)
+    rotation_angle = _rotation_angles(angles)
+    still = np.all(np.diff(position, axis=0) == 0.0, axis=1) & (rotation_angle == 0.0)
     stop = stop | still | np.append(still[1:], False)
     planned_speed = 1e-3 * length / track.duration
     is_linear = (length >= MIN_LINEAR_DISTANCE_MM) & (planned_speed >= MIN_SPEED_M_S)
-    turning = _round_down(np.rad2deg(turn) / (np.sqrt(2.0) * track.duration), ROTATION_SPEED_DECIMALS)
+    rotation_speed = _round_down(
+        np.rad2deg(rotation_angle) / (np.sqrt(2.0) * track.duration), ROTATION_SPEED_DECIMALS
+    )
     distance, angle = _corners(track)
     return KrlMoves(
         position=position[1:],
         angles=angles[1:],
         length=length,
-        rotation=turn,
+        rotation=rotation_angle,
         duration=track.duration,
         speed=np.maximum(_round_down(planned_speed, SPEED_DECIMALS), MIN_SPEED_M_S),
         rotation_speed=np.where(
-            is_linear, FREE_ROTATION_SPEED_DEG_S, np.maximum(turning, MIN_ROTATION_SPEED_DEG_S)
+            is_linear, FREE_ROTATION_SPEED_DEG_S, np.maximum(rotation_speed, MIN_ROTATION_SPEED_DEG_S)
         ),
         distance=distance,
         angle=angle,
@@ -535,9 +548,9 @@ def krl_moves(track: MoveTable, stop: BoolArray, start: tuple[FloatArray, FloatA
 
 
 def snap_poses(position: FloatArray, quaternion: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return positions and quaternions in which poses that KRL cannot tell from the previous one equal it.
+    """Return positions and quaternions in which each pose that is too close to the previous one equals it.
 
-    A move between such poses would go nowhere.
+    KRL cannot state the speed of a move between such poses.
 
     Args:
         position: Positions, (N, 3) [mm].
@@ -552,16 +565,14 @@ def snap_poses(position: FloatArray, quaternion: FloatArray) -> tuple[FloatArray
 
 
 def _snap_in_place(position: FloatArray, angles: FloatArray) -> None:
-    """Snap positions, and with them orientations, to the previous ones if the move would be too short.
+    """Set positions (N, 3) [mm], and angles (N, 3) [deg], to the previous ones if the move is too short.
 
-    The limit is the distance that the minimum speed covers in the minimum time of a move. Orientations have
-    a corresponding limit.
+    The limit is the distance that the minimum speed covers in the minimum time of a move. Orientations have a
+    corresponding limit.
     """
+    position_tolerance = 1e3 * MIN_SPEED_M_S * MIN_MOVE_TIME_S
     # both rotation speeds of a path act together, so a rotation may take only 0.7 of the time of one alone
-    position_tolerance, angle_tolerance = (
-        1e3 * MIN_SPEED_M_S * MIN_MOVE_TIME_S,
-        2.0 * MIN_ROTATION_SPEED_DEG_S * MIN_MOVE_TIME_S,
-    )
+    angle_tolerance = 2.0 * MIN_ROTATION_SPEED_DEG_S * MIN_MOVE_TIME_S
     # the previous row may have been snapped back by as much, hence the factor 2
     for row in np.flatnonzero(
         np.abs(np.diff(position, axis=0)).max(axis=1) < 2.0 * position_tolerance
@@ -574,12 +585,12 @@ def _snap_in_place(position: FloatArray, angles: FloatArray) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class MoveText:
-    """Text of M moves.
+    """KRL text of M moves with their settings.
 
     Attributes:
-        move: The moves without settings.
-        settings: Settings that change before each move, each on a line with its end.
-        values: Values in force at each move, (M, 5).
+        move: Text of each move without settings.
+        settings: Statements before each move for the settings that change there; "" if none changes.
+        values: Values of the settings ``_MODAL_SETTINGS`` in force at each move, (M, 5).
     """
 
     move: list[str]
@@ -587,14 +598,18 @@ class MoveText:
     values: FloatArray
 
     def sizes(self) -> IntArray:
-        """Return the size (M,) of each move with its settings [characters]; line ends count twice."""
-        pairs = zip(self.settings, self.move, strict=True)
+        """Return the size (M,) of each move with its settings [characters]; a line end counts as two."""
+        settings_and_moves = zip(self.settings, self.move, strict=True)
         return np.array(
-            [len(a) + a.count("\n") + len(b) + b.count("\n") + 2 for a, b in pairs], dtype=np.int64
+            [
+                len(settings) + settings.count("\n") + len(move) + move.count("\n") + 2
+                for settings, move in settings_and_moves
+            ],
+            dtype=np.int64,
         )
 
     def lines(self, row: int, fresh: bool) -> list[str]:
-        """Return the lines of a move.
+        """Return the lines of a move with the settings that it needs.
 
         Args:
             row: Index of the move.
@@ -604,11 +619,11 @@ class MoveText:
         return [*head.splitlines(), *self.move[row].splitlines()]
 
     def replaced(self, move: list[str], values: FloatArray) -> "MoveText":
-        """Return the lines with other text, perhaps several lines for a move, and other values.
+        """Return the same moves with other text, perhaps of several lines for a move, and other settings.
 
         Args:
             move: Text of each move.
-            values: Values in force, (M, 5).
+            values: Values of the settings in force at each move, (M, 5).
         """
         return MoveText(move, _setting_changes(values), values)
 
@@ -619,25 +634,25 @@ def move_text(
     station: ExternalAxisValues | None = None,
     track_positions: FloatArray | None = None,
 ) -> MoveText:
-    """Return the text of all moves.
+    """Return the text of all moves as straight moves; a move in which the arm stands still is a WAIT SEC.
 
     Args:
         moves: The moves.
         dialect: KRL dialect.
-        station: Values of the external axes, or None.
-        track_positions: Values of a coordinated track, (M,) [mm], or None.
+        station: Values of the external axes, or None if the cell has none.
+        track_positions: Values of a coordinated track at the targets, (M,) [mm], or None.
     """
     axes = [stated_external_axes(station)] * len(moves.stop)
     if track_positions is not None:
         axes = [
             stated_external_axes(with_track_position(station, value)) for value in track_positions.tolist()
         ]
-    word = "SLIN" if dialect == "krc4" else "LIN"
+    move_word = "SLIN" if dialect == "krc4" else "LIN"
     values = _values_in_force(moves)
     settings = _setting_changes(values)
     poses = zip(moves.position.tolist(), moves.angles.tolist(), axes, _end_words(moves, dialect), strict=True)
     move = [
-        f"{word} {{X {x:.4f},Y {y:.4f},Z {z:.4f},A {a:.5f},B {b:.5f},C {c:.5f}{external}}}{end}"
+        f"{move_word} {{X {x:.4f},Y {y:.4f},Z {z:.4f},A {a:.5f},B {b:.5f},C {c:.5f}{external}}}{end}"
         for (x, y, z), (a, b, c), external, end in poses
     ]
     for row in np.flatnonzero(moves.still).tolist():
@@ -646,7 +661,7 @@ def move_text(
 
 
 def _setting_changes(values: FloatArray) -> list[str]:
-    """Settings that change before each of M moves, given the values (M, 5) in force."""
+    """Return the statements for settings that change before each of M moves, given the values (M, 5)."""
     changed = np.diff(values, axis=0, prepend=np.nan) != 0.0
     return [
         _setting_lines(row, new) if any_new else ""
@@ -657,7 +672,10 @@ def _setting_changes(values: FloatArray) -> list[str]:
 
 
 def _values_in_force(moves: KrlMoves) -> FloatArray:
-    """Values (M, 5) in force at each move; moves that go nowhere or round nothing keep previous values."""
+    """Return the values (M, 5) of the settings in force at each move.
+
+    A move that stands still keeps the previous speeds, and one with a stop the previous approximation.
+    """
     table = np.stack(
         [moves.speed, moves.rotation_speed, moves.rotation_speed, moves.distance, moves.angle], axis=1
     )
@@ -668,7 +686,7 @@ def _values_in_force(moves: KrlMoves) -> FloatArray:
 
 
 def _setting_lines(values: Sequence[float], new: Sequence[bool] = (True,) * len(_MODAL_SETTINGS)) -> str:
-    """Lines, each with its end, that set those of the values that are new."""
+    """Return the statements, each with a line end, that set the new ones of the values."""
     decimals = (SPEED_DECIMALS, ROTATION_SPEED_DECIMALS, ROTATION_SPEED_DECIMALS, 3, 3)
     return "".join(
         f"{word}={_real(value, digits)}\n"
@@ -678,19 +696,23 @@ def _setting_lines(values: Sequence[float], new: Sequence[bool] = (True,) * len(
 
 
 def _real(value: float, decimals: int) -> str:
+    """Return a number with a decimal point, as KRL needs it for a REAL."""
     text = format_short(value, decimals)
     return text if "." in text else f"{text}.0"
 
 
 def _end_words(moves: KrlMoves, dialect: KrlDialect) -> list[str]:
-    """End word of each move, with a leading blank."""
-    by_way = np.where(moves.angle == FREE_APPROXIMATION_ANGLE_DEG, " C_DIS", " C_ORI")
-    word = np.full(len(moves.stop), " C_SPL") if dialect == "krc4" else by_way
+    """Return the word after each move for its corner, with a leading blank; "" for a stop."""
+    krc2_word = np.where(moves.angle == FREE_APPROXIMATION_ANGLE_DEG, " C_DIS", " C_ORI")
+    word = np.full(len(moves.stop), " C_SPL") if dialect == "krc4" else krc2_word
     return [str(end) for end in np.where(moves.stop, "", word)]
 
 
 def _corners(track: MoveTable) -> tuple[FloatArray, FloatArray]:
-    """Approximation distances (M,) [mm] and angles (M,) [deg] of the corners."""
+    """Return the approximation distances (M,) [mm] and angles (M,) [deg] of the corners.
+
+    The angle bounds a corner only if the TCP does not move.
+    """
     rotates_only = track.max_zone <= 0.0  # also for a move of some micrometres without rotation
     distance = _largest_fitting(APPROXIMATION_DISTANCES, track.max_zone)
     angle = _largest_fitting(APPROXIMATION_ANGLES, np.rad2deg(track.max_zone_rotation))
@@ -700,16 +722,16 @@ def _corners(track: MoveTable) -> tuple[FloatArray, FloatArray]:
 
 
 def _largest_fitting(sizes: Sequence[float], available: FloatArray) -> FloatArray:
-    """Largest of the descending sizes that fits, or the smallest size, (M,)."""
+    """Return for each available size (M,) the largest of the descending sizes that fits, or the smallest."""
     index: IntArray = np.searchsorted(-np.array(sizes), -available - 1e-9)
     return np.asarray(np.array(sizes)[np.minimum(index, len(sizes) - 1)])
 
 
 def _rotation_angles(angles: FloatArray) -> FloatArray:
-    """Angles (M,) [rad] between M + 1 orientations A, B, C (M + 1, 3) [deg].
+    """Return the angles (M,) [rad] between consecutive ones of M + 1 orientations A, B, C (M + 1, 3) [deg].
 
-    By the chord of the matrices, |R1 - R0| = 2 sqrt(2) sin(w / 2) in the Frobenius norm, which is also exact
-    for small rotations. Equal angles give exactly 0.
+    They follow from the chord of the matrices, |R1 - R0| = 2 sqrt(2) sin(w / 2) in the Frobenius norm, which
+    is also exact for small rotations. Equal orientations give exactly 0.
     """
     r = rotation(angles)
     chord = np.linalg.norm(np.diff(r, axis=0), axis=(1, 2)) / (2.0 * np.sqrt(2.0))
@@ -717,5 +739,5 @@ def _rotation_angles(angles: FloatArray) -> FloatArray:
 
 
 def _round_down(value: FloatArray, decimals: int) -> FloatArray:
-    """Values rounded down to ``decimals``."""
+    """Return the values rounded down to a number of decimals."""
     return np.asarray(np.floor(value * 10.0**decimals) / 10.0**decimals)

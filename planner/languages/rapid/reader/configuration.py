@@ -7,11 +7,11 @@ from planner.languages.rapid.reader.lexer import RapidCursor
 from planner.programs.text import STRING
 
 InstanceRow = frozenset[tuple[str, str]]
-"""Attributes of an instance with their values, "" for one without a value; names in lower case."""
+"""Attributes of one instance: pairs of lower-case name and value; the value is "" if none is given."""
 _IGNORED_ATTRIBUTES = ("label", "category")
-"""Attributes without effect."""
+"""Attributes that have no effect on the controller."""
 _ATTRIBUTE = re.compile(r'-(\w+)(?:\s+("[^"]*"|[^\s"-][^\s"]*))?(?:\s+|$)')
-"""An attribute of a line of a configuration file."""
+"""An attribute with its value in a line of a configuration file."""
 _SPELLINGS: Final = {
     name.lower(): name
     for name in (
@@ -20,48 +20,52 @@ _SPELLINGS: Final = {
         *("Res", "Act1", "Oper1", "Act2", "Oper2", "Act3", "Oper3", "Act4", "Act1_invert"),
     )
 }
-"""Attributes as a controller writes them. It is not known whether it distinguishes case."""
+"""Spelling of the attributes that a controller writes, by lower-case name.
+
+Other spellings are refused, because it is not known whether the controller distinguishes case.
+"""
 _INSTANCE_KIND = re.compile(r"(\w+):")
 """The line that opens a list of instances of one type."""
 
 
 class ConfigurationSyntaxError(Exception):
-    """A file that is no valid configuration; the message says where."""
+    """A file is not a valid configuration; the message says what is wrong."""
 
 
 def parse_configuration(text: str) -> tuple[str, dict[str, list[InstanceRow]]]:
-    """Return the head of a configuration file, and its rows by type.
+    """Return the first line of a configuration file, and its instances by type.
 
     Raises:
         ConfigurationSyntaxError: The file is not valid.
     """
     head, _, rest = text.replace("\r\n", "\n").partition("\n")
-    out: dict[str, list[InstanceRow]] = {}
+    rows_by_kind: dict[str, list[InstanceRow]] = {}
     kind: str | None = None
     if head != head.strip() or head.endswith("\\"):
         raise ConfigurationSyntaxError(f"{head[:40]!r} is no valid head")
     for line in re.sub(r"\\\n[ \t]*", " ", rest).split("\n"):
-        plain = line.strip()
-        if not plain:
+        row_text = line.strip()
+        if not row_text:
             continue
-        type_line = _INSTANCE_KIND.fullmatch(plain)
-        if plain == "#":
+        type_line = _INSTANCE_KIND.fullmatch(row_text)
+        if row_text == "#":
             kind = None
         elif type_line is not None and kind is None:
             kind = type_line.group(1)
             if kind != kind.upper():
                 raise ConfigurationSyntaxError(f"{kind} must be spelled {kind.upper()}")
-            if kind in out:
+            if kind in rows_by_kind:
                 raise ConfigurationSyntaxError(f"{kind} occurs twice")
-            out[kind] = []
+            rows_by_kind[kind] = []
         elif kind is not None:
-            out[kind].append(_parse_row(plain))
+            rows_by_kind[kind].append(_parse_row(row_text))
         else:
-            raise ConfigurationSyntaxError(f"{plain[:40]!r} belongs to no type")
-    return head, out
+            raise ConfigurationSyntaxError(f"{row_text[:40]!r} belongs to no type")
+    return head, rows_by_kind
 
 
 def _parse_row(line: str) -> InstanceRow:
+    """Parse the line of one instance, with continuation lines joined, without ignored attributes."""
     values: dict[str, str] = {}
     offset = 0
     while offset < len(line):
@@ -80,9 +84,11 @@ def _parse_row(line: str) -> InstanceRow:
 
 
 def cross_connection(row: InstanceRow) -> tuple[str, frozenset[str]] | None:
-    """Return result and terms of a cross connection whose terms are all joined by AND, else None.
+    """Return the result and the set of terms of a cross connection, or None.
 
-    An inverted term has the prefix "not ".
+    A cross connection sets a signal (the result) to a logical expression of other signals (the terms). The
+    return value is None if an operator is not AND, the result is missing, or the row has other attributes.
+    Signals are in lower case; an inverted term has the prefix "not ".
     """
     values = dict(row)
     values.pop("name", None)
@@ -101,8 +107,9 @@ def cross_connection(row: InstanceRow) -> tuple[str, frozenset[str]] | None:
 
 
 def rapid_words(text: str) -> list[str]:
-    """Return the words of RAPID text without comments: numbers by value, all but strings in lower case."""
-    cursor, out = RapidCursor(text), []
+    """Return the tokens of RAPID text without comments: numbers by value, all but strings in lower case."""
+    cursor = RapidCursor(text)
+    out: list[str] = []
     while cursor.token.kind != "end":
         kind, word = cursor.token.kind, cursor.token.text
         out.append(word if kind == "string" else repr(float(word)) if kind == "number" else word.lower())
@@ -114,7 +121,7 @@ _SIGNAL_WORD = re.compile(
     r"(?i)\b(setdo|set|reset|invertdo|pulsedo|waitdo|doutput|testdo|waitdi|dinput|testdi)\b"
     r"\s*\(?\s*(?:\\\s*\w+\s*(?::=[^,;]*)?,?\s*)*([a-z]\w*)"
 )
-"""Instructions and functions of RAPID that name a digital signal, with the options before it skipped."""
+"""A RAPID instruction or function (group 1) and the digital signal that it names after options (group 2)."""
 _INPUT_WORDS: Final = ("waitdi", "dinput", "testdi")
 """The words of ``_SIGNAL_WORD`` whose signal is an input."""
 
@@ -122,7 +129,7 @@ _INPUT_WORDS: Final = ("waitdi", "dinput", "testdi")
 def rapid_signals(text: str) -> list[tuple[str, str]]:
     """Return the digital signals in RAPID text, each with "DI" or "DO" by its use, sorted by name.
 
-    A name is spelled as where it occurs first. Comments and strings are ignored.
+    A name has the spelling of its first occurrence. Comments and strings are ignored.
     """
     code = re.sub(r"!.*", "", STRING.sub('""', text))
     spellings: dict[tuple[str, str], str] = {}

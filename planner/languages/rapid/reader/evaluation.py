@@ -57,6 +57,7 @@ class NameTable:
     def _search(
         self, key: str, current: syntax_tree.Module
     ) -> tuple[syntax_tree.Module, syntax_tree.DataDeclaration | syntax_tree.Procedure] | None:
+        """Search the current module, then the data and procedures of the others that are not LOCAL."""
         for module in (current, *(module for module in self.modules.values() if module is not current)):
             for item in self.items(module).get(key, ()):
                 if module is current or not item.local:
@@ -90,8 +91,9 @@ class Evaluator:
         names: Meaning of names.
         modules: Modules by lower-case name.
         module: The current module.
-        assigned: Values that were assigned so far.
-        cache: Initial values that were computed.
+        assigned: Values that were assigned so far, by (module, name) in lower case. A loop counter has
+            the key ("for", name).
+        cache: Initial values that were computed, by (module, name) in lower case.
         written: Lower-case names that some statement writes to.
     """
 
@@ -122,11 +124,12 @@ class Evaluator:
         """Return the value of an expression, UNKNOWN if it is only known at run time.
 
         Args:
-            expr: The expression; None has no value.
+            expr: The expression. None (an option that is not given) is UNKNOWN.
             kind: Its RAPID type.
 
         Raises:
-            FlowError: The value does not fit its type.
+            FlowError: The value does not fit its type, an operation has no finite result, or a record names
+                another record as a component.
         """
         match expr:
             case None:
@@ -153,6 +156,7 @@ class Evaluator:
             raise FlowError([fault_at(self.module, expr.start, wrong.code, wrong.message)]) from None
 
     def _literal_items(self, expr: syntax_tree.Expr) -> Any:
+        """Components of an aggregate as nested lists for `build_value`, UNKNOWN if one of them is unknown."""
         if isinstance(expr, syntax_tree.Literal):
             return expr.value
         if isinstance(expr, syntax_tree.Aggregate):
@@ -171,6 +175,7 @@ class Evaluator:
         return self.value(expr, "num")
 
     def _name_value(self, name: syntax_tree.Name) -> syntax_tree.Value:
+        """Value of a name: of a loop counter, else the last one assigned, else the initial one."""
         counter = self.assigned.get(("for", name.key))
         if counter is not None:
             return counter
@@ -191,6 +196,7 @@ class Evaluator:
     def _initial_value(
         self, module: syntax_tree.Module, data: syntax_tree.DataDeclaration
     ) -> syntax_tree.Value:
+        """Value of data when main starts, UNKNOWN if an earlier run or the operator may have changed it."""
         if data.kind == "syncident":
             return syntax_tree.SyncIdent(data.name)
         if data.initial is None or data.kind in syntax_tree.OPAQUE_TYPES or data.name.lower() in self.written:
@@ -209,6 +215,7 @@ class Evaluator:
             self.module = saved_module
 
     def _binary_value(self, expr: syntax_tree.Binary) -> syntax_tree.Value:
+        """Result of a binary operator, UNKNOWN if the controller's single precision may give another one."""
         left, right = self.value(expr.left, "num"), self.value(expr.right, "num")
         if expr.operator == "and" and (left is False or right is False):
             return False
@@ -230,16 +237,20 @@ class Evaluator:
 
 
 def _is_single_precision(value: Any) -> bool:
-    """Whether the controller, which computes in single precision, holds the same value.
+    """Whether the controller, which computes in single precision, holds exactly this value.
 
-    Results that are computed from other values, or compared with them, may differ there.
+    If it rounds an operand, results and comparisons on the controller may differ from those here.
     """
     return not isinstance(value, float) or to_single(value) == value
 
 
 def _written_names(module: syntax_tree.Module) -> Iterator[str]:
-    """Lower-case names that statements of the module write to."""
-    todo = [block for p in module.procedures for block in (p.body, p.error or (), p.undo or ())]
+    """Lower-case names that statements of the module write to: assignments and "variable" arguments."""
+    todo = [
+        block
+        for procedure in module.procedures
+        for block in (procedure.body, procedure.error or (), procedure.undo or ())
+    ]
     while todo:
         for statement in todo.pop():
             match statement:
@@ -247,9 +258,11 @@ def _written_names(module: syntax_tree.Module) -> Iterator[str]:
                     yield statement.target.key
                 case syntax_tree.Instruction():
                     form = INSTRUCTIONS[statement.name.lower()]
-                    slots = [*zip(form.required, statement.arguments, strict=False)]
-                    slots += [(form.options[key][1], v) for key, v in statement.options if v is not None]
-                    for kind, value in slots:
+                    typed_values = [*zip(form.required, statement.arguments, strict=False)]
+                    typed_values += [
+                        (form.options[key][1], value) for key, value in statement.options if value is not None
+                    ]
+                    for kind, value in typed_values:
                         if kind.startswith("variable") and isinstance(value, syntax_tree.Name):
                             yield value.key
                 case syntax_tree.If():

@@ -51,7 +51,7 @@ _COMPARISONS = frozenset({"=", "<>", "<", ">", "<=", ">="})
 
 
 def parse_expression(cursor: RapidCursor, max_string_length: int, depth: int = 0) -> Expr:
-    """Parse one expression: [NOT] terms joined by OR and XOR; a term is relations joined by AND.
+    """Parse one expression: terms joined by OR and XOR. A term is relations joined by AND, or NOT relation.
 
     Args:
         cursor: Position in the text.
@@ -59,7 +59,7 @@ def parse_expression(cursor: RapidCursor, max_string_length: int, depth: int = 0
         depth: Nesting depth of brackets.
 
     Raises:
-        RapidSyntaxError: The text is no expression of the subset.
+        RapidSyntaxError: The text is not an expression of the subset.
     """
     if depth > MAX_BRACKETS:
         raise cursor.fault(f"at most {MAX_BRACKETS} nested brackets")
@@ -75,19 +75,22 @@ def parse_expression(cursor: RapidCursor, max_string_length: int, depth: int = 0
 
 
 def _logical_term(cursor: RapidCursor, longest: int, depth: int) -> Expr:
+    """Parse relations joined by AND, or a negated relation. NOT before AND is refused as ambiguous."""
     start = cursor.token.start
     negated = cursor.take_word("not") is not None
     left = _relation(cursor, longest, depth)
     while True:
-        at = cursor.token.start
+        operator_start = cursor.token.start
         if cursor.take_word("and") is None:
             return Unary(start, "not", left) if negated else left
         if negated:
-            raise RapidSyntaxError(at, "rapid.syntax", "NOT before AND is ambiguous. Add brackets")
-        left = _binary_node(cursor, at, "and", left, _relation(cursor, longest, depth))
+            message = "NOT before AND is ambiguous. Add brackets"
+            raise RapidSyntaxError(operator_start, "rapid.syntax", message)
+        left = _binary_node(cursor, operator_start, "and", left, _relation(cursor, longest, depth))
 
 
 def _relation(cursor: RapidCursor, longest: int, depth: int) -> Expr:
+    """Parse a sum, or a comparison of two sums."""
     left = _sum(cursor, longest, depth)
     token = cursor.token
     if token.kind == "symbol" and token.text in _COMPARISONS:
@@ -116,6 +119,7 @@ def _product(cursor: RapidCursor, longest: int, depth: int) -> Expr:
 
 
 def _binary_node(cursor: RapidCursor, start: int, operator: str, left: Expr, right: Expr) -> Expr:
+    """Return an operator with its operands; raise a fault if the expression has too many operators."""
     cursor.operators += 1
     if cursor.operators > MAX_OPERATORS:
         message = f"the expression has more than {MAX_OPERATORS} operators; split it"
@@ -124,6 +128,7 @@ def _binary_node(cursor: RapidCursor, start: int, operator: str, left: Expr, rig
 
 
 def _primary(cursor: RapidCursor, longest: int, depth: int) -> Expr:
+    """Parse an operand: a literal, a name, a function call, an aggregate, or an expression in brackets."""
     token = cursor.token
     if token.kind == "number":
         return Literal(token.start, "num", parse_number(cursor.take().text, token.start))
@@ -152,7 +157,7 @@ def parse_number(text: str, start: int) -> float:
         start: Its offset.
 
     Raises:
-        RapidSyntaxError: The number exceeds what a controller holds.
+        RapidSyntaxError: The number exceeds the range of single precision.
     """
     value = float(text)
     if value >= MAX_NUMBER:
@@ -161,17 +166,19 @@ def parse_number(text: str, start: int) -> float:
 
 
 def _signed(cursor: RapidCursor, longest: int, depth: int) -> Expr:
+    """Parse + or - with its operand; a sign before a number becomes part of the literal."""
     sign = cursor.take()
     if depth > MAX_BRACKETS:
         raise cursor.fault(f"at most {MAX_BRACKETS} nested signs")
     operand = _primary(cursor, longest, depth + 1)
     if isinstance(operand, Literal) and operand.kind == "num":
         value = -operand.value if sign.text == "-" else operand.value
-        return Literal(sign.start, "num", value or 0.0)  # controllers also write -0.00
+        return Literal(sign.start, "num", value or 0.0)  # -0.00, which controllers also write, becomes 0.0
     return Unary(sign.start, sign.text, operand)
 
 
 def _string(cursor: RapidCursor, longest: int) -> str:
+    """Take a string and return its value, with doubled quotes and backslashes resolved."""
     token = cursor.take()
     value = token.text[1:-1].replace('""', '"')
     if "\\" in value.replace("\\\\", ""):
@@ -185,6 +192,7 @@ def _string(cursor: RapidCursor, longest: int) -> str:
 
 
 def _name(cursor: RapidCursor, longest: int, depth: int) -> Expr:
+    """Parse TRUE, FALSE, the name of data, or a function call."""
     token = cursor.token
     if token.word in ("true", "false"):
         return Literal(token.start, "bool", cursor.take().word == "true")
@@ -202,7 +210,7 @@ def _name(cursor: RapidCursor, longest: int, depth: int) -> Expr:
 
 
 def parse_aggregate(cursor: RapidCursor, longest: int, depth: int) -> Expr:
-    """Parse `[a, b, ...]`: a `Literal` of kind "list" if it holds only numbers, else an `Aggregate`.
+    """Parse `[a, b, ...]`: a `Literal` of kind "list" if it contains numbers only, else an `Aggregate`.
 
     Args:
         cursor: Position in the text, at the opening bracket.
@@ -210,10 +218,11 @@ def parse_aggregate(cursor: RapidCursor, longest: int, depth: int) -> Expr:
         depth: Nesting depth of brackets.
     """
     start = cursor.token.start
-    numbers = parse_number_list(cursor.text, start)
-    if numbers is not None:
-        cursor.jump(numbers[1])
-        return Literal(start, "list", numbers[0])
+    number_list = parse_number_list(cursor.text, start)
+    if number_list is not None:
+        items_of_list, end = number_list
+        cursor.jump(end)
+        return Literal(start, "list", items_of_list)
     if depth > MAX_BRACKETS:
         raise cursor.fault(f"at most {MAX_BRACKETS} nested brackets")
     cursor.take()
@@ -225,14 +234,14 @@ def parse_aggregate(cursor: RapidCursor, longest: int, depth: int) -> Expr:
 
 
 _DECODER = json.JSONDecoder()
-"""Parses text of brackets and numbers fast."""
+"""JSON decoder, which parses nested lists of numbers fast."""
 
 
 def parse_number_list(text: str, start: int) -> tuple[list[Any], int] | None:
-    """Return the nested number list at an offset and the offset after it, or None if it is no plain list.
+    """Return the nested list of numbers at an offset and the offset after it, or None for any other text.
 
-    A list of plain numbers is also JSON, and the JSON decoder is fast. Anything else (names, truth values,
-    faults) returns None; the general parser reads it and explains faults.
+    A list of numbers is also JSON, and the JSON decoder is fast. Anything else (names, truth values, faults,
+    numbers beyond single precision, empty lists) gives None; the general parser reads it and explains faults.
 
     Args:
         text: Text of the module.
@@ -248,13 +257,14 @@ def parse_number_list(text: str, start: int) -> tuple[list[Any], int] | None:
 
 
 def _all_finite(value: Any) -> bool:
+    """Whether nested lists are not empty and contain only numbers in the range of single precision."""
     if isinstance(value, list):
         return bool(value) and all(map(_all_finite, value))
     return bool(-MAX_NUMBER < value < MAX_NUMBER)
 
 
 def literal_items(expr: Expr) -> Any:
-    """Return nested lists of the literals of an expression without names, or None."""
+    """Return the value of a literal, or the values in an aggregate of literals as nested lists, or None."""
     if isinstance(expr, Literal):
         return expr.value
     if isinstance(expr, Aggregate):
@@ -264,7 +274,7 @@ def literal_items(expr: Expr) -> Any:
 
 
 def typed_literal(expr: Expr, kind: str) -> Expr:
-    """Return the expression as a `Literal` of a type if it contains no names, else unchanged.
+    """Return a literal, or an aggregate of literals, as a `Literal` of a type; other expressions unchanged.
 
     Args:
         expr: The expression.
@@ -287,6 +297,8 @@ def typed_literal(expr: Expr, kind: str) -> Expr:
 
 
 class _RapidOption(NamedTuple):
+    """An option as written: lower-case name, value or None, number of arguments before it, and offset."""
+
     name: str
     value: Expr | None
     slot: int
@@ -294,7 +306,7 @@ class _RapidOption(NamedTuple):
 
 
 def parse_instruction(cursor: RapidCursor, line: int, max_string_length: int) -> RapidStatement:
-    """Parse the instruction whose name is at the cursor.
+    """Parse the built-in instruction whose name is at the cursor, up to its semicolon.
 
     Args:
         cursor: Position in the text.
@@ -309,17 +321,19 @@ def parse_instruction(cursor: RapidCursor, line: int, max_string_length: int) ->
     required, options = _arguments(cursor, max_string_length, form)
     cursor.expect_symbol(";", f"or a further argument of {form.name}")
     if len(required) != len(form.required):
-        got = f"{form.name} has {len(required)} required arguments; allowed: {len(form.required)}"
-        raise RapidSyntaxError(first.start, "rapid.arity", f"{got} ({', '.join(form.required) or 'none'})")
+        message = f"{form.name} has {len(required)} required arguments; allowed: {len(form.required)}"
+        raise RapidSyntaxError(
+            first.start, "rapid.arity", f"{message} ({', '.join(form.required) or 'none'})"
+        )
     arguments = tuple(_argument(value, kind) for value, kind in zip(required, form.required, strict=True))
     values = {option.name: _option(option, form) for option in options}
     if len(values) != len(options):
         raise RapidSyntaxError(first.start, "rapid.syntax", f"an option of {form.name} is given twice")
     for pair in EXCLUSIVE_OPTIONS:
         if pair[0] in values and pair[1] in values:
-            both = " and ".join("\\" + name for name in pair)
+            names = " and ".join("\\" + name for name in pair)
             raise RapidSyntaxError(
-                first.start, "rapid.options", f"{form.name}: {both} exclude each other; give one"
+                first.start, "rapid.options", f"{form.name}: {names} exclude each other; give one"
             )
     if first.word not in MOVE_INSTRUCTIONS:
         if form.name in ("ConfL", "ConfJ", "SingArea") and len(values) != 1:
@@ -327,19 +341,22 @@ def parse_instruction(cursor: RapidCursor, line: int, max_string_length: int) ->
             raise RapidSyntaxError(first.start, "rapid.options", f"{form.name} needs one of {allowed}")
         return Instruction(line, first.start, form.name, arguments, tuple(values.items()))
     target, speed, zone, tool = arguments
-    named = {
+    move_options = {
         "id": values.get("id"),
         "time": values.get("t"),
         "velocity": values.get("v"),
         "wobj": values.get("wobj"),
     }
     switches = tuple(name for name in values if name not in ("id", "t", "v", "wobj"))
-    return MoveStatement(line, first.start, form.name, target, speed, zone, tool, switches=switches, **named)
+    return MoveStatement(
+        line, first.start, form.name, target, speed, zone, tool, switches=switches, **move_options
+    )
 
 
 def _arguments(
     cursor: RapidCursor, longest: int, form: InstructionForm
 ) -> tuple[list[Expr], list[_RapidOption]]:
+    """Parse the required arguments and the options of an instruction, up to the semicolon."""
     required: list[Expr] = []
     options: list[_RapidOption] = []
     while not (cursor.token.kind == "symbol" and cursor.token.text == ";"):
@@ -362,6 +379,7 @@ def _arguments(
 
 
 def _argument(value: Expr, kind: str) -> Expr:
+    """Return an argument as a literal of its type if possible; refuse it if it must be a name and is not."""
     if kind.startswith("variable") or kind in ("syncident", "tasks", "signaldo", "signaldi", "clock"):
         if not isinstance(value, Name):
             raise RapidSyntaxError(
@@ -372,6 +390,7 @@ def _argument(value: Expr, kind: str) -> Expr:
 
 
 def _option(option: _RapidOption, form: InstructionForm) -> Expr | None:
+    """Return the value of an option, None for a switch; refuse it if its name, place or value is wrong."""
     allowed = form.options.get(option.name)
     if allowed is None:
         names = ", ".join("\\" + name for name in form.options) or "no options"
@@ -395,7 +414,7 @@ def _option(option: _RapidOption, form: InstructionForm) -> Expr | None:
 _MOVE_HEAD = re.compile(
     r"(?:Move(?P<linear>[LJ])|MoveAbsJ)[ \t]+(?P<name>[A-Za-z]\w*)?", re.IGNORECASE | re.ASCII
 )
-"""First words of a move."""
+"""Start of a move: its instruction and the name of its target, if that is named."""
 _MOVE_KINDS = {"L": "MoveL", "J": "MoveJ"}
 # possessive quantifiers: three runs of blanks in a row would backtrack against each other
 _MOVE_TAIL = re.compile(
@@ -405,11 +424,14 @@ _MOVE_TAIL = re.compile(
     (?:[ \t]*+\\WObj:=(?P<wobj>[A-Za-z]\w*))?[ \t]*+;""",
     re.IGNORECASE | re.ASCII | re.VERBOSE,
 )
-"""Rest of a move after its target."""
+"""Rest of a move of the usual form after its target, up to its semicolon."""
 
 
 def parse_usual_move(cursor: RapidCursor, line: int) -> MoveStatement | None:
     """Parse the move at the cursor if it has the usual form; otherwise return None and leave the cursor.
+
+    In the usual form, the target is a name or numbers, as is the speed; zone, tool and work object are names;
+    and there are no other options than ID, T, WObj and NoEOffs.
 
     Args:
         cursor: Position in the text.
@@ -425,11 +447,12 @@ def parse_usual_move(cursor: RapidCursor, line: int) -> MoveStatement | None:
         if head["name"]:
             target: Expr | None = _data_name(head["name"], head.start("name"))
         else:
-            numbers = parse_number_list(text, end)
-            if numbers is None:
+            number_list = parse_number_list(text, end)
+            if number_list is None:
                 return None
             record = "jointtarget" if kind == "MoveAbsJ" else "robtarget"
-            target, end = Literal(end, record, build_value(record, numbers[0])), numbers[1]
+            target = Literal(end, record, build_value(record, number_list[0]))
+            end = number_list[1]
         tail = _MOVE_TAIL.match(text, end)
         if tail is None or target is None or (tail["still"] and kind != "MoveAbsJ"):
             return None
@@ -451,14 +474,16 @@ def parse_usual_move(cursor: RapidCursor, line: int) -> MoveStatement | None:
 
 
 def _data_name(text: str, start: int) -> Name | None:
-    return None if text.lower() in RESERVED else Name(start, sys.intern(text))  # names repeat
+    """Return a reference to data, or None for a reserved word. Equal names share one string in memory."""
+    return None if text.lower() in RESERVED else Name(start, sys.intern(text))
 
 
 def _speed(text: str, tail: re.Match[str]) -> Expr | None:
+    """Return the speed in the rest of a usual move, a name or speeddata, or None if it is neither."""
     start = tail.start("speed")
     if text[start] != "[":
         return _data_name(tail["speed"], start)
-    numbers = parse_number_list(text, start)
-    if numbers is None or numbers[1] != tail.end("speed"):
+    number_list = parse_number_list(text, start)
+    if number_list is None or number_list[1] != tail.end("speed"):
         return None
-    return Literal(start, "speeddata", build_value("speeddata", numbers[0]))
+    return Literal(start, "speeddata", build_value("speeddata", number_list[0]))

@@ -53,7 +53,7 @@ from planner.programs.steps import (
 CHECK_MODULE = re.compile(r"(?i)TandemCheck_\w+\.(modx?)$")
 """Names of the modules that compare the cell with the plan; a separate rule reads them."""
 AXES_CHECK_PROCEDURE = "check_axes"
-"""Name of the procedure in that module that checks external axes, and kind of the step that calls it."""
+"""Name of the procedure in a check module that checks external axes, and kind of the step for its call."""
 MAX_CALL_DEPTH = 50
 """Maximum call depth of procedures."""
 MAX_ITERATIONS = 100_000
@@ -80,7 +80,7 @@ class RapidRunner(Evaluator):
     Attributes:
         handler: Whether this is an ERROR or UNDO section, whose steps may depend on run-time conditions.
         steps: Steps so far.
-        procedure: The current procedure.
+        procedure: Name of the current procedure.
         condition: Run-time condition of the current branch, "" for none.
         depth: Call depth.
         entered: (module, procedure) of everything that ran or may run.
@@ -101,13 +101,14 @@ class RapidRunner(Evaluator):
     # ---- entry ----
 
     def run(self, entry: str) -> tuple[ProgramStep, ...]:
-        """Return the steps from a procedure on.
+        """Return all steps of a procedure, with those of the procedures that it calls.
 
         Args:
             entry: Name of the procedure.
 
         Raises:
-            FlowError: The procedure is missing, calls never end, or run-time conditions decide over motion.
+            FlowError: The procedure is missing, local or not unique, calls never end, or a run-time condition
+                decides over motion, signals or synchronisation.
         """
         entries = [
             (module, procedure)
@@ -117,20 +118,21 @@ class RapidRunner(Evaluator):
         ]
         if len(entries) == 1 and not entries[0][1].local:
             return self.run_block(*entries[0], entries[0][1].body)
-        what = f"several procedures {entry}, or a local procedure," if entries else f"no procedure {entry}"
-        raise FlowError([TextFault(1, 1, "rapid.flow", f"{what} in the task's modules", self.module.file)])
+        cause = f"several procedures {entry}, or a local procedure," if entries else f"no procedure {entry}"
+        raise FlowError([TextFault(1, 1, "rapid.flow", f"{cause} in the task's modules", self.module.file)])
 
     def run_block(
         self, module: Module, procedure: Procedure, body: Sequence[RapidStatement]
     ) -> tuple[ProgramStep, ...]:
-        """Return the steps of a block of a procedure.
+        """Execute a block of a procedure and return all steps so far.
 
         Args:
             module: Module of the procedure.
             procedure: The procedure.
-            body: Statements of the block.
+            body: Statements of the block: the body, or the ERROR or UNDO section.
         """
-        self.module, self.procedure = module, procedure.name
+        self.module = module
+        self.procedure = procedure.name
         self.entered.add((module.name, procedure.name))
         self._offset = procedure.start
         with suppress(_LeaveError):
@@ -175,23 +177,24 @@ class RapidRunner(Evaluator):
             case For():
                 self._for(statement)
 
-    def _spend(self, statement: RapidStatement, work: int) -> None:
+    def _spend(self, statement: RapidStatement, cost: int) -> None:
+        """Subtract the cost of a statement from the budget, which stops loops and calls that never end."""
         self._offset = statement.start
-        self.names.budget -= work
+        self.names.budget -= cost
         if self.names.budget < 0:
             raise self.flow_error(
                 statement.start, "the program has no end, or executes its lines too often to be read"
             )
 
     def _append_axes_check(self, statement: ProcCall) -> None:
-        """Append a step for a call of the external-axis check, whose statements a separate rule reads."""
+        """Append a step if a statement calls the check of external axes, which a separate rule reads."""
         declaration = self.find(statement.name.lower())
         file = "" if declaration is None else PurePosixPath(declaration[0].file).name
         if statement.name.lower() == AXES_CHECK_PROCEDURE and CHECK_MODULE.match(file):
             self.steps.append(SettingStep(*self._where(statement), AXES_CHECK_PROCEDURE, (), ()))
 
     def call(self, start: int, name: str) -> None:
-        """Expand the steps of a procedure.
+        """Execute a procedure at the place of its call.
 
         Args:
             start: Offset of the call.
@@ -210,30 +213,38 @@ class RapidRunner(Evaluator):
                 start, f"calls nested more than {MAX_CALL_DEPTH} deep; {name} may call itself"
             )
         caller = self.module, self.procedure
-        self.entered.add((declaration[0].name, declaration[1].name))
-        self.module, self.procedure, self.depth = declaration[0], declaration[1].name, self.depth + 1
+        called_module, called = declaration[0], declaration[1]
+        self.entered.add((called_module.name, called.name))
+        self.module = called_module
+        self.procedure = called.name
+        self.depth += 1
         try:
-            self.block(declaration[1].body)
-        except _LeaveError as left:
-            if left.word != "RETURN":
-                raise
+            self.block(called.body)
+        except _LeaveError as leave:
+            if leave.word != "RETURN":
+                raise  # EXIT, RAISE, RETRY and TRYNEXT also leave the caller
         finally:
-            (self.module, self.procedure), self.depth = caller, self.depth - 1
+            self.module, self.procedure = caller
+            self.depth -= 1
 
     def _where(self, statement: RapidStatement) -> tuple[str, str, int, str]:
+        """The first four fields of a `ProgramStep`: module, procedure, line and condition."""
         return self.module.name, self.procedure, statement.line, self.condition
 
     def _kind(self, name: Name) -> str:
+        """RAPID type of declared data; num for other names, such as loop counters."""
         declaration = self.find(name.key)
         return declaration[1].kind if declaration and isinstance(declaration[1], DataDeclaration) else "num"
 
     def _assign(self, name: Expr, value: Value) -> None:
+        """Store the value of declared data; UNKNOWN if the statement sets a value at run time."""
         if isinstance(name, Name):
             declaration = self.find(name.key)
             if declaration:
                 self.assigned[declaration[0].name.lower(), name.key] = value
 
     def _require_value(self, expr: Expr, kind: str) -> Value:
+        """Value of an expression; raise a FlowError if it is only known at run time."""
         value = self.value(expr, kind)
         if value is None:
             raise self.flow_error(
@@ -242,6 +253,7 @@ class RapidRunner(Evaluator):
         return value
 
     def _move(self, move: MoveStatement) -> MoveStep:
+        """Return the step of a move. All of its data must be known before run time."""
         form = INSTRUCTIONS[move.kind.lower()]
         target = self._require_value(move.target, form.required[0])
         ident = None if move.id is None else int(self._require_value(move.id, "num"))
@@ -271,6 +283,7 @@ class RapidRunner(Evaluator):
         )
 
     def _instruction(self, statement: Instruction) -> None:
+        """Append the step of an instruction; raise _LeaveError if it ends the procedure without condition."""
         name, arguments, options = statement.name, statement.arguments, dict(statement.options)
         where = self._where(statement)
         if name in ("SetDO", "Set", "Reset"):
@@ -308,11 +321,12 @@ class RapidRunner(Evaluator):
             values = tuple(
                 self.value(argument, "num") for argument in arguments if not isinstance(argument, Name)
             )
-            self.steps.append(SettingStep(*where, name, tuple(options), values, name == "Stop"))
+            self.steps.append(SettingStep(*where, name, tuple(options), values, stops=name == "Stop"))
             if name in _END_STATEMENTS and not self.condition:
                 raise _LeaveError(name)
 
     def _message(self, statement: Instruction, options: dict[str, Expr | None]) -> None:
+        """Append the step of a statement that shows a text. "..." stands for text known at run time only."""
         name, arguments = statement.name, statement.arguments
         shown = [value for value in (options.get("header"), *arguments) if value is not None]
         # the panel shows lines by number, in whatever order the text lists them
@@ -329,27 +343,39 @@ class RapidRunner(Evaluator):
             self._assign(result, UNKNOWN)
         texts = [self.value(value, "string") for value in shown]
         lines = tuple("..." if text is None else str(text) for text in texts)
-        asks = name in ("UIMsgBox", "TPReadFK")
+        waits_for_operator = name in ("UIMsgBox", "TPReadFK")
         text = " ".join(lines[1:] if options.get("header") is not None else lines)
         button = options.get("buttons")
-        certain = name == "UIMsgBox" and "maxtime" not in options and "result" not in options
-        certain = certain and (button is None or self.value(button, "num") == PREDEFINED["btnok"][1])
+        # the program continues only after OK: no timeout, no other answer, and OK is the only button
+        only_ok = name == "UIMsgBox" and "maxtime" not in options and "result" not in options
+        only_ok = only_ok and (button is None or self.value(button, "num") == PREDEFINED["btnok"][1])
         panel: Literal["line", "clear", ""] = (
             "line" if name == "TPWrite" else "clear" if name == "TPErase" else ""
         )
         header = lines[0] if options.get("header") is not None else ""
-        others = tuple(
+        other_options = tuple(
             (key, "" if value is None else _name_text(value))
             for key, value in options.items()
             if key != "header" and not key.startswith("msgline")
         )
         self.steps.append(
-            MessageStep(*self._where(statement), name, lines, asks, text, certain, panel, header, others)
+            MessageStep(
+                *self._where(statement),
+                name,
+                lines,
+                waits_for_operator,
+                text,
+                only_ok,
+                panel,
+                header,
+                other_options,
+            )
         )
 
     # ---- branches and loops ----
 
     def _if(self, statement: If) -> None:
+        """Execute the branch whose condition is known to hold, or all branches that may be executed."""
         undecided = ""
         for (condition, body), source in zip(statement.branches, statement.source, strict=True):
             truth = self.value(condition, "bool")
@@ -366,13 +392,15 @@ class RapidRunner(Evaluator):
             self._choice(statement, f"not ({undecided})", lambda: self.block(statement.otherwise))
 
     def _while(self, statement: While) -> None:
+        """Execute a loop while its condition is known to hold, then as a choice if it is unknown."""
         while (truth := self.value(statement.condition, "bool")) is True:
             self._spend(statement, 1)
             self.block(statement.body)
         if truth is None:
-            self._choice(statement, statement.source, lambda: self.block(statement.body), True)
+            self._choice(statement, statement.source, lambda: self.block(statement.body), repeats=True)
 
     def _for(self, statement: For) -> None:
+        """Execute a counted loop. Its range must be known; a missing STEP counts towards the last value."""
         first, last = self._require_value(statement.first, "num"), self._require_value(statement.last, "num")
         step = (
             self._require_value(statement.step, "num") if statement.step else (1.0 if last >= first else -1.0)
@@ -381,6 +409,7 @@ class RapidRunner(Evaluator):
             raise self.flow_error(statement.start, f"FOR from {first:g} to {last:g} by {step:g} does not end")
         key = ("for", statement.name.lower())
         outer = self.assigned.get(key)
+        # 1e-9 of a step keeps the last iteration if the division gives slightly less than a whole number
         for count in range(int((last - first) / step + 1e-9) + 1 if (last - first) / step >= 0 else 0):
             self._spend(statement, 1)
             self.assigned[key] = first + count * step
@@ -390,19 +419,25 @@ class RapidRunner(Evaluator):
     def _choice(
         self, statement: RapidStatement, condition: str, run: Callable[[], None], repeats: bool = False
     ) -> None:
-        """Collect the steps under a run-time condition; refuse those that move, switch or synchronise."""
+        """Collect the steps of a branch under a run-time condition; refuse those that must not depend on one.
+
+        ``run`` executes the branch. ``repeats`` is True for a loop. In a handler all steps are allowed.
+        """
         self._spend(statement, 1 + len(self.assigned))
-        steps, outer, cells = self.steps, self.condition, dict(self.assigned)
-        self.steps, self.condition = [], condition if not outer else f"{outer} and {condition}"
+        outer_steps, outer_condition = self.steps, self.condition
+        assigned_before = dict(self.assigned)
+        self.steps = []
+        self.condition = condition if not outer_condition else f"{outer_condition} and {condition}"
         try:
             run()
         except _LeaveError:
             pass
         finally:
-            branch_steps, self.steps, self.condition = self.steps, steps, outer
-        # values that the branch may or may not have assigned are unknown after it
+            branch_steps, self.steps, self.condition = self.steps, outer_steps, outer_condition
+        # values that the branch may or may not have assigned are unknown after it; ``self`` marks a new key
         self.assigned = {
-            key: value if cells.get(key, self) is value else UNKNOWN for key, value in self.assigned.items()
+            key: value if assigned_before.get(key, self) is value else UNKNOWN
+            for key, value in self.assigned.items()
         }
         where = (self.module.name, self.procedure, statement.line, condition)
         if self.handler:
@@ -418,31 +453,38 @@ class RapidRunner(Evaluator):
 
 
 def _harmless(step: ProgramStep, branch: Sequence[ProgramStep]) -> bool:
-    """Whether a step may depend on a run-time condition: it shows text, waits or stops the task for good.
+    """Whether a step of a branch may depend on a run-time condition: it shows text, waits or stops the task.
 
-    In a branch that ends the task, signals may be switched off first. A branch that leaves its procedure
-    (RETURN, RAISE) would skip the statements that follow there.
+    In a branch that ends the task with EXIT, signals may be switched off first. A branch that leaves its
+    procedure (RETURN, RAISE) is not harmless, because it would skip the statements that follow there.
     """
-    last = branch[-1]
-    ends = isinstance(last, SettingStep) and last.kind == "EXIT" and last.condition == branch[0].condition
+    last_step = branch[-1]
+    # the EXIT depends on no further condition than the first step of the branch
+    ends_task = (
+        isinstance(last_step, SettingStep)
+        and last_step.kind == "EXIT"
+        and last_step.condition == branch[0].condition
+    )
     match step:
         case SettingStep():
             return step.kind in _STOP_STATEMENTS
         case SignalStep():
-            return ends and step.value == 0.0 and not step.delay
+            return ends_task and step.value == 0.0 and not step.delay
         case _:
             return isinstance(step, MessageStep | WaitStep | CallStep | ChoiceStep)
 
 
 def _name_text(expr: Expr) -> str:
+    """Return a name as written, "" for any other expression."""
     return expr.text if isinstance(expr, Name) else ""
 
 
 Sections = Mapping[tuple[str, str], tuple[ProgramStep, ...]]
+"""Steps of the ERROR or UNDO sections, by names of module and procedure."""
 
 
 def main_steps(modules: Sequence[Module], entry: str = "main") -> tuple[ProgramStep, ...]:
-    """Return all steps of a task.
+    """Return the steps of a task's main flow, with calls expanded.
 
     Args:
         modules: Modules without faults (`reader.read_task`).
@@ -473,7 +515,7 @@ class TaskFlow:
 
 
 def task_flow(modules: Sequence[Module], entry: str = "main") -> TaskFlow:
-    """Return the main flow of :func:`main_steps` with everything else that may run.
+    """Return the main flow of a task as :func:`main_steps` does, and its ERROR and UNDO sections.
 
     Args:
         modules: Modules without faults.
@@ -485,8 +527,9 @@ def task_flow(modules: Sequence[Module], entry: str = "main") -> TaskFlow:
     names = NameTable(modules)
     runner = RapidRunner(modules, names=names)
     steps = runner.run(entry)
-    errors, undo = (_sections(modules, names, which) for which in ("error", "undo"))
-    return TaskFlow(steps, errors, undo, _called_procedures(modules, names, runner.entered))
+    handlers = _sections(modules, names, "error")
+    undos = _sections(modules, names, "undo")
+    return TaskFlow(steps, handlers, undos, _called_procedures(modules, names, runner.entered))
 
 
 def error_handlers(modules: Sequence[Module]) -> Sections:
@@ -497,8 +540,13 @@ def error_handlers(modules: Sequence[Module]) -> Sections:
 def _called_procedures(
     modules: Sequence[Module], names: NameTable, entered: set[tuple[str, str]]
 ) -> frozenset[tuple[str, str]]:
-    """Procedures that may run if the main flow has ``entered`` the given ones."""
-    by_name = {(m.name, p.name): p for m in modules for p in reversed(m.procedures)}
+    """All procedures that may run: those ``entered``, and those that their ERROR and UNDO sections call."""
+    # reversed: of procedures with equal names, the first one counts
+    by_name = {
+        (module.name, procedure.name): procedure
+        for module in modules
+        for procedure in reversed(module.procedures)
+    }
     called = set(entered)
     todo = set(called)
     while todo:
@@ -513,12 +561,13 @@ def _called_procedures(
 
 
 def _sections(
-    modules: Sequence[Module], names: NameTable, which: str
+    modules: Sequence[Module], names: NameTable, section: str
 ) -> dict[tuple[str, str], tuple[ProgramStep, ...]]:
+    """Steps of each ERROR section (``section`` "error") or UNDO section ("undo"), by module and procedure."""
     sections: dict[tuple[str, str], tuple[ProgramStep, ...]] = {}
     for module in modules:
         for procedure in module.procedures:
-            block = getattr(procedure, which)
+            block = getattr(procedure, section)
             if block is not None:
                 runner = RapidRunner(modules, handler=True, names=names)
                 sections[module.name, procedure.name] = runner.run_block(module, procedure, block)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 _SKIP = re.compile(r"(?:[ \t\r\n]+|![^\n]*)*")
-"""Blanks, line ends and comments."""
+"""Blanks, line ends and comments, which are skipped before a token."""
 _TOKEN = re.compile(
     r"""(?P<name>[A-Za-z][A-Za-z0-9_]*)
     |(?P<number>(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?(?![\w.\#]))
@@ -69,17 +69,18 @@ class RapidCursor:
     def __init__(self, text: str) -> None:
         self.text = text
         self._starts = [0, *(match.end() for match in re.finditer("\n", text))]
-        self.end = 0  # offset after the last token taken
-        self.operators = 0  # in the current expression
+        self.end = 0
+        self.operators = 0
         self.token = RapidToken("end", "", "", 0)
         self.jump(0)
 
     def jump(self, offset: int) -> None:
-        """Continue at ``offset``, which must not be inside a string or a comment."""
+        """Continue parsing at ``offset``, which must not be inside a string or a comment."""
         self.end = offset
         self.token = self._scan(offset)
 
     def _scan(self, offset: int) -> RapidToken:
+        """Return the first token at or after ``offset``, without moving the cursor."""
         skipped = _SKIP.match(self.text, offset)
         start = skipped.end() if skipped else offset
         match = _TOKEN.match(self.text, start)
@@ -113,10 +114,10 @@ class RapidCursor:
 
         Args:
             symbol: The symbol.
-            where: Where it must stand, for the message.
+            where: Its place in the statement, for the message, such as "after the declaration".
 
         Raises:
-            RapidSyntaxError: The token is another one.
+            RapidSyntaxError: The current token is another one.
         """
         if not self.take_symbol(symbol):
             raise self.fault(f'"{symbol}" {where}')
@@ -126,10 +127,10 @@ class RapidCursor:
 
         Args:
             word: The word in lower case.
-            where: Where it must stand, for the message.
+            where: Its place in the statement, for the message, such as "after TASK".
 
         Raises:
-            RapidSyntaxError: The token is another one.
+            RapidSyntaxError: The current token is another one.
         """
         if self.take_word(word) is None:
             raise self.fault(f"{word.upper()} {where}")
@@ -145,12 +146,12 @@ class RapidCursor:
 
     def line_and_column(self, offset: int) -> tuple[int, int]:
         """Return line and column of an offset, both from 1."""
-        row = bisect_right(self._starts, offset)
-        return row, offset - self._starts[row - 1] + 1
+        line = bisect_right(self._starts, offset)
+        return line, offset - self._starts[line - 1] + 1
 
     @property
     def starts(self) -> tuple[int, ...]:
-        """Offsets of the lines."""
+        """Offset of the start of each line."""
         return tuple(self._starts)
 
     def line(self, offset: int) -> int:
@@ -159,12 +160,12 @@ class RapidCursor:
 
 
 def shorten(text: str) -> str:
-    """Return text for a message, cut to 40 characters."""
+    """Return text in quotes for a message, cut to 40 characters."""
     return repr(text if len(text) <= 40 else text[:37] + "...")
 
 
 def bad_token_error(token: RapidToken) -> RapidSyntaxError:
-    """Return the exception for a token that no RAPID text may contain."""
+    """Return the exception for a token of kind "bad", with a message for the probable mistake."""
     text, first = token.text, token.text[0]
     if first == '"':
         return RapidSyntaxError(
@@ -202,8 +203,8 @@ class InstructionForm:
 
     Attributes:
         name: Official spelling.
-        required: Types of the required arguments. "signal..." types are names that the controller's
-            configuration declares. "variable <type>" must be a VAR or PERS.
+        required: Types of the required arguments. Arguments of "signal..." types are names that the
+            controller's configuration declares. "variable <type>" stands for a VAR or PERS of that type.
         options: Options by name, as (slot, type). Slot n means after the n-th required argument. Type
             "switch" takes no value.
     """
@@ -214,6 +215,7 @@ class InstructionForm:
 
 
 def _move(name: str, target: str, extra: dict[str, tuple[int, str]]) -> InstructionForm:
+    """Form of a move with a target of type ``target``; ``extra`` are the options that other moves lack."""
     options: dict[str, tuple[int, str]] = {
         "conc": (0, "switch"),
         "id": (1, "num"),
@@ -312,7 +314,6 @@ EXCLUSIVE_OPTIONS = (
 )
 """Options that exclude each other."""
 
-# functions: types of the arguments and of the result
 FUNCTIONS: dict[str, tuple[tuple[str, ...], str]] = {
     "issyncmoveon": ((), "bool"),
     "clkread": (("clock",), "num"),
@@ -325,3 +326,4 @@ FUNCTIONS: dict[str, tuple[tuple[str, ...], str]] = {
     "cdate": ((), "string"),
     "abs": (("num",), "num"),
 }
+"""Functions by lower-case name: types of the arguments, and type of the result."""

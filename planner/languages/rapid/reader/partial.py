@@ -1,4 +1,4 @@
-"""Reads modules of any origin as far as possible."""
+"""Reads modules of any origin as far as possible: what cannot be read becomes a gap in the path of moves."""
 
 import dataclasses
 import re
@@ -44,7 +44,7 @@ _SHIFTS: Final = re.compile(
 
 
 def read_partly(problem: Problem, arm: Arm, files: Files) -> PartlyRead:
-    """Read modules as far as possible.
+    """Read the modules of one task as far as possible, and follow its main flow.
 
     Args:
         problem: The problem.
@@ -52,7 +52,7 @@ def read_partly(problem: Problem, arm: Arm, files: Files) -> PartlyRead:
         files: Texts of the modules by path.
 
     Returns:
-        The modules, their moves with gaps, and the faults.
+        The modules, the moves of the main flow with gaps between them, and the faults.
     """
     text = read_task(files, ModuleLimits(line=10_000, bytes=problem.cell.controller.max_bytes))
     faults = [
@@ -66,7 +66,10 @@ def read_partly(problem: Problem, arm: Arm, files: Files) -> PartlyRead:
 
 
 def _to_joint_move(arm: Arm, move: MoveStep) -> MoveStep:
-    """A MoveJ converted to a MoveAbsJ if its confdata select the joint values."""
+    """Convert a MoveJ to the MoveAbsJ that ends at the joints that its confdata select.
+
+    Any other move, and a MoveJ whose target is not fixed or not reached, is returned unchanged.
+    """
     if move.kind != "MoveJ" or not isinstance(move.target, RobTarget) or not move.wobj.fixed:
         return move
     machine = arm_model.robot_machine(arm.data)
@@ -80,7 +83,14 @@ def _to_joint_move(arm: Arm, move: MoveStep) -> MoveStep:
 
 
 class _PartialRapidRunner(RapidRunner):
-    """Executes the statements that could be read, and records gaps for the others."""
+    """Executes the statements that could be read, and records gaps for the others.
+
+    Attributes:
+        path: Moves and gaps of the main flow so far.
+        faulty_lines: Sorted lines with a fault, by file.
+        source_lines: Lines of the text, by file.
+        flushed: Number of ``steps`` whose moves are in ``path``.
+    """
 
     def __init__(
         self, modules: Sequence[Module], faults: Sequence[TextFault], files: Mapping[str, str]
@@ -92,7 +102,7 @@ class _PartialRapidRunner(RapidRunner):
         self.faulty_lines: dict[str, list[int]] = {}
         for fault in faults:
             insort(self.faulty_lines.setdefault(fault.file, []), fault.line)
-        self.rows = {file: text.split("\n") for file, text in files.items()}
+        self.source_lines = {file: text.split("\n") for file, text in files.items()}
         self.flushed = 0
         self.empty = not modules
 
@@ -112,17 +122,18 @@ class _PartialRapidRunner(RapidRunner):
         self.flushed = len(self.steps)
 
     def _append_gap(self, shifts: bool = False) -> None:
+        """Append a gap to the path; ``shifts`` means that it may shift the targets of later moves."""
         self._flush()
         self.path.append(Gap(shifts))
 
-    def _gap_if_unread(self, line: int, to: int) -> bool:
-        """Record a gap if a line in [``line``, ``to``) could not be read; return whether there is one."""
-        bad = self.faulty_lines.get(self.module.file, [])
-        first = bisect_left(bad, line)
-        if first == len(bad) or bad[first] >= to:
+    def _gap_if_unread(self, line: int, end: int) -> bool:
+        """Record a gap if a line in [``line``, ``end``) could not be read; return whether there is one."""
+        faulty_lines = self.faulty_lines.get(self.module.file, [])
+        index = bisect_left(faulty_lines, line)
+        if index == len(faulty_lines) or faulty_lines[index] >= end:
             return False
-        rows = self.rows.get(self.module.file, [])[line - 1 : to - 1]
-        self._append_gap(any(_SHIFTS.search(row.split("!")[0]) for row in rows))
+        unread = self.source_lines.get(self.module.file, [])[line - 1 : end - 1]
+        self._append_gap(any(_SHIFTS.search(text.split("!")[0]) for text in unread))
         return True
 
     def block(self, statements: Sequence[RapidStatement]) -> None:
@@ -131,59 +142,66 @@ class _PartialRapidRunner(RapidRunner):
             first = statements[0].line
             self._gap_if_unread(self._first_unread_line(first), first)
         for number, statement in enumerate(statements):
-            rest = statements[number + 1 : number + 2]
+            following = statements[number + 1 : number + 2]
             self._statement_or_gap(
-                statement, rest[0].line if rest else self._line_after_procedure(statement.line)
+                statement, following[0].line if following else self._line_after_procedure(statement.line)
             )
 
     def _first_unread_line(self, line: int) -> int:
-        """First of the lines directly above ``line`` that contain nothing that was read."""
-        bad, rows = self.faulty_lines.get(self.module.file, []), self.rows.get(self.module.file, [])
+        """First of the contiguous lines above ``line`` that are faulty, blank or only a comment."""
+        faulty_lines = self.faulty_lines.get(self.module.file, [])
+        source_lines = self.source_lines.get(self.module.file, [])
         while line > 1:
-            index = bisect_left(bad, line - 1)
-            if rows[line - 2].split("!")[0].strip() and not (index < len(bad) and bad[index] == line - 1):
+            index = bisect_left(faulty_lines, line - 1)
+            faulty = index < len(faulty_lines) and faulty_lines[index] == line - 1
+            if source_lines[line - 2].split("!")[0].strip() and not faulty:
                 break
             line -= 1
         return line
 
     def _line_after_procedure(self, line: int) -> int:
-        """First line after the procedure that contains ``line``."""
-        lines = [p.line for p in self.module.procedures if p.line > line]
-        return min(lines, default=self.module.lines + 1)
+        """First line of the next procedure after ``line``, or the line after the end of the module."""
+        starts = [procedure.line for procedure in self.module.procedures if procedure.line > line]
+        return min(starts, default=self.module.lines + 1)
 
-    def _statement_or_gap(self, statement: RapidStatement, following: int) -> None:
+    def _statement_or_gap(self, statement: RapidStatement, next_line: int) -> None:
+        """Execute a statement, or record a gap; ``next_line`` is that of the next one that was read."""
         line = statement.line
-        following = max(following, line + 1)
+        next_line = max(next_line, line + 1)
         compound = isinstance(statement, If | While | For)
-        if self._gap_if_unread(line, line + 1 if compound or following > line + 20 else following):
+        # The blocks of a compound statement record their own gaps. More than 20 lines are not one statement:
+        # faults further down belong to statements that were not read, and leave a gap after this one.
+        if self._gap_if_unread(line, line + 1 if compound or next_line > line + 20 else next_line):
             return
         state = (self.module, self.procedure, self.depth, self.condition)
         try:
             self.statement(statement)
         except FlowError as wrong:
             if self.names.budget < 0:
-                raise
+                raise  # the program has no end: no later statement could run either
             self.module, self.procedure, self.depth, self.condition = state
             self.flow_faults += wrong.faults
             self._append_gap()
-        self._gap_if_unread(line + 1, following)
+        self._gap_if_unread(line + 1, next_line)
 
     def call(self, start: int, name: str) -> None:
         """Expand a procedure; one with unread lines ends in a gap."""
         super().call(start, name)
         declaration = self.find(name.rpartition(":")[2].lower())
         if declaration is not None and isinstance(declaration[1], Procedure):
-            caller, self.module = self.module, declaration[0]
+            caller = self.module
+            self.module = declaration[0]
             self._gap_if_unread(declaration[1].line, self._line_after_procedure(declaration[1].line))
             self.module = caller
 
     def _choice(
         self, statement: RapidStatement, condition: str, run: Callable[[], None], repeats: bool = False
     ) -> None:
-        """Steps under a run-time condition do not belong to the path; unread ones leave a gap."""
+        """Collect a branch under a run-time condition: one gap stands for all its moves and gaps."""
         self._flush()
         path, flushed = self.path, self.flushed
-        self.path, self.flushed = [], 0
+        self.path = []
+        self.flushed = 0  # the base class collects the branch in a new list of steps
         try:
             super()._choice(statement, condition, run, repeats)
         finally:
@@ -193,7 +211,7 @@ class _PartialRapidRunner(RapidRunner):
                 self.path.append(Gap(shifts))
 
     def _while(self, statement: While) -> None:
-        """Execute the first iteration of a loop only: a later one starts where this one ends."""
+        """Execute the first iteration of a loop only, between gaps: later ones start where it ends."""
         if self.value(statement.condition, "bool") is True:
             self._append_gap()
             self.flow_faults.append(
@@ -205,11 +223,11 @@ class _PartialRapidRunner(RapidRunner):
         super()._while(statement)
 
     def _initial_value(self, module: Module, data: DataDeclaration) -> Value:
-        """Return no value for data with a fault."""
+        """Return UNKNOWN for data with a fault between its line and the next declaration."""
         lines = [*(item.line for item in module.data), *(item.line for item in module.procedures)]
         later_lines = [line for line in lines if line > data.line]
-        bad = self.faulty_lines.get(module.file, [])
-        first = bisect_left(bad, data.line)
-        if first < len(bad) and bad[first] < min(later_lines, default=module.lines + 1):
+        faulty_lines = self.faulty_lines.get(module.file, [])
+        index = bisect_left(faulty_lines, data.line)
+        if index < len(faulty_lines) and faulty_lines[index] < min(later_lines, default=module.lines + 1):
             return UNKNOWN
         return super()._initial_value(module, data)

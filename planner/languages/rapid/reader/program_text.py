@@ -23,7 +23,7 @@ class RapidText(ProgramText):
     """Modules of a task as read.
 
     Attributes:
-        modules: The modules that have at least a frame.
+        modules: The modules whose MODULE line could be read, perhaps with faults.
         faults: All faults of all files.
     """
 
@@ -34,12 +34,12 @@ class RapidText(ProgramText):
 
     @property
     def digest(self) -> str:
-        """Digest of the problem that the task names, perhaps in several strings."""
+        """Digest of the problem that the task names, joined if several strings hold it; "" if none does."""
         digests = (data for data in self._data_named(rf"{DIGEST}(_\d+)?") if data.kind == "string")
         return "".join(str(data.initial.value) for data in digests if isinstance(data.initial, Literal))
 
     def base_of(self, arm: Arm) -> FloatArray | None:
-        """Return the base frame that the task declares, (4, 4) [m], or None."""
+        """Return the pose of the arm's base in the world that the task declares, (4, 4) [m], or None."""
         frames = [data for data in self._data_named(BASE_FRAME) if data.kind == "pose"]
         literal = frames[0].initial if len(frames) == 1 else None
         if not isinstance(literal, Literal):
@@ -56,7 +56,7 @@ class RapidText(ProgramText):
 
     @property
     def targets(self) -> Mapping[str, str]:
-        """File and line of each robtarget, by name."""
+        """Location "file:line" of each robtarget, by a colon and its lower-case name."""
         return {
             f":{data.name.lower()}": f"{module.file}:{data.line}"
             for module in self.modules
@@ -70,7 +70,7 @@ class RapidText(ProgramText):
         return next(names, ProgramText.module_of(self, file))
 
     def _data_named(self, pattern: str) -> Iterator[DataDeclaration]:
-        """Data whose names match a regular expression, case ignored."""
+        """Yield the data whose whole name matches a regular expression, case ignored."""
         for module in self.modules:
             yield from (data for data in module.data if re.fullmatch(pattern, data.name, re.IGNORECASE))
 
@@ -81,4 +81,8 @@ def modules_of(text: ProgramText) -> tuple[Module, ...]:
 
 
 def _move_count(module: Module) -> int:
-    return sum(isinstance(step, MoveStatement) for procedure in module.procedures for step in procedure.body)
+    return sum(
+        isinstance(statement, MoveStatement)
+        for procedure in module.procedures
+        for statement in procedure.body
+    )

@@ -100,7 +100,7 @@ class RapidParser:
     # ---- module level ----
 
     def module(self) -> syntax_tree.Module | None:
-        """Return the module, or None if its frame is missing."""
+        """Return the module with all that could be read, or None if its MODULE line is faulty."""
         self._skip_old_header()
         try:
             self.cursor.expect_word("module", "to open the module")
@@ -129,12 +129,13 @@ class RapidParser:
         )
 
     def _skip_old_header(self) -> None:
-        # IRC5 still accepts the header lines of older controllers: %%% VERSION:1 LANGUAGE:ENGLISH %%%
+        """Skip the header of older controllers, %%% VERSION:1 LANGUAGE:ENGLISH %%%, which IRC5 accepts."""
         head = _FILE_HEADER.match(self.text)
         if head is not None:
             self.cursor.jump(head.end())
 
     def _attributes(self) -> tuple[str, ...]:
+        """Parse the attributes in brackets after the module's name, if there are any."""
         attributes: list[str] = []
         if self.cursor.take_symbol("("):
             while True:
@@ -152,6 +153,7 @@ class RapidParser:
     def _declaration(
         self, data: list[syntax_tree.DataDeclaration], procedures: list[syntax_tree.Procedure]
     ) -> None:
+        """Parse one declaration and append it to ``data`` or ``procedures``."""
         first = self.cursor.token
         local = self.cursor.take_word("local") is not None
         if self.cursor.take_word("proc"):
@@ -166,6 +168,7 @@ class RapidParser:
         data.append(self._data(first, storage.upper(), local))
 
     def _data(self, first: RapidToken, storage: str, local: bool) -> syntax_tree.DataDeclaration:
+        """Parse a data declaration from its type on; ``first`` is its first token (LOCAL, CONST...)."""
         token = self.cursor.token
         if token.kind != "name" or token.word not in syntax_tree.ALL_TYPES:
             raise self.cursor.fault("a data type: " + ", ".join(sorted(syntax_tree.ALL_TYPES)))
@@ -185,18 +188,19 @@ class RapidParser:
                 initial = typed_literal(initial, kind)
         self.cursor.expect_symbol(";", "after the declaration")
         if initial is None and storage != "VAR":
-            what = "a literal" if "PERS" in storage else "a value"
+            required = "a literal" if "PERS" in storage else "a value"
             self.fault(
-                start, "rapid.no_value", f"{storage} {name} has no value; it must be given {what} with :="
+                start, "rapid.no_value", f"{storage} {name} has no value; it must be given {required} with :="
             )
         return syntax_tree.DataDeclaration(
             self.cursor.line(first.start), start, name, kind, storage, local, size, initial
         )
 
-    def _new_name(self, what: str) -> str:
+    def _new_name(self, role: str) -> str:
+        """Take the name of a new module, procedure, loop counter or data (``role``); record a bad name."""
         token = self.cursor.token
         if token.kind != "name":
-            raise self.cursor.fault(f"the {what}'s name")
+            raise self.cursor.fault(f"the {role}'s name")
         if token.word in RESERVED:
             raise RapidSyntaxError(
                 token.start, "rapid.name_reserved", f"{shorten(token.text)} is a reserved word of RAPID"
@@ -214,6 +218,7 @@ class RapidParser:
     # ---- procedures and blocks ----
 
     def _procedure(self, first: RapidToken, local: bool) -> syntax_tree.Procedure:
+        """Parse a procedure after PROC; ``first`` is its first token (LOCAL or PROC)."""
         start = self.cursor.token.start
         name = self._new_name("procedure")
         self.cursor.expect_symbol("(", "after the procedure's name")
@@ -226,6 +231,7 @@ class RapidParser:
         return syntax_tree.Procedure(self.cursor.line(first.start), start, name, local, body, error, undo)
 
     def _block(self, ends: tuple[str, ...], depth: int) -> tuple[syntax_tree.RapidStatement, ...]:
+        """Parse statements up to one of the words ``ends``, which is not taken; ``depth`` counts nesting."""
         if depth > MAX_BRACKETS:
             raise self.cursor.fault(f"at most {MAX_BRACKETS} nested blocks")
         statements: list[syntax_tree.RapidStatement] = []
@@ -236,9 +242,11 @@ class RapidParser:
         return tuple(statements)
 
     def _at(self, words: tuple[str, ...]) -> bool:
+        """Whether the current token is one of these lower-case words."""
         return self.cursor.token.kind == "name" and self.cursor.token.word in words
 
     def _statement(self, depth: int) -> syntax_tree.RapidStatement:
+        """Parse one statement; ``depth`` is the number of blocks around it."""
         first = self.cursor.token
         line = self.cursor.line(first.start)
         if first.kind == "name":
@@ -265,6 +273,7 @@ class RapidParser:
         raise self.cursor.fault("a statement")
 
     def _named(self, line: int) -> syntax_tree.RapidStatement:
+        """Parse a statement that starts with a name of the program: an assignment or a procedure call."""
         first = self.cursor.take()
         if self.cursor.take_symbol(":="):
             value = parse_expression(self.cursor, self.limits.string)
@@ -278,11 +287,13 @@ class RapidParser:
         return syntax_tree.ProcCall(line, first.start, first.text)
 
     def _condition(self) -> tuple[syntax_tree.Expr, str]:
+        """Parse a condition; return it with its text, in which each run of blanks is one space."""
         start = self.cursor.token.start
         condition = parse_expression(self.cursor, self.limits.string)
         return condition, " ".join(self.text[start : self.cursor.end].split())
 
     def _if(self, line: int, depth: int) -> syntax_tree.RapidStatement:
+        """Parse an IF with its branches, or the short form without THEN, which has one statement."""
         first = self.cursor.take()
         condition, source = self._condition()
         if self.cursor.take_word("then") is None:  # the short form: IF condition statement;
@@ -315,16 +326,17 @@ class RapidParser:
         first = self.cursor.take()
         name = self._new_name("loop counter")
         self.cursor.expect_word("from", "after the loop counter")
-        start = parse_expression(self.cursor, self.limits.string)
+        first_value = parse_expression(self.cursor, self.limits.string)
         self.cursor.expect_word("to", "after the first value")
         last = parse_expression(self.cursor, self.limits.string)
         step = parse_expression(self.cursor, self.limits.string) if self.cursor.take_word("step") else None
         self.cursor.expect_word("do", "after the range of FOR")
         body = self._block(("endfor",), depth + 1)
         self._close("endfor", line)
-        return syntax_tree.For(line, first.start, name, start, last, step, body)
+        return syntax_tree.For(line, first.start, name, first_value, last, step, body)
 
     def _close(self, word: str, line: int) -> None:
+        """Take the word that closes the block which was opened in ``line``."""
         self.cursor.expect_word(word, f"that closes line {line}")
         self.cursor.take_symbol(";")  # tolerated by the controller, as an empty statement
 
@@ -343,6 +355,11 @@ class RapidParser:
             self._resume(wrong.start, start)
 
     def _resume(self, fault_start: int, item_start: int) -> None:
+        """Skip to the next statement after the item at ``item_start``, which has a fault at ``fault_start``.
+
+        Parsing resumes after the next ";", at the first word of a statement in a later line, or at a word
+        that closes a procedure. At least one token is taken. Bad tokens in skipped lines are recorded.
+        """
         if item_start < self.cursor.end and self.text[self.cursor.end - 1] == ";":
             return  # the statement is complete, only its content is wrong
         line, column = self.cursor.line_and_column(fault_start)
@@ -369,11 +386,13 @@ class RapidParser:
 _COMPARING_TEXT = re.compile(
     r"(?is)(?<=PROC check_(?:cell|axes)\(\)).*?(?=^\s*ERROR\b)|^\s*PROC check_pose\b.*(?=^\s*ENDMODULE)", re.M
 )
+"""Bodies of check_cell and check_axes up to ERROR, and check_pose with all procedures after it."""
 
 
 def mask_comparisons(text: str) -> str:
-    """Return a check module with its comparing procedures blanked, because they take parameters.
+    """Return a check module with blanks in place of its comparing code.
 
+    That code calls procedures with parameters, which the parser does not support. A separate rule reads it.
     Offsets and lines stay unchanged.
     """
     return _COMPARING_TEXT.sub(lambda match: re.sub(r"[^\r\n]", " ", match.group()), text)
@@ -382,12 +401,14 @@ def mask_comparisons(text: str) -> str:
 def read_module(
     text: str | bytes, file: str = "", limits: ModuleLimits | None = None, fast_moves: bool = True
 ) -> tuple[syntax_tree.Module | None, tuple[TextFault, ...]]:
-    """Return one module and its faults of syntax and size; `read_task` checks names of other modules.
+    """Return one module and its faults of syntax and size. `read_task` also checks names and types.
+
+    The module is None if its MODULE line is faulty or if the text is far too long.
 
     Args:
-        text: The text.
+        text: The text; bytes are decoded.
         file: Its path, for faults.
-        limits: Size limits.
+        limits: Size limits; None for the default ones.
         fast_moves: Whether usual moves take the fast path. False gives the same result; tests compare both.
     """
     limits = limits or ModuleLimits()
@@ -405,10 +426,10 @@ def read_module(
             return None, tuple(faults)  # not worth reading
     parser = RapidParser(text, file, limits, fast_moves)
     module = parser.module()
-    for row, line in enumerate(text.split("\n"), 1):
+    for number, line in enumerate(text.split("\n"), 1):
         if len(line.rstrip("\r")) > limits.line:
             message = f"the line has {len(line.rstrip())} characters; allowed: {limits.line}"
-            faults.append(TextFault(row, limits.line + 1, "rapid.line_length", message, file))
+            faults.append(TextFault(number, limits.line + 1, "rapid.line_length", message, file))
     faults += parser.faults
     return module, tuple(sorted(faults, key=lambda fault: (fault.line, fault.column)))
 
@@ -432,7 +453,7 @@ def read_task(
 
     Args:
         files: Texts by file name, including modules that are loaded while the task runs.
-        limits: Size limits.
+        limits: Size limits; None for the default ones.
         signals: Names of the configured signals; None allows any name.
     """
     modules: list[syntax_tree.Module] = []
@@ -442,8 +463,10 @@ def read_task(
         if isinstance(text, str) and CHECK_MODULE.match(PurePosixPath(file).name):
             text = mask_comparisons(text)
         short = isinstance(text, str) and len(text) <= MAX_CACHED_LENGTH
-        module, wrong = _read_module_cached(text, file, limits) if short else read_module(text, file, limits)
-        faults += wrong
+        module, module_faults = (
+            _read_module_cached(text, file, limits) if short else read_module(text, file, limits)
+        )
+        faults += module_faults
         if module is None:
             continue
         if module.name.lower() in names:

@@ -1,7 +1,8 @@
 """Syntax tree of a RAPID module, and RAPID's data records, as frozen values.
 
-Every node knows its offset in the text or its line. The module has order and types of the records,
-predefined data, and the conversion from numbers to the values of :mod:`planner.programs.steps` in SI units.
+Every node knows its offset in the text or its line. This file also defines the types of the components of
+each record, the predefined data, and the conversion from numbers to the values of
+:mod:`planner.programs.steps` in SI units.
 Order of the components, units (mm, degrees, s, kg) and values of the predefined speeds and zones: ABB,
 Technical reference manual RAPID Instructions, Functions and Data types, 3HAC16581-1 (robtarget, speeddata,
 zonedata...).
@@ -29,7 +30,12 @@ class SyncIdent:
     name: str
 
 
-Value = Any  # bool, float, str, the classes above, arrays (pos, orient, pose), tuples of values for arrays
+Value = Any
+"""Value of RAPID data.
+
+It is a bool, float or str, a SyncIdent, a record as a class of :mod:`planner.programs.steps`, a NumPy array
+(pos, orient, pose), or for a RAPID array the tuple of the values of its elements.
+"""
 
 RECORDS: dict[str, tuple[str, ...]] = {
     "pos": ("num",) * 3,
@@ -71,18 +77,18 @@ class RapidValueError(Exception):
 
 
 def base_type(name: str) -> str:
-    """Return the type that counts for agreement: aliases of num are num."""
+    """Return the type by which types are compared: num for its aliases, else the type itself."""
     return "num" if name in NUMBER_TYPES else name
 
 
 def build_value(kind: str, items: Any) -> Value:
-    """Return the value of a type.
+    """Convert the components of a value as written to the value in SI units.
 
     Numbers in records are rounded to single precision, as the controller holds them.
 
     Args:
         kind: The RAPID type.
-        items: Nested lists of numbers, truth values and strings in file units.
+        items: Nested lists of numbers, truth values and strings in file units (mm, degrees).
 
     Raises:
         RapidValueError: Count, type, norm or range is wrong.
@@ -91,20 +97,20 @@ def build_value(kind: str, items: Any) -> Value:
         try:
             (x, y, z), (a, b, c, d), conf, external = items
             c1, c4, c6, cx = map(int, conf)
-            four = (c1, c4, c6, cx)
+            configuration = (c1, c4, c6, cx)
             numbers = [x, y, z, a, b, c, d, *external]
             if (
                 len(numbers) == 13
-                and four == tuple(conf)
+                and configuration == tuple(conf)
                 and set(map(type, [*numbers, *conf])) <= {int, float}
             ):
                 _require_unit_norm("robtarget.2", (a, b, c, d))
-                if math.isfinite(sum(numbers)):
+                if math.isfinite(sum(numbers)):  # no number is infinite or NaN
                     axes = _NO_AXES if external == _NO_AXIS_VALUES else np.array(external, dtype=float)
                     position, quaternion = steps.to_singles((x, y, z)) * 1e-3, steps.to_singles((a, b, c, d))
-                    return steps.RobTarget(position, quaternion, _shared_configuration(four), axes)
+                    return steps.RobTarget(position, quaternion, _shared_configuration(configuration), axes)
         except (TypeError, ValueError, OverflowError):
-            pass  # the general check below reports what is wrong
+            pass  # the components do not have the usual form; the general check reports what is wrong
     check_components(kind, items, kind)
     convert = _CONVERTERS.get(kind)
     return convert(items) if convert else items
@@ -116,8 +122,9 @@ _NO_AXES = read_only(np.array(_NO_AXIS_VALUES))
 
 
 @functools.lru_cache(maxsize=256)
-def _shared_configuration(four: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
-    return four
+def _shared_configuration(configuration: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+    """Return an equal tuple that an earlier target has, to save memory."""
+    return configuration
 
 
 def check_components(kind: str, items: Any, path: str) -> None:
@@ -126,10 +133,10 @@ def check_components(kind: str, items: Any, path: str) -> None:
     Args:
         kind: The RAPID type.
         items: Nested lists of numbers, truth values and strings.
-        path: Name of the value, for messages.
+        path: Name of the value, for messages, such as "robtarget.2".
 
     Raises:
-        RapidValueError: They do not.
+        RapidValueError: Count, type, norm or range is wrong.
     """
     if kind in RECORDS:
         parts = RECORDS[kind]
@@ -167,6 +174,7 @@ def _require_unit_norm(path: str, q: Any) -> None:
 
 
 def _kind(item: Any) -> str:
+    """Return the RAPID type of a parsed value, or a description for messages if it has none."""
     if isinstance(item, bool):
         return "bool"
     if isinstance(item, int | float):
@@ -198,13 +206,14 @@ def _rob(items: Any) -> steps.RobTarget:
 
 
 def _speed(items: Any) -> steps.MoveSpeed:
-    tcp, turn, linear, rotary = map(steps.to_single, items)
-    return steps.MoveSpeed(tcp * 1e-3, math.radians(turn), linear * 1e-3, math.radians(rotary))
+    tcp, reorientation, linear, rotary = map(steps.to_single, items)
+    return steps.MoveSpeed(tcp * 1e-3, math.radians(reorientation), linear * 1e-3, math.radians(rotary))
 
 
 def _zone(items: Any) -> steps.Zone:
-    fine, (tcp, turn, external, angle, linear, rotary) = items[0], map(steps.to_single, items[1:])
-    lengths = (tcp * 1e-3, turn * 1e-3, external * 1e-3)
+    fine = items[0]
+    tcp, reorientation, external, angle, linear, rotary = map(steps.to_single, items[1:])
+    lengths = (tcp * 1e-3, reorientation * 1e-3, external * 1e-3)
     return steps.Zone(fine, *lengths, math.radians(angle), linear * 1e-3, math.radians(rotary))
 
 
@@ -242,7 +251,11 @@ _ZONES_MM = {
     15: (15, 23, 2.3),
     20: (20, 30, 3),
 }
-"""Predefined zones: distance of the TCP and of external axes [mm], reorientation [deg]."""
+"""Predefined zones by their number.
+
+Each has the radius of the TCP [mm], the radius of reorientation and external axes [mm], and the angle of
+reorientation and rotary axes [deg].
+"""
 _ZONES_MM |= {30: (30, 45, 4.5), 40: (40, 60, 6), 50: (50, 75, 7.5), 60: (60, 90, 9), 80: (80, 120, 12)}
 _ZONES_MM |= {100: (100, 150, 15), 150: (150, 225, 23), 200: (200, 300, 30)}
 
@@ -258,24 +271,25 @@ _ERRORS = "err_wait_maxtime err_path_stop err_robmove err_refunkprc err_filnotfn
 
 
 def _predefined() -> dict[str, tuple[str, Value]]:
+    """Build the table of predefined data. A value is None if only the controller knows it."""
     table: dict[str, tuple[str, Value]] = {
         f"v{v}": ("speeddata", build_value("speeddata", [v, 500, 5000, 1000]))
         for v in map(int, _SPEEDS_MM_S.split())
     }
     # vmax is the robot's own maximum TCP speed: the instruction sets no limit
     table["vmax"] = ("speeddata", steps.MoveSpeed(math.inf, math.radians(500), 5.0, math.radians(1000)))
-    for name, (tcp, turn, angle) in _ZONES_MM.items():
-        table[f"z{name}"] = (
+    for number, (tcp, radius, angle) in _ZONES_MM.items():
+        table[f"z{number}"] = (
             "zonedata",
-            build_value("zonedata", [False, tcp, turn, turn, angle, turn, angle]),
+            build_value("zonedata", [False, tcp, radius, radius, angle, radius, angle]),
         )
     table["fine"] = ("zonedata", build_value("zonedata", [True, 0, 0, 0, 0, 0, 0]))
     load = [0.001, [0, 0, 0.001], [1, 0, 0, 0], 0, 0, 0]
     table["load0"] = ("loaddata", build_value("loaddata", load))
     table["tool0"] = ("tooldata", build_value("tooldata", [True, _UNIT_POSE, load]))
     table["wobj0"] = ("wobjdata", build_value("wobjdata", [False, True, "", _UNIT_POSE, _UNIT_POSE]))
-    for names, first in _NUMBERED.items():
-        table |= {name: ("num", float(number)) for number, name in enumerate(names.split(), first)}
+    for names, first_number in _NUMBERED.items():
+        table |= {name: ("num", float(value)) for value, name in enumerate(names.split(), first_number)}
     table |= {"pi": ("num", 3.141592654), "high": ("num", 1.0), "low": ("num", 0.0), "edge": ("num", 2.0)}
     table |= {"stempty": ("string", ""), "diskhome": ("string", "HOME:"), "errno": ("num", None)}
     table |= dict.fromkeys(_ERRORS.split(), ("num", None))
@@ -283,7 +297,7 @@ def _predefined() -> dict[str, tuple[str, Value]]:
 
 
 PREDEFINED = _predefined()
-"""Predefined data of RAPID: name -> (type, value)."""
+"""Predefined data of RAPID: lower-case name -> (type, value)."""
 
 
 # ---- expressions; `start` is the offset in the module's text -----------------------------------------------
@@ -308,7 +322,7 @@ class Aggregate:
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """A name of data; `text` is as written."""
+    """A reference to data by its name; `text` is the name as written."""
 
     start: int
     text: str
@@ -321,7 +335,7 @@ class Name:
 
 @dataclass(frozen=True, slots=True)
 class Function:
-    """A function call."""
+    """A function call; `text` is the function's name as written."""
 
     start: int
     text: str
@@ -371,7 +385,11 @@ class MoveStatement(RapidStatement):
     """A move instruction: `kind` is MoveAbsJ, MoveJ or MoveL.
 
     Attributes:
-        switches: Options without value (conc, noeoffs, inpos...) as written, in lower case.
+        id: Option ID: number of a synchronised move.
+        time: Option T [s].
+        velocity: Option V [mm/s].
+        wobj: Option WObj: the work object.
+        switches: Options without value (conc, noeoffs, inpos...), in lower case.
     """
 
     kind: str
@@ -430,7 +448,7 @@ class If(RapidStatement):
     Attributes:
         branches: Condition and body of IF and of each ELSEIF.
         otherwise: Body of ELSE.
-        source: Texts of the conditions.
+        source: Text of the condition of each branch.
     """
 
     branches: tuple[tuple[Expr, tuple[RapidStatement, ...]], ...]
@@ -440,7 +458,7 @@ class If(RapidStatement):
 
 @dataclass(frozen=True, slots=True)
 class While(RapidStatement):
-    """A loop: `WHILE condition DO body ENDWHILE`."""
+    """A loop: `WHILE condition DO body ENDWHILE`; `source` is the text of the condition."""
 
     condition: Expr
     body: tuple[RapidStatement, ...]
@@ -501,7 +519,7 @@ class Module:
         file: Path that it was read from.
         bytes: Size [bytes].
         lines: Number of lines.
-        starts: Offsets of the lines, which locate later faults.
+        starts: Offset of the start of each line, to locate faults that are found later.
     """
 
     name: str
@@ -511,4 +529,4 @@ class Module:
     file: str
     bytes: int
     lines: int
-    starts: tuple[int, ...]  # offsets of the lines
+    starts: tuple[int, ...]

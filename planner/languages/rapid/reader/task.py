@@ -16,9 +16,14 @@ from planner.programs.steps import FlowError, TextFault
 def _read_and_follow(
     files: tuple[tuple[str, str], ...], max_bytes: int
 ) -> tuple[RapidText, TaskFlow, tuple[TextFault, ...]]:
-    """Modules of a task, everything that they may do, and the faults of its main flow."""
+    """Read the modules of a task and, if they have no faults, follow all that they may do.
+
+    Returns:
+        The text, the flow of the task (empty if there are faults), and the faults of its main flow.
+    """
     text = read_task(dict(files), ModuleLimits(bytes=max_bytes))
-    main_flow, flow_faults = TaskFlow((), {}, {}, frozenset()), tuple[TextFault, ...]()
+    main_flow = TaskFlow((), {}, {}, frozenset())
+    flow_faults = tuple[TextFault, ...]()
     if not text.faults:
         try:
             main_flow = task_flow(text.modules)
@@ -32,12 +37,13 @@ _read_and_follow_cached = functools.lru_cache(maxsize=8)(_read_and_follow)
 
 
 def _read(problem: Problem, arms: Arms, files: Files) -> ReadTasks:
+    """Read the files of the one task that ``arms`` names; see `Reader`."""
     controller = problem.cell.controller
     ((name, arm),) = arms.items()
-    number = [cell_arm.name for cell_arm in problem.cell.arms].index(arm.name)
-    unit = controller.units[number] if number < len(controller.units) else ""
-    short = sum(map(len, files.values())) <= MAX_CACHED_LENGTH
-    text, main_flow, flow_faults = (_read_and_follow_cached if short else _read_and_follow)(
+    arm_number = [cell_arm.name for cell_arm in problem.cell.arms].index(arm.name)
+    unit = controller.units[arm_number] if arm_number < len(controller.units) else ""
+    cacheable = sum(map(len, files.values())) <= MAX_CACHED_LENGTH
+    text, main_flow, flow_faults = (_read_and_follow_cached if cacheable else _read_and_follow)(
         tuple(files.items()), controller.max_bytes
     )
     task = TaskText(

@@ -10,7 +10,7 @@ from planner.programs.steps import TextFault
 _SIGNAL_TYPES = ("signaldo", "signaldi")
 """Types of signals."""
 _MOVE_OPTIONS = ("id", "time", "velocity", "wobj")
-"""Fields of a move whose types are checked: numbers and the work object."""
+"""Optional fields of a `MoveStatement` with a value: three numbers and the work object."""
 
 
 class TypeChecker:
@@ -21,8 +21,8 @@ class TypeChecker:
         signals: Lower-case names of the configured signals, None if not known.
         faults: Faults so far.
         module: The current module.
-        globals: Declarations that all modules see.
-        locals: Declarations of each module.
+        globals: Declarations that all modules see, by lower-case name.
+        locals: Declarations of each module, by the lower-case names of module and declaration.
         counters: Loop counters in scope.
     """
 
@@ -65,23 +65,24 @@ class TypeChecker:
     # ---- declarations ----
 
     def _declare(self, module: syntax_tree.Module) -> None:
-        names: dict[str, str] = {module.name.lower(): "the module"}
+        """Register the declarations of a module, with a fault for a name that is already in use."""
+        descriptions: dict[str, str] = {module.name.lower(): "the module"}
         declared = self.locals.setdefault(module.name.lower(), {})
         items: list[syntax_tree.DataDeclaration | syntax_tree.Procedure] = [*module.data, *module.procedures]
         for item in items:
             key = item.name.lower()
-            taken = names.get(key)
+            conflict = descriptions.get(key)
             if key in syntax_tree.PREDEFINED:
-                taken = "predefined data"
-            elif taken is None and not item.local and key in self.globals:
-                taken = "a name of another module"
-            if taken:
+                conflict = "predefined data"
+            elif conflict is None and not item.local and key in self.globals:
+                conflict = "a name of another module"
+            if conflict:
                 self.fault(
                     item.start,
                     "rapid.name_duplicate",
-                    f"{shorten(item.name)} is already {taken}; names must differ",
+                    f"{shorten(item.name)} is already {conflict}; names must differ",
                 )
-            names[key] = f"declared in line {item.line}"
+            descriptions[key] = f"declared in line {item.line}"
             declared[key] = item
             if not item.local:
                 self.globals.setdefault(key, item)
@@ -92,6 +93,7 @@ class TypeChecker:
         return declared.get(key) or self.globals.get(key)
 
     def _data(self, data: syntax_tree.DataDeclaration) -> None:
+        """Check the initial value of a declaration against its type and array size."""
         if data.initial is None:
             return
         if data.kind in syntax_tree.OPAQUE_TYPES:
@@ -121,6 +123,7 @@ class TypeChecker:
             self._statement(statement, handler)
 
     def _statement(self, statement: syntax_tree.RapidStatement, handler: bool) -> None:
+        """Check one statement with its blocks; ``handler`` is True in an ERROR or UNDO section."""
         match statement:
             case syntax_tree.MoveStatement():
                 self._move(statement)
@@ -130,10 +133,10 @@ class TypeChecker:
                 self._assign(statement)
             case syntax_tree.ProcCall():
                 if not isinstance(self.find(statement.name.lower()), syntax_tree.Procedure):
-                    what = (
+                    message = (
                         f"{shorten(statement.name)} is no procedure of the task's modules and no instruction"
                     )
-                    self.fault(statement.start, "rapid.unknown_procedure", what)
+                    self.fault(statement.start, "rapid.unknown_procedure", message)
             case syntax_tree.LateCall():
                 self.expect(statement.name, "string")
             case syntax_tree.If():
@@ -156,8 +159,8 @@ class TypeChecker:
     def _counter(self, loop: syntax_tree.For) -> None:
         """Check the name of a loop counter.
 
-        A counter is visible in its loop only. With the name of other data it would hide them from the reader
-        in procedures that the loop calls.
+        A counter is visible in its loop only. The evaluator looks up counters before other data, also in
+        procedures that the loop calls, so that a counter with the name of other data would shadow them there.
         """
         key = loop.name.lower()
         if (
@@ -169,6 +172,7 @@ class TypeChecker:
             self.fault(loop.start, "rapid.name_duplicate", message)
 
     def _move(self, move: syntax_tree.MoveStatement) -> None:
+        """Check the types of a move's arguments and options, and that literal options are positive."""
         form = INSTRUCTIONS[move.kind.lower()]
         for value, kind in zip((move.target, move.speed, move.zone, move.tool), form.required, strict=True):
             self.expect(value, kind)
@@ -185,6 +189,7 @@ class TypeChecker:
             self.fault(move.id.start, "rapid.number", f"\\ID is {move.id.value:g}; allowed: whole numbers")
 
     def _instruction(self, statement: syntax_tree.Instruction, handler: bool) -> None:
+        """Check where an instruction stands, and the types of its arguments and options."""
         form = INSTRUCTIONS[statement.name.lower()]
         if statement.name.lower() in IN_HANDLER_ONLY and not handler:
             self.fault(
@@ -197,6 +202,7 @@ class TypeChecker:
                 self.expect(option, form.options[name][1])
 
     def _assign(self, statement: syntax_tree.Assign) -> None:
+        """Check that the target can be assigned and that the value has its type."""
         declaration = self.find(statement.target.key)
         if not isinstance(declaration, syntax_tree.DataDeclaration):
             self._unknown(statement.target)
@@ -213,7 +219,7 @@ class TypeChecker:
 
         Args:
             value: The expression.
-            kind: The RAPID type, perhaps "variable <type>".
+            kind: The RAPID type. "variable <type>" requires a VAR or PERS of that type.
         """
         if isinstance(value, syntax_tree.Literal) and value.kind == kind != "list":
             return
@@ -229,6 +235,7 @@ class TypeChecker:
         self._expect(value, kind)
 
     def _expect(self, value: syntax_tree.Expr, kind: str) -> None:
+        """Check the type of an expression as `expect` does, without its shortcuts for repeated values."""
         variable = kind.startswith("variable ")
         expected = syntax_tree.base_type(kind.removeprefix("variable "))
         if isinstance(value, syntax_tree.Aggregate) and expected in syntax_tree.RECORDS:
@@ -244,8 +251,8 @@ class TypeChecker:
             return  # the controller's configuration declares mechanical units
         if expected in _SIGNAL_TYPES and isinstance(value, syntax_tree.Name) and self.find(value.key) is None:
             if self.signals is not None and value.key not in self.signals:
-                known = ", ".join(sorted(self.signals))
-                message = f"{shorten(value.text)} is not a signal of the cell; known: {known}"
+                signals = ", ".join(sorted(self.signals))
+                message = f"{shorten(value.text)} is not a signal of the cell; known: {signals}"
                 self.fault(value.start, "rapid.undeclared", message)
             return
         if isinstance(value, syntax_tree.Literal) and value.kind == "list":
@@ -285,6 +292,7 @@ class TypeChecker:
                 return self._binary(value)
 
     def _name(self, value: syntax_tree.Name) -> str | None:
+        """Type of the data that a name refers to; record a fault and return None if it is not declared."""
         if value.key in self.counters:
             return "num"
         declaration = self.find(value.key)
@@ -302,8 +310,9 @@ class TypeChecker:
         self.fault(value.start, "rapid.undeclared", message)
 
     def _function(self, value: syntax_tree.Function) -> str | None:
-        known = FUNCTIONS.get(value.text.lower())
-        if known is None:
+        """Result type of a function call, after a check of its arguments; None for an unknown function."""
+        signature = FUNCTIONS.get(value.text.lower())
+        if signature is None:
             allowed = ", ".join(sorted(FUNCTIONS))
             self.fault(
                 value.start,
@@ -311,7 +320,7 @@ class TypeChecker:
                 f"function {shorten(value.text)} is not known; allowed: {allowed}",
             )
             return None
-        kinds, result = known
+        kinds, result = signature
         if len(kinds) != len(value.arguments):
             message = f"{value.text} has {len(value.arguments)} arguments; allowed: {len(kinds)}"
             self.fault(value.start, "rapid.arity", message)
@@ -320,6 +329,7 @@ class TypeChecker:
         return result
 
     def _binary(self, value: syntax_tree.Binary) -> str | None:
+        """Result type of a binary operator, after a check of its operands; None if one has no type."""
         if value.operator in ("and", "or", "xor"):
             self.expect(value.left, "bool")
             self.expect(value.right, "bool")
@@ -349,8 +359,8 @@ def fault_at(module: syntax_tree.Module, start: int, code: str, message: str) ->
         code: Issue code.
         message: What is wrong.
     """
-    row = bisect_right(module.starts, start)
-    return TextFault(row, start - module.starts[row - 1] + 1, code, message, module.file)
+    line = bisect_right(module.starts, start)
+    return TextFault(line, start - module.starts[line - 1] + 1, code, message, module.file)
 
 
 def walk(value: syntax_tree.Expr) -> Iterator[syntax_tree.Expr]:
@@ -372,12 +382,12 @@ def walk(value: syntax_tree.Expr) -> Iterator[syntax_tree.Expr]:
 
 
 def elements(value: syntax_tree.Expr) -> tuple[syntax_tree.Expr, ...] | None:
-    """Return the elements of a list expression, or None if it is no list."""
+    """Return the elements of a list expression, or None if it is not a list."""
     if isinstance(value, syntax_tree.Aggregate):
         return value.items
     if isinstance(value, syntax_tree.Literal) and value.kind == "list":
         return tuple(
             syntax_tree.Literal(value.start, "list" if isinstance(item, list) else "num", item)
             for item in value.value
-        )  # all share one offset: the list was parsed in one step
+        )  # the list was parsed in one step: its offset stands for those of all elements
     return None

@@ -22,15 +22,17 @@ from planner.proof.rules.external_axes import HOME_TOLERANCES
 _ALLOWED_BEFORE_CALL = frozenset({"ConfJ", "ConfL", "SingArea", "SetDO", "Reset"})
 """Statements that may precede the call in main."""
 _CHECK_HEAD = ["proc", "check_cell", "(", ")"]
-"""First words of the procedure that checks the cell."""
+"""First tokens of the procedure that checks the cell."""
 _AXES_HEAD = ["proc", "check_axes", "(", ")"]
-"""First words of the procedure that checks the positions of tracks and turntables."""
-_POSITION_TOLERANCE_MM, _ROTATION_TOLERANCE_DEG = 0.1, 0.02
-"""How far the controller's frames may be off the plan's [mm], [degrees]."""
+"""First tokens of the procedure that checks the positions of tracks and turntables."""
+_POSITION_TOLERANCE_MM = 0.1
+"""Maximum distance between a frame of the controller and that of the plan [mm]."""
+_ROTATION_TOLERANCE_DEG = 0.02
+"""Maximum rotation between a frame of the controller and that of the plan [degrees]."""
 
 
 def cell_check(context: Context, task: TaskText) -> RuleOutcome:
-    """Return the faults of the comparison of the cell with the plan (verify.cell_check).
+    """Check the module that compares the controller's data with the plan (verify.cell_check).
 
     Args:
         context: The proof.
@@ -44,6 +46,10 @@ def cell_check(context: Context, task: TaskText) -> RuleOutcome:
 
 
 def _check_faults(context: Context, task: TaskText) -> list[tuple[str, str]]:
+    """Faults of the check module and of its call in main, each with its file.
+
+    The module must have the expected tokens; the order of comparisons is free. Another rule checks handlers.
+    """
     check_modules = [path for path in task.files if CHECK_MODULE.match(PurePosixPath(path).name)]
     if len(check_modules) != 1:
         return [
@@ -52,7 +58,7 @@ def _check_faults(context: Context, task: TaskText) -> list[tuple[str, str]]:
                 f"{len(check_modules)} modules compare the cell with the plan; required: one, TandemCheck_n",
             )
         ]
-    out = (
+    faults = (
         [] if _is_called_first(task) else [(task.name, "main does not call check_cell before anything else")]
     )
     file = check_modules[0]
@@ -60,10 +66,11 @@ def _check_faults(context: Context, task: TaskText) -> list[tuple[str, str]]:
     multiple_tasks = len(context.job.tasks) > 1 and context.job.automata_by_arm is None
     parts = _split_module(words)
     if parts is None:
-        return [*out, (file, "the procedure check_cell does not have its expected form")]
+        return [*faults, (file, "the procedure check_cell does not have its expected form")]
     module, body, handler, rest = parts
     axes = task_axes(task.arm, context.problem.cell.turntable)
     axes_frame, axes_statements, rest = _split_axes_check(rest) if axes else ([], [], rest)
+    # the reader sees the handlers only if what it masks is exactly the comparing code
     if rapid_words(mask_comparisons(task.files[file])) != [
         *module,
         *_CHECK_HEAD,
@@ -71,34 +78,41 @@ def _check_faults(context: Context, task: TaskText) -> list[tuple[str, str]]:
         *axes_frame,
         "endmodule",
     ]:
-        out.append((file, "its error handler cannot be separated from its comparisons"))
+        faults.append((file, "its error handler cannot be separated from its comparisons"))
     if axes_statements != _expected_axes_check(axes):
-        out.append((file, "it does not check correctly that tracks and turntables are at home"))
-    head, calls = _expected_statements(context, task)
+        faults.append((file, "it does not check correctly that tracks and turntables are at home"))
+    reading, calls = _expected_statements(context, task)
     if (
         module[:1] != ["module"]
         or len(module) != 2
         or rest != rapid_words(_expected_helpers(multiple_tasks, bool(axes)))
     ):
-        out.append((file, "the comparing procedures differ from their expected text"))
-    if body[: len(head)] != head:
-        out.append((file, "it does not read the base frame of this robot as expected"))
-    compared = sorted(body[len(head) :])
-    out += [
+        faults.append((file, "the comparing procedures differ from their expected text"))
+    if body[: len(reading)] != reading:
+        faults.append((file, "it does not read the base frame of this robot as expected"))
+    compared = sorted(body[len(reading) :])
+    faults += [
         (file, f"it does not compare {_describe_call(call)}") for call in sorted(set(calls) - set(compared))
     ]
-    if not out and compared != sorted(calls):
-        out.append((file, "it does more than the expected comparisons"))
-    return out
+    if not faults and compared != sorted(calls):
+        faults.append((file, "it does more than the expected comparisons"))
+    return faults
 
 
 def _describe_call(call: str) -> str:
+    """Describe a comparison for a message: by its first string if it has one, else by its tokens."""
     match = re.search(r'"([^"]*)"', call)
     return (match.group(1) if match else call) + " with the plan"
 
 
 def _is_called_first(task: TaskText) -> bool:
-    mains = [p for module in modules_of(task.text) for p in module.procedures if p.name.lower() == "main"]
+    """Whether main calls check_cell after settings and outputs set to 0 only."""
+    mains = [
+        procedure
+        for module in modules_of(task.text)
+        for procedure in module.procedures
+        if procedure.name.lower() == "main"
+    ]
     for statement in mains[0].body if len(mains) == 1 else ():
         if isinstance(statement, ProcCall):
             return statement.name.lower() == "check_cell"
@@ -112,37 +126,42 @@ def _is_called_first(task: TaskText) -> bool:
 
 
 def _split_module(words: Sequence[str]) -> tuple[list[str], list[str], list[str], list[str]] | None:
-    """Words before the procedure, its statements, words of its handler, and words after it.
+    """Split the tokens of a check module at the procedure check_cell; None if it has not the required form.
 
-    The handler is checked by the rule on all handlers.
+    Returns:
+        Tokens before the procedure, its statements, tokens of its error handler to ENDPROC, and tokens after
+        it without ENDMODULE.
     """
-    text = list(words)
-    at = next((i for i in range(len(text)) if text[i : i + 4] == _CHECK_HEAD), None)
-    if at is None or "error" not in text[at:] or "endproc" not in text[at:]:
+    tokens = list(words)
+    start = next((i for i in range(len(tokens)) if tokens[i : i + 4] == _CHECK_HEAD), None)
+    if start is None or "error" not in tokens[start:] or "endproc" not in tokens[start:]:
         return None
-    handler, end = text.index("error", at), text.index("endproc", at)
-    if handler > end or text[-1:] != ["endmodule"]:
+    handler, end = tokens.index("error", start), tokens.index("endproc", start)
+    if handler > end or tokens[-1:] != ["endmodule"]:
         return None
-    body: list[str] = [" ".join(part) for part in _split_statements(text[at + 4 : handler])]
-    return text[:at], body, text[handler : end + 1], text[end + 1 : -1]
+    body: list[str] = [" ".join(part) for part in _split_statements(tokens[start + 4 : handler])]
+    return tokens[:start], body, tokens[handler : end + 1], tokens[end + 1 : -1]
 
 
 def _split_axes_check(rest: Sequence[str]) -> tuple[list[str], list[str], list[str]]:
-    """Frame and statements of the procedure that checks external axes, and the words after it.
+    """Split the tokens after check_cell at the end of the procedure check_axes.
 
-    The frame includes the handler. Without such a procedure all words come after it.
+    Returns:
+        Head and error handler of check_axes as tokens, its statements, and the tokens after it. Without such
+        a procedure, the first two are empty and the last are all tokens.
     """
-    text = list(rest)
-    if text[: len(_AXES_HEAD)] != _AXES_HEAD or "error" not in text or "endproc" not in text:
-        return [], [], text
-    handler, end = text.index("error"), text.index("endproc")
+    tokens = list(rest)
+    if tokens[: len(_AXES_HEAD)] != _AXES_HEAD or "error" not in tokens or "endproc" not in tokens:
+        return [], [], tokens
+    handler, end = tokens.index("error"), tokens.index("endproc")
     if handler > end:
-        return [], [], text
-    body = [" ".join(part) for part in _split_statements(text[len(_AXES_HEAD) : handler])]
-    return [*_AXES_HEAD, *text[handler : end + 1]], body, text[end + 1 :]
+        return [], [], tokens
+    body = [" ".join(part) for part in _split_statements(tokens[len(_AXES_HEAD) : handler])]
+    return [*_AXES_HEAD, *tokens[handler : end + 1]], body, tokens[end + 1 :]
 
 
 def _expected_axes_check(axes: Sequence[TaskAxis]) -> list[str]:
+    """Expected statements of check_axes, which compare external axes with their home, in order of columns."""
     text = "VAR jointtarget cfg_here; cfg_here:=CJointT();" if axes else ""
     for axis in sorted(axes, key=lambda external_axis: external_axis.column):
         value = f"cfg_here.extax.eax_{'abcdef'[axis.column]}"
@@ -154,21 +173,23 @@ def _expected_axes_check(axes: Sequence[TaskAxis]) -> list[str]:
 
 
 def _split_statements(words: Sequence[str]) -> list[list[str]]:
-    out: list[list[str]] = [[]]
+    """Split tokens at semicolons."""
+    statements: list[list[str]] = [[]]
     for word in words:
         if word == ";":
-            out.append([])
+            statements.append([])
         else:
-            out[-1].append(word)
-    return out if out[-1] else out[:-1]
+            statements[-1].append(word)
+    return statements if statements[-1] else statements[:-1]
 
 
 def _statements(text: str) -> list[str]:
+    """Statements of a text, each as its tokens joined by spaces."""
     return [" ".join(part) for part in _split_statements(rapid_words(text))]
 
 
 def _expected_statements(context: Context, task: TaskText) -> tuple[list[str], list[str]]:
-    """Statements that read the base frame, in this order, and comparisons, in any order."""
+    """Expected statements that read the base frame, in this order, and comparisons, in any order."""
     controller = context.problem.cell.controller
     arms = [arm.name for arm in context.problem.cell.arms]
     config_path = f'"/MOC/ROBOT/{controller.robot_name(arms.index(task.arm.name))}"'
@@ -190,7 +211,7 @@ def _expected_statements(context: Context, task: TaskText) -> tuple[list[str], l
 
 
 def _comparisons(name: str, kind: str, value: Sequence[str]) -> str:
-    """Comparisons of a declared tool or work object, whose components are ``value`` as text."""
+    """Expected comparisons of a declared tool or work object, with its components as texts in ``value``."""
     if kind == "tooldata":
         text = f'check_pose "{rapid_sentences.FRAME_OF.format(name=name)}",{name}.tframe,{value[1]};'
         return text + f'check_true "{rapid_sentences.HOLDER_OF.format(name=name)}",{name}.robhold;'
@@ -203,35 +224,43 @@ def _comparisons(name: str, kind: str, value: Sequence[str]) -> str:
 
 
 def _declared_components(task: TaskText, name: str) -> list[str]:
+    """Texts of the components with which data are declared in the task, at least five; "" if missing."""
     for path, text in task.files.items():
         if CHECK_MODULE.match(PurePosixPath(path).name):
             continue
         if re.search(rf"(?i)\b{name}\s*:=", text) is None:
             continue  # a comment becomes one semicolon below, so the name would not appear then either
-        plain = re.sub(r"(?m)^\s*!.*|;\s*!.*", ";", text)
-        match = re.search(rf"(?i)\b{name}\s*:=\s*\[(.*?)\]\s*;", plain, re.DOTALL)
+        without_comments = re.sub(r"(?m)^\s*!.*|;\s*!.*", ";", text)
+        match = re.search(rf"(?i)\b{name}\s*:=\s*\[(.*?)\]\s*;", without_comments, re.DOTALL)
         if match is not None:
             return _components(match.group(1))
     return [""] * 5
 
 
 def _components(text: str) -> list[str]:
-    out, depth, quoted = [""], 0, False
+    """Split an aggregate at the commas outside of brackets and strings; five empty texts are appended."""
+    parts = [""]
+    depth = 0
+    quoted = False
     for character in text:
         quoted ^= character == '"'
         depth += 0 if quoted else (character == "[") - (character == "]")
         if character == "," and depth == 0 and not quoted:
-            out.append("")
+            parts.append("")
         else:
-            out[-1] += character
-    return [part.strip() for part in out] + [""] * 5
+            parts[-1] += character
+    return [part.strip() for part in parts] + [""] * 5
 
 
 def _expected_helpers(multiple_tasks: bool, with_axes: bool) -> str:
-    """Expected text of the comparing procedures; ``with_axes``: tracks and turntables included."""
-    parts = ("1", "2", "3", "4")
-    dot = "+".join(f"got.rot.q{i}*wanted.rot.q{i}" for i in parts)
-    squares = "+".join(f"Pow(got.rot.q{i}-off_sign*wanted.rot.q{i},2)" for i in parts)
+    """Expected text of the comparing procedures; ``with_axes`` adds the one for tracks and turntables.
+
+    The angle between unit quaternions p and q of equal sign is 4 asin(|p - q| / 2): for small angles
+    2 |p - q| [rad], or 114.59 |p - q| [degrees].
+    """
+    numbers = ("1", "2", "3", "4")
+    dot = "+".join(f"got.rot.q{i}*wanted.rot.q{i}" for i in numbers)
+    squares = "+".join(f"Pow(got.rot.q{i}-off_sign*wanted.rot.q{i},2)" for i in numbers)
     stop = "Stop\\AllMoveTasks" if multiple_tasks else "Stop"
     axis = f"""
     PROC check_axis(string what, num got, num wanted, num most)

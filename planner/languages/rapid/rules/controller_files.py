@@ -20,37 +20,38 @@ from planner.proof.language_contribution import ControllerPower
 
 
 def controller_files(power: ControllerPower) -> list[str]:
-    """Return the faults of the files of an ABB controller."""
+    """Return the faults of the files of one ABB controller: EIO.cfg, SYS.cfg and the module TandemPower."""
     cell = power.context.problem.cell
-    controller, signals, torches, partner = cell.controller, power.signals, power.burning, power.partner
+    controller, signals = cell.controller, power.signals
+    torches, partner = power.burning, power.partner
     arms = [arm.name for arm in cell.arms]
-    names = [controller.tasks[arms.index(task.arm.name)] for task in power.tasks]
+    task_names = [controller.tasks[arms.index(task.arm.name)] for task in power.tasks]
     module = f"{POWER_MODULE}{'.sys' if controller.robotware == 6 else '.sysx'}"
     others = _other_rows(controller, power.tasks, signals, partner)
     expected = {"EIO": _expected_rows(controller, signals, torches, others, partner)} | (
-        {"SYS": power_at_stops.hook_rows(names, module, torches)} if signals else {}
+        {"SYS": power_at_stops.hook_rows(task_names, module, torches)} if signals else {}
     )
     faults = power.file_name_faults([f"{name}.cfg" for name in expected] + ([module] if signals else []))
     if faults:
         return faults
     for name, rows in expected.items():
         try:
-            head, got = parse_configuration(power.files[f"{name}.cfg"])
+            head, actual = parse_configuration(power.files[f"{name}.cfg"])
         except ConfigurationSyntaxError as wrong:
             faults.append(f"{name}.cfg cannot be read: {wrong}")
             continue
         if not re.fullmatch(rf"{name}:CFG_1\.0:{controller.robotware}:[01]::", head):
             faults.append(f"{name}.cfg is not for RobotWare {controller.robotware}: {head[:40]!r}")
         if name == "EIO":
-            faults += _cross_connection_faults(controller, signals, partner, got.pop("EIO_CROSS", []))
-            faults += _shared_bit_faults(got.get("EIO_SIGNAL", []))
-        faults += [fault for kind in {**rows, **got} for fault in _row_faults(name, kind, rows, got)]
-    expected_module = power_at_stops.system_module(controller, signals, torches, len(names) > 1)
+            faults += _cross_connection_faults(controller, signals, partner, actual.pop("EIO_CROSS", []))
+            faults += _shared_bit_faults(actual.get("EIO_SIGNAL", []))
+        faults += [fault for kind in {**rows, **actual} for fault in _row_faults(name, kind, rows, actual)]
+    expected_module = power_at_stops.system_module(controller, signals, torches, len(task_names) > 1)
     if signals and rapid_words(power.files[module]) != rapid_words(expected_module):
-        what = "reset requests at a stop, " + (
+        purpose = "reset requests at a stop, " + (
             "never resume after a torch burned" if torches else "ask at a start"
         )
-        faults.append(f"{module} differs from its expected text. It must do this: {what}")
+        faults.append(f"{module} differs from its expected text. It must do this: {purpose}")
     return faults
 
 
@@ -60,26 +61,33 @@ def _row_faults(
     expected: Mapping[str, Sequence[InstanceRow]],
     actual: Mapping[str, Sequence[InstanceRow]],
 ) -> list[str]:
-    want, have = expected.get(kind, ()), actual.get(kind, ())
-    faults = [f"{name}.cfg, {kind}: the row {_row_text(row)} is missing" for row in want if row not in have]
-    faults += [
-        f"{name}.cfg, {kind}: the row {_row_text(row)} is not expected" for row in have if row not in want
+    """Faults of the rows of one type in a configuration file: missing, unexpected or repeated rows."""
+    expected_rows, actual_rows = expected.get(kind, ()), actual.get(kind, ())
+    faults = [
+        f"{name}.cfg, {kind}: the row {_row_text(row)} is missing"
+        for row in expected_rows
+        if row not in actual_rows
     ]
-    if not faults and len(have) != len(want):
+    faults += [
+        f"{name}.cfg, {kind}: the row {_row_text(row)} is not expected"
+        for row in actual_rows
+        if row not in expected_rows
+    ]
+    if not faults and len(actual_rows) != len(expected_rows):
         faults.append(f"{name}.cfg, {kind}: a row occurs twice")
     return faults
 
 
 def _shared_bit_faults(rows: Sequence[InstanceRow]) -> list[str]:
-    """Faults for two signals of one type on one bit of a device: one switches what the other powers."""
-    names: dict[tuple[str, ...], str] = {}
+    """Faults for signals of one type on the same bit of a device: one would switch what the other powers."""
+    signal_by_bit: dict[tuple[str, ...], str] = {}
     faults = []
     for row in rows:
         fields = dict(row)
         if "device" in fields:
-            key = tuple(fields.get(name, "").lower() for name in ("signaltype", "device", "devicemap"))
+            key = tuple(fields.get(field, "").lower() for field in ("signaltype", "device", "devicemap"))
             name = fields.get("name", "")
-            other = names.setdefault(key, name)
+            other = signal_by_bit.setdefault(key, name)
             if other != name:
                 faults.append(f"EIO.cfg, EIO_SIGNAL: {other} and {name} share bit {key[2]} of one device")
     return faults
@@ -95,18 +103,20 @@ def _other_rows(
     signals: Sequence[str],
     partner: ControllerPartner | None,
 ) -> list[InstanceRow]:
-    """Expected rows of all other signals that the programs name.
+    """Expected rows of the signals that the programs name besides power outputs and partner signals.
 
-    Each has the type that its use requires, and the device that the cell states for it.
+    Each row has the type (DI or DO) that the use of the signal requires, and the device and bit that the cell
+    states for it, if any. Without a row the programs would not load.
     """
     power_names = (
         name for signal in signals for name in (signal, controller.interlock.power_output(signal).signal)
     )
-    known = {(name.lower(), "DO") for name in power_names}
-    known |= {(row["name"].lower(), row["signaltype"]) for row in partner.signals} if partner else set()
+    listed_elsewhere = {(name.lower(), "DO") for name in power_names}
+    if partner:
+        listed_elsewhere |= {(row["name"].lower(), row["signaltype"]) for row in partner.signals}
     rows: dict[tuple[str, str], InstanceRow] = {}
     for name, kind in rapid_signals("\n".join(text for task in tasks for text in task.files.values())):
-        if (name.lower(), kind) in known:
+        if (name.lower(), kind) in listed_elsewhere:
             continue
         connections = (controller.interlock.device_bit(task.arm.name, name) for task in tasks)
         connection = next((connection for connection in connections if connection is not None), None)
@@ -124,9 +134,9 @@ def _expected_rows(
 ) -> dict[str, list[InstanceRow]]:
     """Expected rows of EIO.cfg by type, without cross connections.
 
-    Requests are on no device: program and operator set them, and only the program those of torches. Nobody
-    sets the real outputs by hand. The other signals that the programs name are included, because programs do
-    not load without them.
+    A request is a signal on no device that the program sets, as may the operator unless it lights a torch.
+    Nobody sets the real outputs by hand: a cross connection drives them. ``other_rows`` are those of other
+    signals that the programs name, because programs do not load without them.
     """
     interlock = controller.interlock
     rows = power_at_stops.request_rows(signals, torches)
@@ -164,30 +174,33 @@ def _cross_connection_faults(
 ) -> list[str]:
     """Faults of the cross connections.
 
-    Each power output is request AND running program AND motors on AND partner running. With two controllers
-    each reports its own state and receives that of the other one. Nothing else is connected.
+    Each power output is request AND running program AND motors on, with two controllers also AND partner
+    running. Each of two controllers reports its own state and receives that of the other one. Nothing else is
+    connected.
     """
     interlock = controller.interlock
-    runs = (interlock.cycle, interlock.motors)
-    needed = (*runs, partner.partner_running) if partner else runs
-    terms: dict[str, tuple[str, ...]] = {
-        interlock.power_output(request).signal: (request, *needed) for request in signals
+    running = (interlock.cycle, interlock.motors)
+    enabling = (*running, partner.partner_running) if partner else running
+    terms_by_result: dict[str, tuple[str, ...]] = {
+        interlock.power_output(request).signal: (request, *enabling) for request in signals
     }
     if partner:
-        terms |= {partner.running: runs, partner.lost: (f"not {partner.partner_running}",)}
-    expected = {(result.lower(), frozenset(map(str.lower, needs))) for result, needs in terms.items()}
-    expected_texts = {result.lower(): " AND ".join(needs) for result, needs in terms.items()}
+        terms_by_result |= {partner.running: running, partner.lost: (f"not {partner.partner_running}",)}
+    expected = {
+        (result.lower(), frozenset(map(str.lower, terms))) for result, terms in terms_by_result.items()
+    }
+    expected_texts = {result.lower(): " AND ".join(terms) for result, terms in terms_by_result.items()}
     connections = [cross_connection(row) for row in rows]
     faults = []
-    for row, read in zip(rows, connections, strict=True):
-        if read not in expected:
+    for row, connection in zip(rows, connections, strict=True):
+        if connection not in expected:
             expected_text = expected_texts.get(dict(row).get("res", "").lower())
-            wrong = (
+            problem = (
                 f"is not {expected_text}"
                 if expected_text
                 else "drives a signal that no cross connection may drive"
             )
-            faults.append(f"EIO.cfg, EIO_CROSS: {_row_text(row)} {wrong}")
+            faults.append(f"EIO.cfg, EIO_CROSS: {_row_text(row)} {problem}")
     if len(set(connections)) != len(connections):
         faults.append("EIO.cfg, EIO_CROSS: an output is driven twice")
     names = [value for row in rows for key, value in row if key == "name"]

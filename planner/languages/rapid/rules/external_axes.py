@@ -24,7 +24,7 @@ def units_and_offsets(context: Context, task: TaskText) -> RuleOutcome:
 
 
 def checks_axis(context: Context, axis: TaskAxis, step: SettingStep) -> bool:
-    """Return whether a step checks an axis. verify.cell_check examines what it compares.
+    """Return whether a step calls the check of external axes, whose text verify.cell_check examines.
 
     Args:
         context: The proof.
@@ -35,7 +35,9 @@ def checks_axis(context: Context, axis: TaskAxis, step: SettingStep) -> bool:
 
 
 def _unit_issues(task: TaskText, axes: Sequence[TaskAxis]) -> Iterator[Issue]:
-    activations, moved = dict.fromkeys((axis.mechanical_unit.lower() for axis in axes), 0), False
+    """Issues of ActUnit and DeactUnit: each unit of the arm is activated once, before any move."""
+    activations = dict.fromkeys((axis.mechanical_unit.lower() for axis in axes), 0)
+    moved = False
     names = {axis.mechanical_unit.lower(): axis.mechanical_unit for axis in axes}
     for step in task.steps:
         moved |= isinstance(step, MoveStep)
@@ -43,37 +45,38 @@ def _unit_issues(task: TaskText, axes: Sequence[TaskAxis]) -> Iterator[Issue]:
             continue
         if step.unit not in activations:
             allowed = " and ".join(names.values()) or "none"
-            what = f"{step.kind} {step.unit}: the unit of {task.arm.name} is {allowed}"
-            yield step_issue(EXTERNAL_AXES, what, task, step)
+            message = f"{step.kind} {step.unit}: the unit of {task.arm.name} is {allowed}"
+            yield step_issue(EXTERNAL_AXES, message, task, step)
         elif step.kind == "DeactUnit":
-            what = f"{names[step.unit]} is deactivated, so that only its brakes hold it"
-            yield step_issue(EXTERNAL_AXES, what, task, step)
+            message = f"{names[step.unit]} is deactivated, so that only its brakes hold it"
+            yield step_issue(EXTERNAL_AXES, message, task, step)
         else:
             activations[step.unit] += 1
             if moved or activations[step.unit] > 1:
-                what = f"{names[step.unit]} must be activated once, before any move"
-                yield step_issue(EXTERNAL_AXES, what, task, step)
+                message = f"{names[step.unit]} must be activated once, before any move"
+                yield step_issue(EXTERNAL_AXES, message, task, step)
     for unit in (names[key] for key, count in activations.items() if not count):
-        what = f"{unit} is not activated, so its values have no effect"
-        yield Issue(EXTERNAL_AXES, what, arm=task.arm.name, file=task.name, hint=f"ActUnit {unit};")
+        message = f"{unit} is not activated, so its values have no effect"
+        yield Issue(EXTERNAL_AXES, message, arm=task.arm.name, file=task.name, hint=f"ActUnit {unit};")
 
 
 def _offset_issues(task: TaskText, axes: Sequence[TaskAxis]) -> Iterator[Issue]:
-    r"""Moves that offsets of external axes would shift, which another program may have left active.
+    r"""Issues of moves and checks that an offset of external axes from another program would shift.
 
     These are all checks and moves before EOffsOff, and joint moves without \NoEOffs, because a start from
-    elsewhere than main skips EOffsOff.
+    elsewhere than main skips EOffsOff. Only the first issue of the former kind is reported, alone.
     """
-    names, offsets_cleared = " and ".join(axis.label for axis in axes), False
+    names = " and ".join(axis.label for axis in axes)
+    offsets_cleared = False
     for step in task.steps:
         offsets_cleared |= isinstance(step, SettingStep) and step.kind == "EOffsOff"
         is_check = isinstance(step, SettingStep) and step.kind == AXES_CHECK_PROCEDURE
         if not offsets_cleared and (is_check or isinstance(step, MoveStep)):
-            what = f"an offset of {names} from another program would shift its position and its moves"
-            yield step_issue(EXTERNAL_AXES, what, task, step, "add EOffsOff before all checks and moves")
+            message = f"an offset of {names} from another program would shift its position and its moves"
+            yield step_issue(EXTERNAL_AXES, message, task, step, "add EOffsOff before all checks and moves")
             return
         if not isinstance(step, MoveStep):
             continue
         if step.kind == "MoveAbsJ" and "noeoffs" not in step.switches:
-            what = f"an offset of {names} would shift the move"
-            yield step_issue(EXTERNAL_AXES, what, task, step, "use MoveAbsJ with \\NoEOffs")
+            message = f"an offset of {names} would shift the move"
+            yield step_issue(EXTERNAL_AXES, message, task, step, "use MoveAbsJ with \\NoEOffs")

@@ -25,12 +25,14 @@ _REFUSED_OPTIONS = {
     "corr": "\\Corr lets sensors change the path",
 }
 """Options of moves that are refused, with the reason."""
-_MAX_LINEAR_SPEED_M_S, _MAX_ROTARY_SPEED_RAD_S = 5.0, np.deg2rad(1000.0)
-"""Maximum speeds of external axes that a move may state [m/s, rad/s]; no arm here exceeds them."""
+_MAX_LINEAR_SPEED_M_S = 5.0
+"""Maximum speed of linear external axes that a move may state [m/s]; no axis here exceeds it."""
+_MAX_ROTARY_SPEED_RAD_S = np.deg2rad(1000.0)
+"""Maximum speed of rotary external axes that a move may state [rad/s]; no axis here exceeds it."""
 
 
 def unknown_start(context: Context, task: TaskText) -> RuleOutcome:
-    """Check the speeds of the first move, and stated speeds of moves without a path (verify.unknown_start).
+    """Check the speed of the first move, times of joint moves, and external axes (verify.unknown_start).
 
     Args:
         context: The proof.
@@ -48,19 +50,22 @@ def unknown_start(context: Context, task: TaskText) -> RuleOutcome:
 
 
 def _first_move_speed(move: MoveStep, limit: float) -> tuple[float, list[str]]:
-    """The first move's fraction of the allowed speeds, and its faults."""
+    """Speed of the first move as a fraction of the allowed one, and messages if it is too fast.
+
+    The fraction is the larger one of TCP speed, allowed up to ``limit`` [m/s], and rotation speed.
+    """
     speed = move.speed.tcp if move.velocity is None else move.velocity
     faults = []
     if speed > limit * SPEED_ROUNDING_FACTOR:
         faults.append(f"the move's speed is {mm(speed):g} mm/s; allowed: {mm(limit):g} mm/s")
     if move.speed.turn > BLIND_ROTATION_RATE_RAD_S * SPEED_ROUNDING_FACTOR:
-        turn = np.rad2deg([move.speed.turn, BLIND_ROTATION_RATE_RAD_S])
-        faults.append(f"the tool's rotation speed is {turn[0]:g} deg/s; allowed: {turn[1]:g} deg/s")
+        rate, max_rate = np.rad2deg([move.speed.turn, BLIND_ROTATION_RATE_RAD_S])
+        faults.append(f"the tool's rotation speed is {rate:g} deg/s; allowed: {max_rate:g} deg/s")
     return max(speed / limit, float(move.speed.turn / BLIND_ROTATION_RATE_RAD_S)), faults
 
 
 def _stated_speed_faults(move: MoveStep) -> list[str]:
-    """Faults of the speeds of a move without a path of its own to compare them with."""
+    """Faults of the time of a joint move, and of the speeds of external axes, which no path limits."""
     faults = []
     if move.by_joints and move.time is not None:
         faults.append("a joint move states a time, which applies at any distance; state a speed")
@@ -70,9 +75,9 @@ def _stated_speed_faults(move: MoveStep) -> list[str]:
         and 0.0 < speed.rotary <= _MAX_ROTARY_SPEED_RAD_S * SPEED_ROUNDING_FACTOR
     )
     if move.time is None and not is_allowed:
-        what = f"external axes at {mm(speed.linear):g} mm/s and {np.rad2deg(speed.rotary):g} deg/s"
+        stated = f"external axes at {mm(speed.linear):g} mm/s and {np.rad2deg(speed.rotary):g} deg/s"
         faults.append(
-            f"{what}; allowed: above 0, to {mm(_MAX_LINEAR_SPEED_M_S):g} and "
+            f"{stated}; allowed: above 0, to {mm(_MAX_LINEAR_SPEED_M_S):g} and "
             f"{np.rad2deg(_MAX_ROTARY_SPEED_RAD_S):g}"
         )
     return faults
@@ -92,7 +97,8 @@ def move_kinds(context: Context, task: TaskText) -> RuleOutcome:
     stated = False
     for step in task.steps:
         if isinstance(step, SettingStep) and step.kind == "ConfL":
-            state, stated = step.switches[0], True
+            state = step.switches[0]
+            stated = True
         if not isinstance(step, MoveStep):
             continue
         if step.kind == "MoveJ":
@@ -100,7 +106,8 @@ def move_kinds(context: Context, task: TaskText) -> RuleOutcome:
         for switch in step.switches:
             if switch in _REFUSED_OPTIONS:
                 findings.add_at_step(_REFUSED_OPTIONS[switch], task, step)
-        used = np.abs(step.target.external - UNUSED_AXIS) > 1e3  # 9E9 in single precision is 512 off
+        # 9E9 in single precision deviates by 512
+        used = np.abs(step.target.external - UNUSED_AXIS) > 1e3
         if isinstance(step.target, RobTarget | JointTarget) and not axes and used.any():
             findings.add_at_step("the target moves an external axis", task, step)
         if step.kind == "MoveL" and (state != required or not stated):

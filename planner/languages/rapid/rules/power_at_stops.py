@@ -2,8 +2,8 @@
 
 A wire or a tool may be switched on again by hand if a person confirms it. A torch never: after a stop at
 which it burned no program resumes, no question asks whether it is on, nobody sets its request by hand, and
-only a start from main is possible. The proof has its own copy of these sentences; those for other power
-outputs are shared.
+only a start from main is possible. The proof has its own copy of the sentences for torches; those for other
+power outputs are shared with the writer.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -27,25 +27,26 @@ _TORCH_RESTART_QUESTION: Final = (
 )
 """The question before a program starts from main after a stop at which a torch burned."""
 _TORCH_RESTART_BUTTONS: Final = ("Begin", "Stop")
-"""Answers to this question: none says that the torch burns."""
+"""Answers to `_TORCH_RESTART_QUESTION`: none of them states that the torch burns."""
 _TORCH_RESTART_REFUSED: Final = (
     "Not started: a torch burned at the stop",
     "or the controller was off. Move it out",
     "by hand, inspect the sheet, then PP to",
     "main in all tasks, and Start.",
 )
-"""Shown if such a program is resumed."""
+"""Shown if a program is resumed after a stop at which a torch burned."""
 
 
 def config_row(**values: str) -> InstanceRow:
-    """Return a row of a configuration file from its fields."""
+    """Return a row of a configuration file from its attributes; "" is an attribute without value."""
     return frozenset(values.items())
 
 
 def request_rows(signals: Sequence[str], torches: frozenset[str]) -> list[InstanceRow]:
-    """Return the expected rows of requests, on no device.
+    """Return the expected EIO_SIGNAL rows of requests, which are signals on no device.
 
-    Program and operator set those of tools and wires, and only the program those of torches.
+    The program and the operator may set the requests of tools and wires; only the program may set those of
+    torches.
 
     Args:
         signals: Power outputs.
@@ -58,18 +59,24 @@ def request_rows(signals: Sequence[str], torches: frozenset[str]) -> list[Instan
 
 
 def access_rows(signals: Sequence[str], torches: frozenset[str]) -> list[InstanceRow]:
-    """Return the expected access levels: who may set requests.
+    """Return the expected EIO_ACCESS rows: the access levels that requests use, which state who may set them.
 
     Args:
         signals: Power outputs.
         torches: Those of them that light a torch.
     """
-    both = config_row(name="TandemRequest", rapid="", localmanual="", localauto="")
-    return [both] * bool(set(signals) - torches) + [config_row(name="TandemTorch", rapid="")] * bool(torches)
+    rows = []
+    if set(signals) - torches:
+        rows.append(config_row(name="TandemRequest", rapid="", localmanual="", localauto=""))
+    if torches:
+        rows.append(config_row(name="TandemTorch", rapid=""))
+    return rows
 
 
 def hook_rows(tasks: Sequence[str], module: str, torches: frozenset[str]) -> dict[str, list[InstanceRow]]:
     """Return the expected rows of SYS.cfg: the module in every task, and the routine of each system event.
+
+    At a start the first task asks the operator, and the others wait for the answers.
 
     Args:
         tasks: Names of the tasks.
@@ -97,7 +104,12 @@ def hook_rows(tasks: Sequence[str], module: str, torches: frozenset[str]) -> dic
 def system_module(
     controller: Controller, signals: Sequence[str], torches: frozenset[str], multiple_tasks: bool
 ) -> str:
-    """Return the expected text of the system module.
+    """Return the expected text of the system module TandemPower.
+
+    A flag for each power output (tandem_cut_n, tandem_lit_n for torches) stores that it was on at a stop.
+    tandem_off sets the flags and resets the requests. tandem_again asks about each flag at a start,
+    tandem_wait waits until they are reset, and tandem_stay also ends the program after a torch burned. The
+    other routines are in `_torch_routines`.
 
     Args:
         controller: Controllers of the cell.
@@ -105,11 +117,15 @@ def system_module(
         torches: Those of them that light a torch.
         multiple_tasks: Whether the controller has several motion tasks.
     """
-    signal_by_flag = {f"tandem_{'lit' if s in torches else 'cut'}_{n}": s for n, s in enumerate(signals, 1)}
+    signal_by_flag = {
+        f"tandem_{'lit' if signal in torches else 'cut'}_{number}": signal
+        for number, signal in enumerate(signals, 1)
+    }
     torch_flags = [flag for flag, request in signal_by_flag.items() if request in torches]
     stop = "Stop\\AllMoveTasks" if multiple_tasks else "Stop"
     switch_off = "".join(
-        f"IF DOutput({s})=1 THEN {flag}:=TRUE; ENDIF SetDO {s},0;" for flag, s in signal_by_flag.items()
+        f"IF DOutput({signal})=1 THEN {flag}:=TRUE; ENDIF SetDO {signal},0;"
+        for flag, signal in signal_by_flag.items()
     )
     ends = "".join(f"IF {flag} THEN tandem_end; ENDIF " for flag in torch_flags)
     questions = ""
@@ -142,10 +158,10 @@ def system_module(
 
 
 def _torch_routines(signal_by_flag: Mapping[str, str], stop: str) -> str:
-    """Routines for torches.
+    """Routines for torches, whose outputs are ``signal_by_flag``.
 
-    tandem_lost: a controller that was off saw no stop. tandem_end: never continues. tandem_begin: asks, and
-    resets the flags.
+    tandem_lost sets all flags after power-on, because a controller that was off saw no stop. tandem_end never
+    lets the program continue. tandem_begin asks about each torch before a start from main.
     """
     set_on = "".join(f"{flag}:=TRUE;" for flag in signal_by_flag)
     shown = "".join(f'TPWrite "{line}";' for line in _TORCH_RESTART_REFUSED)
@@ -164,6 +180,7 @@ def _torch_routines(signal_by_flag: Mapping[str, str], stop: str) -> str:
 
 
 def _question(flag: str, lines: Iterable[str], buttons: Iterable[str]) -> str:
+    """Start of a loop that asks until a flag is reset, up to the first answer; `_refusal_branch` ends it."""
     line_list, button_list = (",".join(f'"{text}"' for text in texts) for texts in (lines, buttons))
     return (
         f'WHILE {flag} DO answer:=UIMessageBox(\\Header:="{sentences.HEADER}"\\MsgArray:=[{line_list}]'
@@ -172,5 +189,6 @@ def _question(flag: str, lines: Iterable[str], buttons: Iterable[str]) -> str:
 
 
 def _refusal_branch(lines: Iterable[str], stop: str) -> str:
+    """End of the loop of `_question`: for the last answer, show lines and stop."""
     shown = "".join(f'TPWrite "{line}";' for line in lines)
     return f"ELSE {shown} {stop}; ENDIF ENDWHILE "

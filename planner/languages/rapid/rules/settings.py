@@ -36,13 +36,13 @@ def undo(context: Context) -> RuleOutcome:
     applies = False
     hint = "switch the power off, then SyncMoveUndo, in UNDO of every procedure"
     for task in context.job.tasks:
-        signals, blocks = power_outputs(context, task), _has_blocks(task)
-        applies |= bool(signals or blocks) and isinstance(task.text, RapidText)
+        signals = power_outputs(context, task)
+        has_blocks = _has_blocks(task)
+        applies |= bool(signals or has_blocks) and isinstance(task.text, RapidText)
         for module, procedure in _procedures(task):
-            faults = _undo_faults(task.undos.get((module.name, procedure.name)), signals, blocks)
-            _add_findings(
-                findings, task, module, procedure, [f"UNDO of {procedure.name}: {f}" for f in faults], hint
-            )
+            faults = _undo_faults(task.undos.get((module.name, procedure.name)), signals, has_blocks)
+            messages = [f"UNDO of {procedure.name}: {fault}" for fault in faults]
+            _add_findings(findings, task, module, procedure, messages, hint)
     return findings.outcome_without_value("" if applies else "no power outputs and no synchronised blocks")
 
 
@@ -57,16 +57,22 @@ def _add_findings(
     task: TaskText,
     module: Module,
     procedure: Procedure,
-    faults: Iterable[str],
+    messages: Iterable[str],
     hint: str | None = None,
 ) -> None:
+    """Add a finding at the first line of a procedure for each message."""
     file = f"{task.name}/{module.name}"
-    for what in faults:
-        findings.add(what, arm=task.arm.name, file=file, line=procedure.line, field=procedure.name, hint=hint)
+    for message in messages:
+        findings.add(
+            message, arm=task.arm.name, file=file, line=procedure.line, field=procedure.name, hint=hint
+        )
 
 
 def power_outputs(context: Context, task: TaskText) -> list[str]:
-    """Return the power outputs that a task can switch: those of all tasks of one controller, or its own.
+    """Return the power outputs for which a task is responsible, without pulsed ones.
+
+    Tasks of one controller are each responsible for all outputs of the job, because an error or a stop of one
+    ends all. With two controllers, a task is responsible for the outputs that it switches.
 
     Args:
         context: The proof.
@@ -80,24 +86,31 @@ def power_outputs(context: Context, task: TaskText) -> list[str]:
 
 
 def _has_blocks(task: TaskText) -> bool:
+    """Whether the task contains a synchronised block."""
     return any(point.kind == "SyncMoveOn" for point in sync_points(task))
 
 
-def _undo_faults(steps: tuple[ProgramStep, ...] | None, signals: list[str], blocks: bool) -> list[str]:
-    """Faults of an UNDO section."""
-    if not signals and not blocks:
+def _undo_faults(steps: tuple[ProgramStep, ...] | None, signals: list[str], has_blocks: bool) -> list[str]:
+    """Faults of an UNDO section, which must switch ``signals`` off and, if there are blocks, end them."""
+    if not signals and not has_blocks:
         return []
     if steps is None:
         return ["there is none"]
-    plain = [s for s in steps if not isinstance(s, MessageStep) and not s.condition]
-    switched_off = {s.signal.lower() for s in plain if isinstance(s, SignalStep) and not (s.value or s.delay)}
+    unconditional = [step for step in steps if not isinstance(step, MessageStep) and not step.condition]
+    switched_off = {
+        step.signal.lower()
+        for step in unconditional
+        if isinstance(step, SignalStep) and not (step.value or step.delay)
+    }
     faults = [f"it does not switch {signal} off" for signal in signals if signal.lower() not in switched_off]
     block_ends = [
-        i for i, step in enumerate(plain) if isinstance(step, SyncStep) and step.kind == "SyncMoveUndo"
+        i
+        for i, step in enumerate(unconditional)
+        if isinstance(step, SyncStep) and step.kind == "SyncMoveUndo"
     ]
-    if blocks and not block_ends:
+    if has_blocks and not block_ends:
         faults.append("it does not end the synchronised block (SyncMoveUndo)")
-    if block_ends and any(isinstance(step, SignalStep) for step in plain[block_ends[0] :]):
+    if block_ends and any(isinstance(step, SignalStep) for step in unconditional[block_ends[0] :]):
         faults.append("it ends the synchronised block before the power is off")
     return faults
 
@@ -126,15 +139,21 @@ def error_handler(context: Context) -> RuleOutcome:
         for module, procedure in _procedures(task):
             handler = task.handlers.get((module.name, procedure.name))
             faults = ["it has none"] if handler is None else _handler_faults(handler, signals, multiple_tasks)
-            findings_text = [f"error handler of {procedure.name}: {fault}" for fault in faults]
-            _add_findings(findings, task, module, procedure, findings_text)
+            messages = [f"error handler of {procedure.name}: {fault}" for fault in faults]
+            _add_findings(findings, task, module, procedure, messages)
     return findings.outcome_without_value()
 
 
 def _handler_faults(steps: tuple[ProgramStep, ...], signals: list[str], multiple_tasks: bool) -> list[str]:
-    head = [s for s in steps if not isinstance(s, MessageStep) or s.confirm][: len(signals)]
-    signal_steps = [s for s in head if isinstance(s, SignalStep)]
-    switched_off = {s.signal.lower() for s in signal_steps if not (s.value or s.condition or s.delay)}
+    """Faults of an error handler, which must switch ``signals`` off, stop all tasks and end the program."""
+    # the first steps, one per output; a text that waits for nobody may precede them
+    first_steps = [step for step in steps if not isinstance(step, MessageStep) or step.confirm][
+        : len(signals)
+    ]
+    signal_steps = [step for step in first_steps if isinstance(step, SignalStep)]
+    switched_off = {
+        step.signal.lower() for step in signal_steps if not (step.value or step.condition or step.delay)
+    }
     still_on = [signal for signal in signals if signal.lower() not in switched_off]
     faults = [f"it does not switch {signal} off before anything else" for signal in still_on]
     if any(isinstance(step, SignalStep) and step.value for step in steps):
@@ -146,15 +165,17 @@ def _handler_faults(steps: tuple[ProgramStep, ...], signals: list[str], multiple
         faults.append("it switches a track or table on or off")
     if kinds & {"RETRY", "TRYNEXT", "StartMove", "RETURN"}:
         faults.append("it resumes the program")
-    plain = [step for step in steps if not step.condition]
-    halts = [step for step in plain if isinstance(step, SettingStep) and step.kind == "Stop"]
-    plain_settings = ((i, s) for i, s in enumerate(steps) if isinstance(s, SettingStep) and not s.condition)
-    stop = next((i for i, setting in plain_settings if setting.kind == "StopMove"), None)
-    if stop is None:
+    unconditional = [step for step in steps if not step.condition]
+    halts = [step for step in unconditional if isinstance(step, SettingStep) and step.kind == "Stop"]
+    settings = (
+        (i, step) for i, step in enumerate(steps) if isinstance(step, SettingStep) and not step.condition
+    )
+    stop_index = next((i for i, setting in settings if setting.kind == "StopMove"), None)
+    if stop_index is None:
         faults.append("it does not stop the motion (StopMove)")
-    elif any(isinstance(step, WaitStep | MessageStep) for step in steps[:stop]):
+    elif any(isinstance(step, WaitStep | MessageStep) for step in steps[:stop_index]):
         faults.append("it waits or shows a text before it stops the motion (StopMove)")
-    if not any(isinstance(step, MessageStep) and step.text.strip() for step in plain):
+    if not any(isinstance(step, MessageStep) and step.text.strip() for step in unconditional):
         faults.append("it does not report the error (TPWrite)")
     if not halts:
         faults.append("it does not stop the program before it ends (Stop)")
@@ -173,24 +194,27 @@ def hidden(context: Context, task: TaskText) -> RuleOutcome:
         context: The proof.
         task: The task.
     """
-    findings, arm = Findings("verify.hidden", context), task.arm.name
+    findings = Findings("verify.hidden", context)
+    arm = task.arm.name
     for module in modules_of(task.text):
         for word in (*module.attributes, *_implied_attributes(module)):
-            what = f"module {module.name} is {word.upper()}: {_REFUSED_ATTRIBUTES[word]}"
-            findings.add(what, arm=arm, file=module.file, hint="remove the attribute")
+            message = f"module {module.name} is {word.upper()}: {_REFUSED_ATTRIBUTES[word]}"
+            findings.add(message, arm=arm, file=module.file, hint="remove the attribute")
         for procedure in module.procedures:
             if (module.name, procedure.name) not in task.called:
-                what, file = f"{module.name}:{procedure.name} is never called", f"{task.name}/{module.name}"
-                findings.add(what, arm=arm, file=file, line=procedure.line)
+                message = f"{module.name}:{procedure.name} is never called"
+                file = f"{task.name}/{module.name}"
+                findings.add(message, arm=arm, file=file, line=procedure.line)
     return findings.outcome_without_value()
 
 
 def _implied_attributes(module: Module) -> tuple[str, ...]:
+    """Attributes that follow from the file name: controllers load .sys and .sysx files as system modules."""
     return ("sysmodule",) if PurePosixPath(module.file).suffix.lower().startswith(".sys") else ()
 
 
 def hidden_signals(context: Context, task: TaskText) -> RuleOutcome:
-    """Refuse data that hide signals of the controller (verify.signals).
+    """Refuse data of a signal type, which would shadow signals of the controller (verify.signals).
 
     Args:
         context: The proof.

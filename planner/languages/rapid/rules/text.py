@@ -22,9 +22,10 @@ from planner.proof.rules.text import QUATERNION_TOLERANCE, decimals_of
 _TARGET: Final = re.compile(
     r"\[\s*\[([^\[\]]*)\]\s*,\s*\[([^\[\]]*)\]\s*,\s*\[[^\[\]]*\]\s*,\s*\[[^\[\]]*\]\s*\]"
 )
-"""A target: groups for position and orientation."""
+"""A robtarget in place: group 1 is its position, group 2 its orientation."""
 _MODPOS_MM_DECIMALS: Final = 2
 _MODPOS_QUATERNION_DIGITS: Final = 6
+"""Digits that ModPos writes at most: decimals of a position, significant digits of a quaternion."""
 
 
 def target_offsets(text: str) -> Iterator[tuple[int, bool]]:
@@ -32,15 +33,19 @@ def target_offsets(text: str) -> Iterator[tuple[int, bool]]:
     for match in _TARGET.finditer(text):
         position, orientation = (match.group(group).split(",") for group in (1, 2))
         rounded = all(decimals_of(number) <= _MODPOS_MM_DECIMALS for number in position)
-        yield match.start(), rounded and all(_digits(n) <= _MODPOS_QUATERNION_DIGITS for n in orientation)
+        yield (
+            match.start(),
+            rounded and all(_digits(number) <= _MODPOS_QUATERNION_DIGITS for number in orientation),
+        )
 
 
 def _digits(number: str) -> int:
+    """Number of digits of a numeral from its first nonzero digit on, without the exponent."""
     return len(number.strip().upper().partition("E")[0].lstrip("+-0.").replace(".", ""))
 
 
 def _lines(content: str) -> list[str]:
-    """Lines with more than a comment. Strings, which may contain "!", never continue over a line end."""
+    """Lines with more than a comment; "!" starts one, because no string continues over a line end."""
     lines = (line.strip(" \t\r") for line in content.split("\n"))
     return [line for line in lines if line and not line.startswith("!")]
 
@@ -52,11 +57,13 @@ def same_text(first: str, second: str) -> bool:
         first: One text.
         second: The other text.
     """
-    return _lines(first) == _lines(second) or _words(first) == _words(second)
+    return _lines(first) == _lines(second) or _words(first) == _words(second)  # comparing lines is fast
 
 
 def _words(content: str) -> list[str]:
-    cursor, out = RapidCursor(content), []
+    """Tokens up to the end or to the first bad one, with all text in lower case, and the kind of the last."""
+    cursor = RapidCursor(content)
+    out: list[str] = []
     while cursor.token.kind not in ("end", "bad"):
         out.append(cursor.token.word or cursor.token.text)
         cursor.take()
@@ -64,7 +71,7 @@ def _words(content: str) -> list[str]:
 
 
 def shared_persistents(context: Context, task: TaskText) -> RuleOutcome:
-    """Refuse PERS data that other tasks share (verify.pers_literal).
+    """Refuse PERS data, which the other tasks share, except lists of tasks (verify.pers_literal).
 
     Args:
         context: The proof.
@@ -87,18 +94,19 @@ def quaternions(context: Context, task: TaskText) -> RuleOutcome:
         context: The proof.
         task: The task.
     """
-    issues, worst = list[Issue](), 0.0
+    issues: list[Issue] = []
+    worst = 0.0
     for step in task.steps:
         if isinstance(step, MoveStep) and not step.by_joints:
             deviation = abs(float((step.target.quaternion**2).sum()) ** 0.5 - 1.0)  # type: ignore[union-attr]
             worst = max(worst, deviation)
             if deviation > QUATERNION_TOLERANCE:
-                what = (
+                message = (
                     f"the quaternion's norm deviates from 1 by {deviation:.2g}; allowed: "
                     f"{QUATERNION_TOLERANCE:g}"
                 )
                 file = f"{task.name}/{step.module}"
-                issues.append(Issue("verify.decimals", what, file=file, line=step.line))
+                issues.append(Issue("verify.decimals", message, file=file, line=step.line))
     return RuleOutcome(tuple(issues), worst)
 
 
@@ -112,14 +120,14 @@ def files(context: Context, task: TaskText) -> RuleOutcome:
     issues = []
     for module in modules_of(task.text):
         if PurePosixPath(module.file).stem.lower() != module.name.lower():
-            what = f"{module.file} contains the module {module.name}; the program list uses file names"
+            message = f"{module.file} contains the module {module.name}; the program list uses file names"
             hint = f"rename the file {module.name}{PurePosixPath(module.file).suffix}"
-            issues.append(Issue("verify.files", what, file=module.file, hint=hint))
+            issues.append(Issue("verify.files", message, file=module.file, hint=hint))
         issues += _suffix_issues(context, module.file)
     lists = [path for path in context.job.lists if _folder(path) in {_folder(file) for file in task.files}]
     if len(lists) > 1:
-        what = f"{task.name} has {len(lists)} program lists, {', '.join(lists)}"
-        issues.append(Issue("verify.files", what, file=lists[1], hint="remove all but one"))
+        message = f"{task.name} has {len(lists)} program lists, {', '.join(lists)}"
+        issues.append(Issue("verify.files", message, file=lists[1], hint="remove all but one"))
     return RuleOutcome(tuple(issues))
 
 
@@ -133,18 +141,19 @@ def program_lists(context: Context) -> list[Issue]:
 
 
 def _suffix_issues(context: Context, file: str) -> list[Issue]:
-    """RobotWare 6 loads only ``.mod``, RobotWare 7 only ``.modx``."""
+    """Issue of a module that the controller does not load: RobotWare 6 loads ``.mod``, 7 loads ``.modx``."""
     version = context.problem.cell.controller.robotware
     allowed = {6: ".mod", 7: ".modx"}[version]
     if PurePosixPath(file).suffix == allowed:
         return []
-    what = f"RobotWare {version} does not load {file}; allowed: {allowed}"
+    message = f"RobotWare {version} does not load {file}; allowed: {allowed}"
     hint = "plan again with the controller's robotware; renaming a module does not convert it"
-    return [Issue("verify.files", what, file=file, hint=hint)]
+    return [Issue("verify.files", message, file=file, hint=hint)]
 
 
 def _program_list_issues(context: Context, path: str, text: str) -> list[Issue]:
-    if "<!" in text:
+    """Issues of one program list (.pgf): its form, and whether it names exactly the modules in its folder."""
+    if "<!" in text:  # a document type, an entity or a comment
         return [_unexpected_content(path)]
     wrong_line_end = re.search(r"(?<!\r)\n|\r(?!\n)", text)
     if wrong_line_end is not None or not text.endswith("\r\n"):
@@ -172,8 +181,8 @@ def _program_list_issues(context: Context, path: str, text: str) -> list[Issue]:
 
 
 def _unexpected_content(path: str) -> Issue:
-    what = "the program list contains more than modules"
-    return Issue("verify.files", what, file=path, hint="copy the file unchanged, in binary mode")
+    message = "the program list contains more than modules"
+    return Issue("verify.files", message, file=path, hint="copy the file unchanged, in binary mode")
 
 
 def _folder(path: str) -> str:

@@ -1,9 +1,10 @@
 """Configuration files and system module of an ABB controller, which switch power outputs beside the program.
 
-The program sets a request. A cross connection lets the real output follow while a program runs and the
-motors are on; with two controllers, while this holds for both. Event routines reset the request at every
-stop, and ask the operator at a start after a stop in a cut. After a stop at which a torch burned, no program
-resumes: the operator is asked only at a start from main, and nobody can set the request of a torch by hand.
+The program sets a request, which is a signal on no device. A cross connection lets the real output follow
+while a program runs and the motors are on; with two controllers, while this holds for both. Event routines
+reset the request at every stop, and ask the operator at a start after a stop in a cut. After a stop at which
+a torch burned, no program resumes: the operator is asked only at a start from main, and nobody can set the
+request of a torch by hand.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,15 +25,15 @@ _POWER_OFF_EVENTS: Final = ("STOP", "QSTOP", "RESET")
 _POWER_ON_EVENTS: Final = ("START", "RESTART", "STEP")
 """System events at which an output may be switched on again."""
 _RESUME_EVENTS: Final = ("RESTART", "STEP")
-"""The events of ``_POWER_ON_EVENTS`` at which a program resumes where it stopped."""
+"""Events of ``_POWER_ON_EVENTS`` at which a program resumes where it stopped."""
 _POWER_UP_EVENT: Final = "POWER_ON"
-"""System event of a controller that was off, so that it saw no stop."""
+"""System event of a controller that is switched on. It saw no stop while it was off."""
 SignalType = Literal["DI", "DO"]
 """ABB's names for a digital input and a digital output."""
 _CONFIG_WIDTH: Final = 80
 """Maximum length of a line of a configuration file [characters]; longer rows are continued."""
 ConfigurationRow = Mapping[str, str | None]
-"""An instance of a type of ABB's configuration: values by attribute, None where one has no value."""
+"""A row (instance) of ABB's configuration: values by attribute, None for an attribute without value."""
 
 
 def build_files(
@@ -54,7 +55,8 @@ def build_files(
             controller.
         other_signals: Other signals that its programs name, with their types.
     """
-    arm, wires = arms[0], powered.wires
+    arm = arms[0]
+    wires = powered.wires
     requests = [identifier(signal) for signal in powered.signals]
     torch_requests = [identifier(signal) for signal in powered.torches]
     other_types = {identifier(name): kind for name, kind in other_signals.items()}
@@ -62,11 +64,11 @@ def build_files(
         {"Name": name, "SignalType": kind, **device_attributes(controller, arms, name)}
         for name, kind in other_types.items()
     ]
-    out = {"EIO.cfg": _eio(controller, requests, torch_requests, arm, bool(wires), other_rows)}
+    files = {"EIO.cfg": _eio(controller, requests, torch_requests, arm, bool(wires), other_rows)}
     if requests:
-        out["SYS.cfg"] = _sys(controller, tasks, bool(torch_requests))
-        out[_module_file(controller)] = _module(controller, requests, torch_requests, len(tasks) > 1)
-    return out | {"README.txt": _readme(controller, requests, torch_requests, arm, wires, other_rows)}
+        files["SYS.cfg"] = _sys(controller, tasks, bool(torch_requests))
+        files[_module_file(controller)] = _module(controller, requests, torch_requests, len(tasks) > 1)
+    return files | {"README.txt": _readme(controller, requests, torch_requests, arm, wires, other_rows)}
 
 
 def _module_file(controller: Controller) -> str:
@@ -82,8 +84,9 @@ def _eio(
     has_partner: bool,
     other_rows: Sequence[ConfigurationRow],
 ) -> str:
+    """Text of EIO.cfg: signals, their access levels, system inputs and outputs, and cross connections."""
     interlock = controller.interlock
-    partner = [rapid_power_term(controller, arm)] if has_partner else []
+    partner_terms = [rapid_power_term(controller, arm)] if has_partner else []
     running_rows = rapid_running_rows(controller, arm) if has_partner else {}
     signals: list[ConfigurationRow] = []
     cross_connections: list[ConfigurationRow] = []
@@ -93,7 +96,7 @@ def _eio(
         access = "TandemTorch" if request in torches else "TandemRequest"
         signals.append({"Name": request, "SignalType": "DO", "Access": access})
         signals.append({"Name": output.signal, "SignalType": "DO", **wiring, "Access": "ReadOnly"})
-        terms = (request, interlock.cycle, interlock.motors, *partner)
+        terms = (request, interlock.cycle, interlock.motors, *partner_terms)
         row: dict[str, str | None] = {"Name": f"TandemPower{number}", "Res": output.signal}
         for i, term in enumerate(terms, 1):
             row[f"Act{i}"] = term
@@ -125,6 +128,7 @@ def _eio(
 
 
 def _sys(controller: Controller, tasks: Sequence[str], has_torch: bool) -> str:
+    """Text of SYS.cfg. At a start the first task asks the operator, and the others wait for the answer."""
     hooks: list[ConfigurationRow] = []
     for number, task in enumerate(tasks):
         start_routine = "tandem_again" if number == 0 else "tandem_wait"
@@ -159,8 +163,7 @@ def rapid_power_term(controller: Controller, arm: str) -> str:
 def rapid_running_rows(controller: Controller, arm: str) -> dict[str, list[ConfigurationRow]]:
     """Return the rows of EIO.cfg for the running wires of an ABB arm's controller, by type.
 
-    The system outputs for a running program and for motors that are on are declared elsewhere in the same
-    file.
+    The system outputs CycleOn and MotOnState, which they use, are declared elsewhere in the same file.
 
     Seen in backups of real cells: SYSSIG_OUT of CycleOn into EIO_CROSS. From public tools that write such
     files: -Act1_invert, SYSSIG_IN. From memory: the action Stop, and that it acts on the rising edge.
@@ -169,15 +172,13 @@ def rapid_running_rows(controller: Controller, arm: str) -> dict[str, list[Confi
         controller: Controllers of the cell.
         arm: Name of the arm.
     """
-    signals, interlock = controller.handshake.of(arm), controller.interlock
-    running, partner_running, lost = (
-        identifier(signals.running),
-        identifier(signals.partner_running),
-        identifier(signals.lost_input),
-    )
-    output_wiring, input_wiring = (
-        device_attributes(controller, [arm], name) for name in (signals.running, signals.partner_running)
-    )
+    signals = controller.handshake.of(arm)
+    interlock = controller.interlock
+    running = identifier(signals.running)
+    partner_running = identifier(signals.partner_running)
+    lost = identifier(signals.lost_input)
+    output_wiring = device_attributes(controller, [arm], signals.running)
+    input_wiring = device_attributes(controller, [arm], signals.partner_running)
     return {
         "EIO_SIGNAL": [
             {"Name": running, "SignalType": "DO", **output_wiring, "Access": "ReadOnly"},
@@ -199,7 +200,7 @@ def rapid_running_rows(controller: Controller, arm: str) -> dict[str, list[Confi
 
 
 def device_attributes(controller: Controller, arms: Sequence[str], signal: str) -> dict[str, str]:
-    """Return device and bit of a signal, or nothing if the cell states none.
+    """Return the attributes Device and DeviceMap of a signal; empty if the cell states no device for it.
 
     Args:
         controller: Controllers of the cell.
@@ -212,7 +213,7 @@ def device_attributes(controller: Controller, arms: Sequence[str], signal: str) 
 
 
 def _cfg(head: str, sections: Mapping[str, Sequence[ConfigurationRow]]) -> str:
-    """Text of a configuration file; long rows are continued with a backslash."""
+    """Text of a configuration file from its first line and its rows by type; long rows are continued."""
     out = [head]
     for kind, rows in sections.items():
         out += ["#", f"{kind}:"]
@@ -232,6 +233,7 @@ def _cfg(head: str, sections: Mapping[str, Sequence[ConfigurationRow]]) -> str:
 def _module(
     controller: Controller, requests: Sequence[str], torches: Sequence[str], multiple_tasks: bool
 ) -> str:
+    """Text of the system module TandemPower with the event routines that SYS.cfg names."""
     flags = {
         request: f"tandem_{'lit' if request in torches else 'cut'}_{number}"
         for number, request in enumerate(requests, 1)
@@ -286,7 +288,7 @@ def _module(
 
 
 def _torch_routines(torches: Sequence[str], flags: Mapping[str, str], stop: str) -> list[str]:
-    """Routines for a program that stopped while a torch burned."""
+    """Routines for a program that stopped while a torch burned; ``flags`` are their names by request."""
     out = ["", "  ! A controller that was off saw no stop: a torch may have burned."]
     out += ["  PROC tandem_lost()", *(f"    {flags[request]}:=TRUE;" for request in torches)]
     out += ["    tandem_off;", "  ENDPROC", ""]
@@ -309,7 +311,7 @@ def _end_if_set(flags: Sequence[str]) -> list[str]:
 
 
 def _question_loop(flag: str, lines: Sequence[str], buttons: Sequence[str]) -> list[str]:
-    """A question that repeats while a flag is TRUE; the first answer resets the flag."""
+    """Start of a loop that asks while a flag is TRUE, up to the first answer, which resets the flag."""
     return [
         f"    WHILE {flag} DO",
         f"      answer:=UIMessageBox(\\Header:={quoted(sentences.HEADER)}",
@@ -323,6 +325,7 @@ def _question_loop(flag: str, lines: Sequence[str], buttons: Sequence[str]) -> l
 
 
 def _refusal_branch(lines: Sequence[str], stop: str) -> list[str]:
+    """End of the loop of `_question_loop`: any other answer shows ``lines`` and stops."""
     shown = [f"        TPWrite {quoted(line)};" for line in lines]
     return ["      ELSE", *shown, f"        {stop}", "      ENDIF", "    ENDWHILE"]
 
@@ -420,22 +423,23 @@ def _readme(
     wires: Sequence[SignalWire],
     other_rows: Sequence[ConfigurationRow],
 ) -> str:
+    """Text of README.txt: how to load the files, try them and wire the signals."""
     module = _COPY_MODULE.format(module=_module_file(controller)) if requests else _NO_MODULE
-    names = "EIO.cfg and SYS.cfg" if requests else "EIO.cfg"
+    files = "EIO.cfg and SYS.cfg" if requests else "EIO.cfg"
     manual_requests = bool(set(requests) - set(torches))
-    restart_effect, trial = (
-        (_RESTART_EFFECT, _TRIAL if manual_requests else _TORCH_TRIAL) if requests else ("", _NO_POWER_TRIAL)
-    )
-    out = _INSTRUCTIONS.format(module=module, files=names, held=restart_effect, trial=trial)
+    restart_effect = ""
+    trial = _NO_POWER_TRIAL
+    if requests:
+        restart_effect = _RESTART_EFFECT
+        trial = _TRIAL if manual_requests else _TORCH_TRIAL
+    out = _INSTRUCTIONS.format(module=module, files=files, held=restart_effect, trial=trial)
     if wires:
         out += _running_wires_section(controller, arm, wires, bool(requests))
     if requests:
-        both = "\nThe power is on only while the program of the other arm runs, too." if wires else ""
-        rows, manual_check = (
-            "\n".join(_power_output_lines(controller, requests)),
-            _MANUAL_REQUEST_CHECK if manual_requests else "",
-        )
-        out += _POWER_SECTION.format(signals=rows, both=both, by_hand=manual_check)
+        partner_note = "\nThe power is on only while the program of the other arm runs, too." if wires else ""
+        signals = "\n".join(_power_output_lines(controller, requests))
+        manual_check = _MANUAL_REQUEST_CHECK if manual_requests else ""
+        out += _POWER_SECTION.format(signals=signals, both=partner_note, by_hand=manual_check)
         out += _TORCH_SECTION.format(torches=" and ".join(torches)) if torches else ""
         out += _HOT_WIRE_SECTION if manual_requests else ""
     if other_rows:
@@ -447,40 +451,42 @@ def _readme(
 def _other_signal_lines(row: ConfigurationRow, arm: str) -> list[str]:
     """README lines on a signal that switches no power."""
     name = row["Name"]
-    kind, consequence = (
-        ("input", "nothing drives it") if row["SignalType"] == "DI" else ("output", "it drives nothing")
-    )
+    is_input = row["SignalType"] == "DI"
+    kind = "input" if is_input else "output"
     if "Device" in row:
         return [f"  {name}: {kind}, {row['Device']}, bit {row['DeviceMap']}"]
-    stated = f"places: {{{arm}: {{{name}: {{device: D, device_map: 0}}}}}}"
+    consequence = "nothing drives it" if is_input else "it drives nothing"
+    example = f"places: {{{arm}: {{{name}: {{device: D, device_map: 0}}}}}}"
     return [
         f"  {name}: {kind}, NO DEVICE, so that {consequence}; state it in the cell:",
-        f"    controller: {{interlock: {{{stated}}}}}",
+        f"    controller: {{interlock: {{{example}}}}}",
     ]
 
 
 def _power_output_lines(controller: Controller, requests: Sequence[str]) -> list[str]:
-    rows = []
+    """README lines on each request and the power output that follows it."""
+    lines = []
     for request in requests:
         output = controller.interlock.power_output(request)
-        rows.append(f"  {request}: request of the program, on no device")
+        lines.append(f"  {request}: request of the program, on no device")
         if output.device:
-            rows.append(f"  {output.signal}: {output.device}, bit {output.bit}; this one switches the power")
+            lines.append(f"  {output.signal}: {output.device}, bit {output.bit}; this one switches the power")
         else:
-            rows.append(f"  {output.signal}: NO DEVICE, so nothing is powered; state it in the cell:")
-            rows.append(
+            lines.append(f"  {output.signal}: NO DEVICE, so nothing is powered; state it in the cell:")
+            lines.append(
                 f"    controller: {{interlock: {{outputs: {{{request}: {{device: D, device_map: 0}}}}}}}}"
             )
-    return rows
+    return lines
 
 
 def _running_wires_section(
     controller: Controller, arm: str, wires: Sequence[SignalWire], powered: bool
 ) -> str:
+    """README section on the running wires between the controller of ``arm`` and the other one."""
     outgoing, incoming = handshake.running_wires(wires, arm)
     signals = controller.handshake.of(arm)
-    rows = []
-    for name, what in (
+    lines = []
+    for name, description in (
         (signals.running, f"output, 1 while this program runs; to {outgoing.input} of arm {outgoing.sink}"),
         (
             signals.partner_running,
@@ -488,16 +494,16 @@ def _running_wires_section(
         ),
     ):
         connection = controller.interlock.device_bit(arm, name)
-        rows.append(f"  {name}: {what}")
+        lines.append(f"  {name}: {description}")
         if connection is not None:
-            rows.append(f"    {connection.device}, bit {connection.bit}")
+            lines.append(f"    {connection.device}, bit {connection.bit}")
         else:
-            rows.append("    NO DEVICE, so the wire does not work yet; state it in the cell:")
-            stated = f"places: {{{arm}: {{{name}: {{device: D, device_map: 0}}}}}}"
-            rows.append(f"    controller: {{interlock: {{{stated}}}}}")
+            lines.append("    NO DEVICE, so the wire does not work yet; state it in the cell:")
+            example = f"places: {{{arm}: {{{name}: {{device: D, device_map: 0}}}}}}"
+            lines.append(f"    controller: {{interlock: {{{example}}}}}")
     return _RUNNING_WIRES_SECTION.format(
         other=outgoing.sink,
-        ends="\n".join(rows),
+        ends="\n".join(lines),
         lost=signals.lost_input,
         partner=signals.partner_running,
         falls=", and its power fall" if powered else "",

@@ -29,9 +29,9 @@ from planner.problem import EXTERNAL_AXIS_DECIMALS, MAX_BLIND_SPEED_M_S, Problem
 from planner.tooling import Tool
 
 TASK_LIST = "all_tasks"
-"""Name of the list of all motion tasks."""
+"""Name of the persistent list of all motion tasks, with which synchronisation points are stated."""
 ENTRY_SPEED_NAME = "v_entry"
-"""Name of the speed of joint moves."""
+"""Name of the speeddata of joint moves."""
 _ENTRY_ROTATION_SPEED_DEG_S = 45
 """Maximum reorientation speed of joint moves [deg/s]."""
 _TOOL_NAME_LENGTH = 26
@@ -75,11 +75,12 @@ def load_name(load: layout.HeldLoad | None) -> str:
 
 
 def _setup_suffix(setup: int) -> str:
+    """Suffix of names that differ between setups, "" for the first setup."""
     return "" if setup == 1 else f"_{setup}"
 
 
 class ToolNames:
-    """Names of the tools of a task; a tool has one name in all setups."""
+    """Names of the tooldata of a task, by tool name and tooldata. A tool has one name in all setups."""
 
     def __init__(self, task: layout.TaskProgram) -> None:
         self.names: dict[tuple[str, str], str] = {}
@@ -87,7 +88,7 @@ class ToolNames:
             self.of(operation.arm.tool)
 
     def of(self, tool: Tool) -> str:
-        """Return the name of a tool's tooldata."""
+        """Return the name of a tool's tooldata, a new one at the first call for this tool."""
         key = (tool.name, _tooldata(tool))
         if key not in self.names:
             stem = identifier(f"t_{tool.name}"[:_TOOL_NAME_LENGTH])
@@ -98,24 +99,24 @@ class ToolNames:
         return self.names[key]
 
     def lines(self) -> list[str]:
-        """Return the declarations."""
+        """Return the declarations of the tooldata."""
         return [f"TASK PERS tooldata {name}:={data};" for (_, data), name in self.names.items()]
 
 
 class JointTargetNames:
-    """Names of the jointtargets of a task; equal joint values of one kind share a name."""
+    """Names of the jointtargets of a task, by their text. Targets with equal text share a name."""
 
     def __init__(self, task: layout.TaskProgram) -> None:
         self.task = task
         self.names: dict[str, tuple[str, FloatArray]] = {}
         self.of(layout.JointMove(task.arm.home, "home", axis_setpoint=task.home_setpoint), 0)
-        for number_, operation in enumerate(task.operations, 1):
+        for number, operation in enumerate(task.operations, 1):
             for step in operation.steps:
                 if isinstance(step, layout.JointMove):
-                    self.of(step, number_)
+                    self.of(step, number)
 
     def of(self, step: layout.JointMove, operation: int) -> str:
-        """Return the name of a joint target.
+        """Return the name of the target of a joint move, a new one at the first call for these values.
 
         Args:
             step: The joint move.
@@ -125,11 +126,12 @@ class JointTargetNames:
         if text not in self.names:
             stem = "j_home" if step.role == "home" else f"j_{operation}_{step.role}"
             count = sum(name.startswith(stem) for name, _ in self.names.values())
-            self.names[text] = (stem if step.role in ("home", "start") else f"{stem}_{count + 1}", step.q)
+            name = stem if step.role in ("home", "start") else f"{stem}_{count + 1}"
+            self.names[text] = (name, step.q)
         return self.names[text][0]
 
     def lines(self) -> list[str]:
-        """Return the declarations."""
+        """Return the declarations of the jointtargets."""
         return [f"CONST jointtarget {name}:={text};" for text, (name, _) in self.names.items()]
 
 
@@ -156,9 +158,10 @@ def data_lines(
         out.append(f"CONST string problem_digest{'' if i == 1 else f'_{i}'}:={quoted(part)};")
     out += ["! base frame that the controller must have for this arm, in the world"]
     out += [f"CONST pose base_frame:={pose(task.base)};", ""]
-    tools, stations = names
+    tools, joint_targets = names
     out += ["! tool and work objects" if len(tools.names) == 1 else "! tools and work objects"]
     out += [*tools.lines(), *_wobj_declarations(task, job, plan), *_load_declarations(task), ""]
+    # speeddata of joint moves [mm/s, deg/s]: those of external axes are lowered if the arm has any
     speed = linear_speed = layout.format_short(
         min(problem.settings.tcp_speed * 1e3, MAX_BLIND_SPEED_M_S * 1e3), 3
     )
@@ -171,12 +174,12 @@ def data_lines(
     if task.table is not None:
         max_speed = min(speeds[axis.column].travel for axis in task.table.axes.values())
         rate = min(np.rad2deg(max_speed), _ENTRY_ROTATION_SPEED_DEG_S)
-        rotary_speed = layout.format_short(np.floor(rate * 1e3) / 1e3, 3)
+        rotary_speed = layout.format_short(np.floor(rate * 1e3) / 1e3, 3)  # rounded down
     out += ["! moves from home to the first target and back"]
     out += [
         "CONST speeddata "
         f"{ENTRY_SPEED_NAME}:=[{speed},{_ENTRY_ROTATION_SPEED_DEG_S},{linear_speed},{rotary_speed}];",
-        *stations.lines(),
+        *joint_targets.lines(),
     ]
     declared_zones = zone_declarations(set(zones))
     if declared_zones:
@@ -193,18 +196,19 @@ def data_lines(
 
 
 def _tooldata(tool: Tool) -> str:
+    """Tooldata of a tool on the flange: TCP frame, mass and centre of mass, without moments of inertia."""
     require_mass(tool, "RAPID needs at least {} kg")
     load = f"[{layout.format_fixed(tool.mass, 3)},{vector(tool.cog * 1e3, 3)},[1,0,0,0],0,0,0]"
     return f"[TRUE,{pose(tool.tcp)},{load}]"
 
 
 def _wobj_declarations(task: layout.TaskProgram, job: layout.JobPrograms, plan: Plan) -> list[str]:
-    """Work objects of the frames that the task's targets are in, setup by setup.
+    """Declarations of the work objects in whose frames the task's targets are, in the order of operations.
 
     They are ``TASK PERS`` although they are equal in all tasks: a shared ``PERS`` keeps the value of a
     program that was loaded before.
     """
-    out: dict[str, str] = {}
+    data_by_name: dict[str, str] = {}
     for index, operation in enumerate(task.operations):
         if operation.moves is None or operation.moves.frame == "world":
             continue
@@ -212,7 +216,9 @@ def _wobj_declarations(task: layout.TaskProgram, job: layout.JobPrograms, plan: 
         if frame == "stock":
             data = f'[FALSE,TRUE,"",{pose(plan.stock_poses[operation.setup - 1])},{pose(np.eye(4))}]'
         elif frame.startswith("held:"):
-            holder = next((t for t in job.tasks if t.arm.name == frame.removeprefix("held:")), None)
+            holder = next(
+                (other for other in job.tasks if other.arm.name == frame.removeprefix("held:")), None
+            )
             if holder is None:
                 message = f"targets of {task.arm.name} are in {frame!r}, but that arm has no program"
                 raise issue_error("post.frame", message, hint="name an arm that has a program")
@@ -220,25 +226,26 @@ def _wobj_declarations(task: layout.TaskProgram, job: layout.JobPrograms, plan: 
         else:
             message = f"targets of {task.arm.name} are in the unknown frame {frame!r}"
             raise issue_error("post.frame", message, hint="allowed: stock, world, held:<arm>")
-        out[wobj_name(frame, operation.setup)] = data
-    return [f"TASK PERS wobjdata {name}:={data};" for name, data in out.items()]
+        data_by_name[wobj_name(frame, operation.setup)] = data
+    return [f"TASK PERS wobjdata {name}:={data};" for name, data in data_by_name.items()]
 
 
 def _held_wobjdata(holder: layout.TaskProgram, operation: layout.OperationProgram) -> str:
-    """A work object on the holder's flange, whose object frame is the holder's TCP frame.
+    """Wobjdata of a work object on the holder's flange, whose object frame is the holder's TCP frame.
 
-    The controller itself keeps a moving user frame at the flange of the named unit; the value that a program
-    states for it is not relied on. The object frame therefore holds the offset from the flange to the work.
+    The controller itself keeps the user frame at the flange of the named mechanical unit. The planner does
+    not rely on the value that a program states for it. The object frame is the TCP frame in the flange frame.
     """
     return f"[FALSE,FALSE,{quoted(holder.unit)},{pose(np.eye(4))},{pose(operation.arm.tool.tcp)}]"
 
 
 def _load_declarations(task: layout.TaskProgram) -> list[str]:
-    """Loads that the arm carries; centre of mass and axes of inertia are in the tool frame."""
+    """Declarations of the loads that the arm carries; their values are in the tool frame."""
     steps = (step for operation in task.operations for step in operation.steps)
     out = []
     for load in (step.load for step in steps if isinstance(step, layout.CarryLoad) and step.load is not None):
-        axes, cog = vector(to_quaternion(load.axes), 8), vector(load.cog * 1e3, 3)
+        axes = vector(to_quaternion(load.axes), 8)
+        cog = vector(load.cog * 1e3, 3)
         moments = ",".join(layout.format_fixed(float(value), 6) for value in load.inertia)
         data = f"[{layout.format_fixed(load.mass, 4)},{cog},{axes},{moments}]"
         out.append(f"TASK PERS loaddata {load_name(load)}:={data};")
@@ -272,15 +279,16 @@ def cell_check_statements(
         out += [f'ReadCfgData {config_path},"base_frame_orient_u{part}",cfg_value;']
         out += [f"cfg_base.rot.q{part + 1}:=cfg_value;"]
     out += [_pose_check(rapid_sentences.BASE_OF.format(arm=task.arm.name), "cfg_base", "base_frame")]
-    for name, matrix in {tools.of(op.arm.tool): op.arm.tool.tcp for op in task.operations}.items():
-        out += [_pose_check(rapid_sentences.FRAME_OF.format(name=name), f"{name}.tframe", pose(matrix))]
+    tool_frames = {tools.of(operation.arm.tool): operation.arm.tool.tcp for operation in task.operations}
+    for name, tcp in tool_frames.items():
+        out += [_pose_check(rapid_sentences.FRAME_OF.format(name=name), f"{name}.tframe", pose(tcp))]
         out += [f"check_true {quoted(rapid_sentences.HOLDER_OF.format(name=name))},{name}.robhold;"]
     return [*out, *_wobj_checks(task, job, plan)]
 
 
 def _wobj_checks(task: layout.TaskProgram, job: layout.JobPrograms, plan: Plan) -> list[str]:
-    """Checks of work objects. A fixed user frame is compared too; the controller sets one that moves."""
-    out: dict[str, list[str]] = {}
+    """Statements that check work objects. A moving user frame is not compared: the controller sets it."""
+    lines_by_name: dict[str, list[str]] = {}
     for index, operation in enumerate(task.operations):
         if operation.moves is None or operation.moves.frame == "world":
             continue
@@ -288,29 +296,31 @@ def _wobj_checks(task: layout.TaskProgram, job: layout.JobPrograms, plan: Plan) 
         name = wobj_name(frame, operation.setup)
         holder_text = quoted(rapid_sentences.HOLDER_OF.format(name=name))
         if frame == "stock":
-            user_frame, object_frame = pose(plan.stock_poses[operation.setup - 1]), pose(np.eye(4))
+            user_frame = pose(plan.stock_poses[operation.setup - 1])
+            object_frame = pose(np.eye(4))
             lines = [
                 _pose_check(rapid_sentences.USER_FRAME_OF.format(name=name), f"{name}.uframe", user_frame)
             ]
             lines += [f"check_true {holder_text},NOT {name}.robhold AND {name}.ufprog;"]
         else:
-            holder = next(t for t in job.tasks if t.arm.name == frame.removeprefix("held:"))
+            holder = next(other for other in job.tasks if other.arm.name == frame.removeprefix("held:"))
             object_frame = pose(holder.operations[index].arm.tool.tcp)
             condition = f"NOT {name}.robhold AND NOT {name}.ufprog AND {name}.ufmec={quoted(holder.unit)}"
             lines = [f"check_true {holder_text},{condition};"]
-        what = rapid_sentences.OBJECT_FRAME_OF.format(name=name)
-        out[name] = [_pose_check(what, f"{name}.oframe", object_frame), *lines]
-    return [line for lines in out.values() for line in lines]
+        title = rapid_sentences.OBJECT_FRAME_OF.format(name=name)
+        lines_by_name[name] = [_pose_check(title, f"{name}.oframe", object_frame), *lines]
+    return [line for lines in lines_by_name.values() for line in lines]
 
 
-def _pose_check(what: str, actual: str, expected: str) -> str:
-    return f"check_pose {quoted(what)},{actual},{expected};"
+def _pose_check(title: str, actual: str, expected: str) -> str:
+    """Statement that compares two poses, given as RAPID text; ``title`` names the pose on a difference."""
+    return f"check_pose {quoted(title)},{actual},{expected};"
 
 
 AXES_CHECK = "check_axes"
 """Name of the procedure that checks, right before the first move, that tracks and turntables are at home."""
 AXIS_HOME_TOLERANCE = {"mm": "1", "deg": "0.1"}
-"""Tolerance of the home position of a track or turntable, by the unit of its values."""
+"""Tolerance of the home position of a track or turntable as RAPID text, by the unit of its values."""
 
 
 def axes_check_statements(task: layout.TaskProgram) -> list[str]:
@@ -322,12 +332,12 @@ def axes_check_statements(task: layout.TaskProgram) -> list[str]:
         return []
     out = ["VAR jointtarget cfg_here;", "cfg_here:=CJointT();"]
     for column, home in task.home_setpoint:
-        label, sign = external_axis_names(task)[column]
+        label, unit = external_axis_names(task)[column]
         name = quoted(rapid_sentences.AXIS_OF.format(unit=label))
         value = f"cfg_here.extax.eax_{'abcdef'[column]}"
         out.append(
             f"check_axis {name},{value},{layout.format_fixed(home, EXTERNAL_AXIS_DECIMALS)},"
-            f"{AXIS_HOME_TOLERANCE[sign]};"
+            f"{AXIS_HOME_TOLERANCE[unit]};"
         )
     return out
 

@@ -18,35 +18,38 @@ _USED_NAMES: Final = re.compile(
     r"main|operation_\d+|handshake\w*|block_\d+_\w+|meet_\d+|j_\w+|t_\w+|w_\w+|z_turn_\d+|z\d+[mu]m|v_entry|"
     r"load_block\w*|check_(cell|pose|true|stop)|base_frame|problem_digest|all_tasks"
 )
-"""Names that RAPID programs use for other things."""
+"""Lower-case names that RAPID programs use for data, and for procedures other than those of segments."""
 
 
 def _refuse_segment(segment: Segment) -> tuple[Issue, ...]:
+    """Return an issue if a segment gives no valid procedure name, or one that the programs use already."""
     try:
         name = procedure(segment)
     except TandemError as error:
         return error.issues
     if _USED_NAMES.fullmatch(name.lower()) is None:
         return ()
-    what = f"segment {str(segment)!r} would be called {name}, a name that RAPID programs use already"
-    return (Issue("post.name", what, hint="give it another kind or name"),)
+    message = f"segment {str(segment)!r} would be called {name}, a name that RAPID programs use already"
+    return (Issue("post.name", message, hint="give it another kind or name"),)
 
 
 def _controller_files(
     job: JobPrograms, tasks: Sequence[TaskProgram], controller: Controller, powered: PoweredSignals
 ) -> dict[str, str]:
-    others = _other_signals(job, tasks, powered.signals)
-    units, arms = [task.task for task in tasks], [task.arm.name for task in tasks]
-    return controller_files.build_files(controller, units, arms, powered, others)
+    """Texts of the configuration files of one controller, by file name."""
+    other_signals = _other_signals(job, tasks, powered.signals)
+    task_names = [task.task for task in tasks]
+    arm_names = [task.arm.name for task in tasks]
+    return controller_files.build_files(controller, task_names, arm_names, powered, other_signals)
 
 
 def _other_signals(
     job: JobPrograms, tasks: Sequence[TaskProgram], signals: Sequence[str]
 ) -> dict[str, SignalType]:
-    """Signals of the programs of one ABB controller, with types, without the power outputs ``signals``.
+    """Type (DI or DO) of each signal in the programs of one controller except the power outputs ``signals``.
 
-    These are inputs that programs wait for, outputs that request a step, and the lines between two
-    controllers.
+    These are inputs that programs wait for, outputs that request a step, and the handshake signals between
+    two controllers.
     """
     steps = [step for task in tasks for operation in task.operations for step in operation.steps]
     inputs = {

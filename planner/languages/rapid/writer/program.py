@@ -1,4 +1,4 @@
-"""RAPID programs of a job. Each task has a data module, a main module, cut modules and a list (.pgf).
+"""RAPID programs of a job. Each task has modules for data, main, check and cuts, and a program list (.pgf).
 
 For two controllers that share digital signals, the steps of :mod:`planner.languages.writing.handshake` are
 written as text.
@@ -51,7 +51,7 @@ def partner_lines(partner: handshake.HandshakeSide, steps: Sequence[handshake.Pa
 
     Args:
         partner: The handshake as one of the two programs sees it.
-        steps: Its steps.
+        steps: The steps to write.
     """
     return [line for step in steps for line in _step_lines(partner, step)]
 
@@ -74,8 +74,8 @@ def partner_procedures(partner: handshake.HandshakeSide, task: layout.TaskProgra
         task: The task.
     """
     bodies = {
-        _procedure_name(p): partner_lines(partner, partner.meeting_after_move(n))
-        for p, n in partner.meeting_kinds(task).items()
+        _procedure_name(phases): partner_lines(partner, partner.meeting_after_move(number))
+        for phases, number in partner.meeting_kinds(task).items()
     }
     return {name: bodies[name] for name in sorted(bodies)}
 
@@ -87,10 +87,12 @@ def partner_timeout_lines(partner: handshake.HandshakeSide) -> list[str]:
 
 
 def _procedure_name(phases: tuple[int, ...]) -> str:
+    """Name of the procedure for meetings at which the lines take these levels in turn."""
     return f"handshake_{phases[0]}" if len(phases) == 1 else "handshake"
 
 
 def _step_lines(partner: handshake.HandshakeSide, step: handshake.PartnerStep) -> list[str]:
+    """Statements of one handshake step."""
     signals = partner.handshake.of(partner.arm)
     match step:
         case handshake.SetLine(value):
@@ -115,9 +117,10 @@ def _step_lines(partner: handshake.HandshakeSide, step: handshake.PartnerStep) -
 
 
 NameArray = NDArray[np.str_]
+"""Names of RAPID data, one for each move, (M,)."""
 
 _LINES_UNCHANGED = "Error handlers do not change these lines: a change would signal an arrival."
-"""Comment on the lines between two controllers."""
+"""Comment on the signal lines between two controllers."""
 _INDENT = "  "
 """One level of indentation."""
 _PROC_BYTES = 1500
@@ -143,16 +146,17 @@ def write(
         margins: Smallest margins of the plan, for the header.
 
     Raises:
-        TandemError: ``post.*``.
+        TandemError: ``post.*`` if the programs cannot be written, for example because a name is not valid.
     """
-    zone = [_zones(job, i) for i in range(len(plan.operations))]
-    moves = {task.number: _moves(task, job, zone) for task in tasks}
+    zone_names = [_zones(job, i) for i in range(len(plan.operations))]
+    moves = {task.number: _moves(task, job, zone_names) for task in tasks}
+    # bytes of each move of each operation, the largest over the tasks: all tasks are split at the same moves
     sizes = [
         np.max(
             [
-                [len(line) + len(_INDENT) * 2 + len(layout.LINE_END) for line in moves[t.number][i]]
-                or [0] * len(t.operations[i].ids)
-                for t in tasks
+                [len(line) + len(_INDENT) * 2 + len(layout.LINE_END) for line in moves[task.number][i]]
+                or [0] * len(task.operations[i].ids)
+                for task in tasks
             ],
             axis=0,
         )
@@ -166,8 +170,10 @@ def write(
     for task in tasks:
         procedures = _MoveProcedures(split, moves[task.number])
         writer = _TaskWriter(task, job, plan, problem, margins, procedures)
-        own_zones = {name for op in zone for name in op.get(task.number, np.array([])).tolist()}
-        out |= {name: text.replace("\n", layout.LINE_END) for name, text in writer.files(own_zones).items()}
+        task_zones = {
+            name for by_task in zone_names for name in by_task.get(task.number, np.array([])).tolist()
+        }
+        out |= {name: text.replace("\n", layout.LINE_END) for name, text in writer.files(task_zones).items()}
     layout.require_sizes(out, limits, "modules")
     return WrittenPrograms(out)
 
@@ -182,7 +188,7 @@ def _moving_tasks(job: layout.JobPrograms, operation: int) -> list[layout.TaskPr
 
 
 def _zones(job: layout.JobPrograms, operation: int) -> dict[int, NameArray]:
-    """Zone names of each task's moves; stops are at the same moves in all tasks."""
+    """Zone names of the moves of an operation, by task number, for the tasks that move in it."""
     out = {}
     for task in _moving_tasks(job, operation):
         program = task.operations[operation]
@@ -192,8 +198,9 @@ def _zones(job: layout.JobPrograms, operation: int) -> dict[int, NameArray]:
 
 
 def _moves(
-    task: layout.TaskProgram, job: layout.JobPrograms, zone: Sequence[Mapping[int, NameArray]]
+    task: layout.TaskProgram, job: layout.JobPrograms, zones_by_task: Sequence[Mapping[int, NameArray]]
 ) -> list[list[str]]:
+    """Lines of a task's moves for each operation, empty if the arm has no moves in it."""
     out: list[list[str]] = []
     tools = ToolNames(task)
     for i, program in enumerate(task.operations):
@@ -202,7 +209,7 @@ def _moves(
             continue
         ids = program.ids if len(_moving_tasks(job, i)) > 1 and job.handshake is None else None
         frames = FrameNames(tools.of(program.arm.tool), wobj_name(program.moves.frame, program.setup))
-        zone_names = zone[i][task.number]
+        zone_names = zones_by_task[i][task.number]
         out.append(move_lines(task.robot, program.moves, ids, zone_names, frames, program.axis_setpoint))
     return out
 
@@ -221,7 +228,12 @@ class _MoveProcedures:
 
 
 class _TaskWriter:
-    """Writes the modules of one task."""
+    """Writes the modules of one task.
+
+    Attributes:
+        split: Name of the procedure of each part of the job.
+        moves: Lines of the moves of each operation.
+    """
 
     def __init__(
         self,
@@ -234,7 +246,7 @@ class _TaskWriter:
     ) -> None:
         self.task, self.job, self.plan, self.problem = task, job, plan, problem
         self.margins, self.split, self.moves = margins, procedures.names, procedures.moves
-        self.stations = JointTargetNames(task)
+        self.joint_targets = JointTargetNames(task)
         self.tools = ToolNames(task)
         self.partner = handshake.HandshakeSide.of(task, job)
         self.signals = job.switched_signals(task)
@@ -248,31 +260,35 @@ class _TaskWriter:
         Args:
             zone_names: Names of the zones that its moves use.
         """
-        n = self.task.number
-        names = (self.tools, self.stations)
+        number = self.task.number
+        names = (self.tools, self.joint_targets)
         data = data_lines(self.task, self.job, self.plan, self.problem, names, zone_names)
-        bodies = {f"TandemData_{n}": data, f"TandemMain_{n}": self._main(), f"TandemCheck_{n}": self._check()}
+        bodies = {
+            f"TandemData_{number}": data,
+            f"TandemMain_{number}": self._main(),
+            f"TandemCheck_{number}": self._check(),
+        }
         parts = [part for part in self.split if self.task.operations[part.operation].moves is not None]
         for module in dict.fromkeys(part.module for part in parts):
             lines = [line for part in parts if part.module == module for line in [*self._part(part), ""]]
-            bodies[f"TandemCut{module}_{n}"] = lines[:-1]
+            bodies[f"TandemCut{module}_{number}"] = lines[:-1]
         self._require_unique_names(bodies)
         suffix = module_suffix(self.problem.cell.controller)
         files = {f"{name}{suffix}": self._module(name, lines) for name, lines in bodies.items()}
         listed = "".join(f"\t<Module>{name}</Module>\n" for name in files)
         head = '<?xml version="1.0" encoding="ISO-8859-1" ?>\n'
-        files[f"Tandem_{n}.pgf"] = f"{head}<Program>\n{listed}</Program>\n"
+        files[f"Tandem_{number}.pgf"] = f"{head}<Program>\n{listed}</Program>\n"
         return {f"{self.folder}/{name}": text for name, text in files.items()}
 
     def _require_unique_names(self, bodies: Mapping[str, Sequence[str]]) -> None:
-        """Raise an issue if two things of the task would have the same name."""
-        words = [
+        """Raise a TandemError if two declarations have one name, the last word before brackets or value."""
+        heads = [
             line.split("(")[0].split(":=")[0].rstrip(";").split() for body in bodies.values() for line in body
         ]
         names = [
-            w[-1].split("{")[0].lower()
-            for w in words
-            if w and w[0] in ("PROC", "CONST", "PERS", "TASK", "VAR")
+            words[-1].split("{")[0].lower()
+            for words in heads
+            if words and words[0] in ("PROC", "CONST", "PERS", "TASK", "VAR")
         ]
         duplicates = (
             sorted({name for name in names if names.count(name) > 1}) if len(set(names)) < len(names) else []
@@ -282,10 +298,12 @@ class _TaskWriter:
             raise issue_error("post.name", message, hint="give the segment or tool another name")
 
     def _module(self, name: str, lines: Sequence[str]) -> str:
+        """Text of a module with header comments and these lines, indented by one level."""
         inside = [f"{_INDENT}{line}" if line else "" for line in [*self._header(), "", *lines]]
         return "\n".join([f"MODULE {name}", *inside, "ENDMODULE", ""])
 
     def _header(self) -> list[str]:
+        """Comment lines at the start of each module: origin of the programs, and warnings before a start."""
         task = self.task
         header_sentences = [
             f"Written by Tandem {__version__} for task {task.task}, {task.unit}: {task.robot.title}.",
@@ -316,12 +334,14 @@ class _TaskWriter:
     # ---- main module ----
 
     def _main(self) -> list[str]:
+        """Lines of the main module: main, the handshake procedures, and a procedure for each operation."""
         conf = "Off" if self.task.robot.has_unnamed_postures else "On"
         body = [f"{rapid_data.CELL_CHECK};", "ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
-        moved = [axis.unit for axis in self.task.arm.linear_axes]
-        moved += [] if self.task.table is None else [self.task.table.unit]
-        units = [f"ActUnit {identifier(unit)};" for unit in dict.fromkeys(moved)]
-        body += [*units, "EOffsOff;"] if units else []  # offsets of another program shift the axes
+        units = [axis.unit for axis in self.task.arm.linear_axes]
+        units += [] if self.task.table is None else [self.task.table.unit]
+        activations = [f"ActUnit {identifier(unit)};" for unit in dict.fromkeys(units)]
+        if activations:
+            body += [*activations, "EOffsOff;"]  # an offset from another program would shift the axes
         clear = (sentences.CLEAR if self.problem.setups[0].steps else sentences.READY).format()
         if self.partner is not None:
             body += [
@@ -344,7 +364,9 @@ class _TaskWriter:
         return out
 
     def _check(self) -> list[str]:
-        task, multiple_tasks = self.task, len(self.job.tasks) > 1 and self.partner is None
+        """Lines of the check module: comparisons with the controller's data, and their helper procedures."""
+        task = self.task
+        multiple_tasks = len(self.job.tasks) > 1 and self.partner is None
         arm_index = [arm.name for arm in self.problem.cell.arms].index(task.arm.name)
         robot = self.problem.cell.controller.robot_name(arm_index)
         body = rapid_data.cell_check_statements(task, self.job, self.plan, self.tools, robot)
@@ -361,9 +383,10 @@ class _TaskWriter:
         return self._procedure(f"operation_{index + 1}", body)
 
     def _step(self, step: layout.TaskStep, operation: int) -> list[str]:
+        """Statements of one step of the operation with this index."""
         match step:
             case layout.JointMove():
-                name = self.stations.of(step, operation + 1)
+                name = self.joint_targets.of(step, operation + 1)
                 tool = self.tools.of(self.task.operations[operation].arm.tool)
                 ident = "" if step.id is None else f"\\ID:={step.id}"
                 return [f"MoveAbsJ {name}{ident}\\NoEOffs,{ENTRY_SPEED_NAME},fine,{tool};"]
@@ -373,7 +396,7 @@ class _TaskWriter:
                 steps = self.partner.meeting_after_solo(number, seconds)
                 return [*comment(f"Meeting: {reached}"), *partner_lines(self.partner, steps)]
             case layout.SyncOn() | layout.SyncOff() if self.partner is not None:
-                return []
+                return []  # two controllers have no synchronised moves
             case layout.Meeting(number, reached):
                 return [
                     *comment(f"{meeting_name(number)}: {reached}"),
@@ -388,33 +411,38 @@ class _TaskWriter:
             case layout.CarryLoad(load):
                 return [f"GripLoad {load_name(load)};"]
             case layout.SegmentRun():
-                inside = (p for p in self.split if p.operation == step.operation)
-                return [f"{self.split[p]};" for p in inside if step.first <= p.first < step.last]
+                parts = (part for part in self.split if part.operation == step.operation)
+                return [f"{self.split[part]};" for part in parts if step.first <= part.first < step.last]
 
     # ---- procedures ----
 
     def _part(self, part: layout.ModulePart) -> list[str]:
+        """Procedure with the moves of a part; a handshake follows each move that ends at a meeting."""
         operation = self.task.operations[part.operation]
-        rows = slice(part.first, part.last)
+        part_slice = slice(part.first, part.last)
         seconds = (
-            layout.format_short(float(operation.moves.duration[rows].sum()), 2)
+            layout.format_short(float(operation.moves.duration[part_slice].sum()), 2)
             if operation.moves is not None
             else "0"
         )
         body = comment(f"Segment {part.segment}: {part.last - part.first} moves, {seconds} s.")
-        moves = self.moves[part.operation][rows]
+        moves = self.moves[part.operation][part_slice]
         if self.partner is not None:
-            calls = [partner_call(self.partner, number) for number in operation.meets[rows].tolist()]
-            moves = [line for pair in zip(moves, calls, strict=True) for line in pair if line]
+            calls = [partner_call(self.partner, number) for number in operation.meets[part_slice].tolist()]
+            moves = [
+                line for move_and_call in zip(moves, calls, strict=True) for line in move_and_call if line
+            ]
         return self._procedure(self.split[part], [*body, *moves])
 
     def _procedure(self, name: str, body: Sequence[str]) -> list[str]:
+        """Procedure with an ERROR section, and an UNDO section if there is power or a block to end."""
         out = [f"PROC {name}()", *(_INDENT + line for line in body)]
         out += ["ERROR", *(_INDENT + line for line in self._handler(name))]
-        leave = [*self._power_off_lines(), *self._leave_block_lines()]
-        if leave:
-            # in every procedure: a pointer that is moved may run the innermost UNDO only (not confirmed)
-            out += ["UNDO", *(_INDENT + line for line in ("! the program pointer was moved away", *leave))]
+        undo = [*self._power_off_lines(), *self._leave_block_lines()]
+        if undo:
+            # in every procedure: if the program pointer is moved, the controller may run the innermost UNDO
+            # only (not confirmed)
+            out += ["UNDO", *(_INDENT + line for line in ("! the program pointer was moved away", *undo))]
         return [*out, "ENDPROC"]
 
     def _power_off_lines(self) -> list[str]:
@@ -427,11 +455,11 @@ class _TaskWriter:
         """Body of an error handler: power off, then stop. EXIT ends the program, so no arm resumes."""
         warning = (sentences.JOINED if self.job.coupled else sentences.ALONE).format()
         stop = "Stop\\AllMoveTasks;" if len(self.job.tasks) > 1 and self.partner is None else "Stop;"
-        note = quoted(f"{sentences.FAILED.format(procedure=name)} ")
+        message = quoted(f"{sentences.FAILED.format(procedure=name)} ")
         return [
             *self._power_off_lines(),
             "StopMove\\Quick;",
-            f"TPWrite {note}\\Num:=ERRNO;",
+            f"TPWrite {message}\\Num:=ERRNO;",
             *([] if self.partner is None else partner_timeout_lines(self.partner)),
             f"TPWrite {quoted(warning)};",
             stop,

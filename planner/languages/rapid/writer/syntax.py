@@ -1,4 +1,6 @@
-"""Formats RAPID numbers, strings, names and moves with speeds, zones and confdata, for whole tracks at once.
+"""Formats RAPID numbers, strings, names and moves with speeds, zones and confdata.
+
+The moves of an operation are formatted together, from arrays with one element for each move.
 
 Confdata selects one of the arm's postures for a target. cf1, cf4 and cf6 are the quadrants of axes 1, 4 and
 6: floor(angle / 90 deg). cfx = 4 * (wrist centre behind axis 1) + 2 * (wrist centre behind the lower arm) +
@@ -37,7 +39,7 @@ from planner.targets import TargetAction
 MAX_NAME_LENGTH: Final = 32
 """Maximum length of a RAPID name [characters]."""
 MAX_STRING_LENGTH: Final = 80
-"""Maximum length of a RAPID string [characters]; lines on the operator's panel have half of it."""
+"""Maximum length of a RAPID string [characters]. Lines on the operator's panel have half of this length."""
 BOX_LINE_LENGTH: Final = 55
 """Maximum length of one of the five lines of a message box [characters]."""
 MAX_BOX_LINES: Final = 5
@@ -73,7 +75,7 @@ def pose(matrix: FloatArray) -> str:
 
 
 def external_axes(station: ExternalAxisValues | None) -> str:
-    """Format the extjoint of external axis values [mm or deg] by column; None means no axis."""
+    """Format external axis values [mm or deg] by column as an extjoint; axes without a value are unused."""
     if not station:
         return UNUSED_AXES
     values = dict(station)
@@ -92,16 +94,16 @@ def jointtarget(degrees: FloatArray, station: ExternalAxisValues | None = None) 
 
 
 def quoted(text: str) -> str:
-    """Return a string literal of plain text of at most 80 characters; quotes and backslashes are doubled."""
+    """Return text of at most 80 characters as a string literal, with doubled quotes and backslashes."""
     return '"' + text.replace("\\", "\\\\").replace('"', '""') + '"'
 
 
 def comment(text: str, indent: str = "") -> list[str]:
-    """Return comment lines of plain text, wrapped at 100 characters.
+    """Return text as comment lines, wrapped at 100 characters.
 
     Args:
         text: The text.
-        indent: Put in front of each line.
+        indent: Indentation of each line.
     """
     return [f"{indent}! {line}" for line in textwrap.wrap(to_ascii(text), 100)]
 
@@ -110,7 +112,7 @@ def identifier(text: str) -> str:
     """Return a name made from text: letters, digits and single underscores, with a letter first.
 
     Raises:
-        TandemError: ``post.name`` if the result is no valid RAPID name.
+        TandemError: ``post.name`` if the result is empty, too long, reserved or does not start with a letter.
     """
     name = re.sub(r"[^A-Za-z0-9]+", "_", to_ascii(text)).strip("_")
     if not re.match(r"[A-Za-z]", name) or len(name) > MAX_NAME_LENGTH - 4 or name.lower() in RESERVED:
@@ -160,18 +162,20 @@ def action_lines(action: TargetAction) -> list[str]:
 
 
 LONG_KIND_MARK: Final = "__k"
-"""Follows a kind that contains underscores. Other kinds end at the first underscore."""
+"""Mark that follows a kind with underscores in a procedure name. Other kinds end at the first underscore."""
 
 
 def part_names(parts: Sequence[ModulePart]) -> dict[ModulePart, str]:
-    """Name procedures: ``cut_front`` for the first visit of ``cut/front``, ``cut_front__2`` for the second.
+    """Return a procedure name for each part.
+
+    The first part of ``cut/front`` is ``cut_front``, the second one ``cut_front__2``.
 
     Raises:
-        TandemError: ``post.name``.
+        TandemError: ``post.name`` if a name is too long, or if two segments would have the same name.
     """
     visits: dict[str, int] = {}
-    known: dict[str, Segment] = {}
-    return {part: _name(part.segment, visits, known) for part in parts}
+    segments_by_name: dict[str, Segment] = {}
+    return {part: _part_name(part.segment, visits, segments_by_name) for part in parts}
 
 
 def procedure(segment: Segment) -> str:
@@ -181,9 +185,10 @@ def procedure(segment: Segment) -> str:
     the first underscore; ``__k`` follows a kind that contains underscores.
 
     Raises:
-        TandemError: ``post.name``.
+        TandemError: ``post.name`` if the segment gives no valid name.
     """
-    name, kind = identifier(str(segment)), fold(segment.kind)
+    name = identifier(str(segment))
+    kind = fold(segment.kind)
     if "_" not in kind:
         return name
     full = f"{kind}{LONG_KIND_MARK}{name[len(kind) :]}"
@@ -193,9 +198,10 @@ def procedure(segment: Segment) -> str:
     return full
 
 
-def _name(segment: Segment, visits: dict[str, int], known: dict[str, Segment]) -> str:
+def _part_name(segment: Segment, visits: dict[str, int], segments_by_name: dict[str, Segment]) -> str:
+    """Name of the procedure of the next part of a segment; ``visits`` counts its parts, by name."""
     name = procedure(segment)
-    other = known.setdefault(name.lower(), segment)
+    other = segments_by_name.setdefault(name.lower(), segment)
     if other != segment:
         raise TandemError(equal_names_issue(other, segment))
     visits[name] = visits.get(name, 0) + 1
@@ -234,16 +240,17 @@ def confdata(robot: RobotData, q: FloatArray) -> IntArray:
 
 
 def cfx(robot: RobotData, q: FloatArray) -> IntArray:
-    """Return cfx (...,).
+    """Return cfx (...,): 4 (wrist centre behind axis 1) + 2 (behind the lower arm) + (axis 5 negative).
 
     Args:
-        robot: The robot.
+        robot: The robot, with a spherical wrist.
         q: Serial joint angles, (..., 6) [rad].
     """
     p = robot.opw
     theta = p.signs * q - p.offsets
     lower, elbow = theta[..., 1], theta[..., 2]
-    # wrist centre across the lower arm, and its distance in front of axis 1:
+    # distance of the wrist centre from the line of the lower arm (through axes 2 and 3), and its horizontal
+    # distance in front of axis 1, with t2 and t3 the angles of axes 2 and 3:
     # across = a2 cos(t3) + c3 sin(t3), ahead = a1 + (c2 + c3 cos(t3) - a2 sin(t3)) sin(t2) + across cos(t2)
     across = p.a2 * np.cos(elbow) + p.c3 * np.sin(elbow)
     ahead = (
@@ -254,6 +261,7 @@ def cfx(robot: RobotData, q: FloatArray) -> IntArray:
 
 
 NameArray = NDArray[np.str_]
+"""Names of RAPID data, one for each move, (M,)."""
 
 PREDEFINED_SPEEDS: Final = (
     *(5, 10, 20, 30, 40, 50, 60, 80, 100, 150, 200, 300, 400, 500, 600, 800, 1000, 1500, 2000, 2500),
@@ -269,16 +277,16 @@ DECLARED_ZONES: Final = {f"z{size:g}mm": size for size in (10.0, 5.0, 3.0, 2.0)}
 ROTATION_ZONES: Final = {f"z_turn_{1e3 * size:g}": size for size in (1.0, *FINE_ZONE_SIZES)}
 """Declared zones for a TCP that rotates in place: name in thousandths of a degree -> angle [deg]."""
 
-# zone name and the larger of its sizes for position and for reorientation [mm], largest first
 _ZONES: Final = sorted(
     [("z10", 15.0), ("z5", 8.0), ("z1", 1.0), ("z0", 0.3), *DECLARED_ZONES.items()], key=lambda zone: -zone[1]
 )
+"""Zone names, each with the larger of its sizes for position and for reorientation [mm], largest first."""
 
 
 def zone_declarations(used: Collection[str]) -> list[str]:
     """Return the declarations of the zones in ``used`` that are not predefined.
 
-    Their angles follow from their sizes as for the predefined zones.
+    As for the predefined zones, the angle [deg] is a tenth of the size [mm].
     """
     out = [
         f"CONST zonedata {name}:=[FALSE,{size:g},{size:g},{size:g},{size / 10:.4f},{size:g},{size / 10:.4f}];"
@@ -297,13 +305,14 @@ def zones(track: MoveTable, stop: BoolArray) -> NameArray:
     """Return the zone name of each move (M,): fine at a stop, else the largest zone that fits the corner.
 
     Args:
-        track: Targets of one operation.
-        stop: Which moves end in a stop, (M,).
+        track: Moves of one operation, M of them.
+        stop: Whether each move ends in a stop, (M,).
     """
     names = np.array([*(name for name, _ in _ZONES), *ROTATION_ZONES, "fine"])
     position_index = _largest_fitting([size for _, size in _ZONES], track.max_zone)
     rotation_index = _largest_fitting(list(ROTATION_ZONES.values()), np.rad2deg(track.max_zone_rotation))
     rotates_in_place = position_index == len(_ZONES)
+    # "fine" is last in ``names``: where no zone for rotations fits either, the smallest one avoids a stop
     choice = np.where(
         rotates_in_place, np.minimum(len(_ZONES) + rotation_index, len(names) - 2), position_index
     )
@@ -311,7 +320,10 @@ def zones(track: MoveTable, stop: BoolArray) -> NameArray:
 
 
 def _largest_fitting(sizes: Sequence[float], available: FloatArray) -> IntArray:
-    """Index (M,) of the first of the descending sizes that fits the distance; their count if none fits."""
+    """Index (M,) of the largest of the descending sizes that fits; their number where none fits.
+
+    ``available`` (M,) are the distances in the unit of the sizes. Rounding may exceed them by 1e-9.
+    """
     return np.searchsorted(-np.array(sizes), -available - 1e-9)
 
 
@@ -342,11 +354,11 @@ def move_lines(
     frames: FrameNames,
     station: ExternalAxisValues | None = None,
 ) -> list[str]:
-    r"""Return one MoveL per target, with ``\T`` and, if the move has a partner, ``\ID``.
+    r"""Return one MoveL for each target, with its duration ``\T`` and, if synchronised, its number ``\ID``.
 
     Args:
         robot: The robot.
-        track: Targets of one operation, M of them.
+        track: Moves of one operation, M of them.
         ids: Numbers that moves of synchronised tasks share, (M,), or None.
         zone: Zone names, (M,).
         frames: Names of the tooldata and the wobjdata.
@@ -356,12 +368,13 @@ def move_lines(
     if track.track_positions is not None:
         fixed = dict(station or ())
         external = [
-            external_axes(tuple({**fixed, TRACK_COLUMN: v}.items())) for v in track.track_positions.tolist()
+            external_axes(tuple({**fixed, TRACK_COLUMN: position}.items()))
+            for position in track.track_positions.tolist()
         ]
     conf = confdata(robot, track.q)
     tail = f",{frames.tool}\\WObj:={frames.wobj};"
     marks = [""] * len(zone) if ids is None else [f"\\ID:={i}" for i in ids.tolist()]
-    rows = zip(
+    moves = zip(
         track.position.tolist(),
         track.quaternion.tolist(),
         conf.tolist(),
@@ -376,5 +389,5 @@ def move_lines(
         f"MoveL [[{x:.4f},{y:.4f},{z:.4f}],[{a:.8f},{b:.8f},{c:.8f},{d:.8f}],"
         f"[{c1},{c4},{c6},{cx}],{axes}]"
         f"{mark},{speed}\\T:={time:.5f},{corner}{tail}"
-        for (x, y, z), (a, b, c, d), (c1, c4, c6, cx), axes, mark, speed, time, corner in rows
+        for (x, y, z), (a, b, c, d), (c1, c4, c6, cx), axes, mark, speed, time, corner in moves
     ]

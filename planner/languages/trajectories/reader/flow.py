@@ -1,4 +1,4 @@
-"""Main flow of a trajectory file: its rows as steps of each arm, with meetings around each goal.
+"""Converts the rows of a trajectory file to the steps of each arm, with meetings around each goal.
 
 One controller moves all joints. A goal in which several arms move is a synchronised block. In a goal in
 which one arm moves, the others keep their joint values exactly. Questions, switched outputs and waits are
@@ -19,17 +19,21 @@ from planner.languages.trajectories.reader import rows
 from planner.programs import steps
 
 PASSED, REST_TO_REST = "passed", "way"
-"""Kind of a rest-to-rest move outside of work; ``PASSED`` is the kind of a move to a point in work."""
+"""Kinds of moves: to a point that is passed during work, and from rest to rest outside of work."""
 FIRST_POINT_KINDS: Final = {PASSED: "passed first", REST_TO_REST: "way first"}
-"""Kinds of the first points of goals, at which an arm stands up to a deviation, by kind of move."""
+"""Kinds of the first point of a goal, by kind of move. The arm stands there, up to a deviation."""
 BLOCK, WORLD = "block", "wobj0"
-"""Names of the work frames: ``BLOCK`` for that of the block, and the world."""
+"""Names of the work frames: that of the block, and the world."""
 NO_WORK_SEGMENT: Final = "main"
 """Segment of moves outside of work."""
 _NO_LIMIT: Final = steps.MoveSpeed(math.inf, math.inf, math.inf, math.inf)
+"""Speed of moves, which state times instead."""
 _STOP: Final = steps.Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""Corner at a point with zero velocity."""
 _FLY_BY: Final = steps.Zone(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""Corner at a point that is passed: the curve goes through the point."""
 _NO_AXES: Final = np.zeros(6)
+"""Values of the external axes, which these files do not move."""
 
 
 def pose(values: Sequence[float]) -> FloatArray:
@@ -38,8 +42,9 @@ def pose(values: Sequence[float]) -> FloatArray:
 
 
 def columns(program: rows.TrajectoryProgram) -> dict[str, slice]:
-    """Return the columns of each arm's joints among the numbers of a row."""
-    out, first = {}, 0
+    """Return the slice of each arm's joints among the numbers of a row, by arm."""
+    out = {}
+    first = 0
     for arm in program.arms:
         out[arm.arm] = slice(first, first + len(arm.joints))
         first += len(arm.joints)
@@ -56,12 +61,23 @@ def main_flow(
         data: Data of the arms' robots.
 
     Raises:
-        FlowError: A row is out of place, or a value is not allowed.
+        FlowError: A row is not allowed where it is, or a value is not allowed.
     """
     return _TrajectoryRunner(program, data).run()
 
 
 class _TrajectoryRunner:
+    """Follows the rows of one file.
+
+    Attributes:
+        arms: Names of the arms in the file's order. Steps that concern no arm belong to the first one.
+        label: Current segment of the operation.
+        frames: Work frames so far, so that equal ones are one object.
+        posture: Joints [rad] of all arms after the last move, None before the first check of the joints.
+        goals: Number of moves so far.
+        ids: Number of points so far.
+    """
+
     def __init__(self, program: rows.TrajectoryProgram, data: Mapping[str, RobotData]) -> None:
         self.program, self.data = program, data
         self.arms = [arm.arm for arm in program.arms]
@@ -70,12 +86,12 @@ class _TrajectoryRunner:
         self.tools: dict[str, tuple[str, steps.Tool]] = {}
         self.operation: rows.OperationRow | None = None
         self.label = NO_WORK_SEGMENT
-        """Current segment of the operation."""
         self.frames: dict[tuple[int, int], steps.WorkObject] = {}
         self.posture: tuple[float, ...] | None = None
         self.goals = self.ids = 0
 
     def run(self) -> dict[str, tuple[steps.ProgramStep, ...]]:
+        """Return the steps of each arm."""
         for arm in self.program.arms:
             joint_count = self.data[arm.arm].axes
             if len(arm.joints) != joint_count:
@@ -91,13 +107,16 @@ class _TrajectoryRunner:
         return self.program.file.rpartition("/")[2], label, row.line, ""
 
     def _row(self, row: rows.TrajectoryRow) -> None:
-        where, lead = self._where(row), self.out[self.arms[0]]
+        """Append the steps of a row, or store its data for later moves."""
+        where = self._where(row)
+        lead_steps = self.out[self.arms[0]]
         match row:
             case rows.OperationRow():
-                self.operation, self.label = row, NO_WORK_SEGMENT
+                self.operation = row
+                self.label = NO_WORK_SEGMENT
             case rows.CarryRow(arm=arm, mass=mass, centre=centre, axes=axes, inertia=inertia):
-                turn = to_quaternion(exp_rotation(np.array(axes)))
-                load = steps.LoadData(mass, np.array(centre), turn, np.array(inertia))
+                quaternion = to_quaternion(exp_rotation(np.array(axes)))
+                load = steps.LoadData(mass, np.array(centre), quaternion, np.array(inertia))
                 self.out[arm].append(steps.CarryStep(*where, load, f"what {arm} holds"))
             case rows.ToolRow(tool=name, arm=arm, tcp=tcp, mass=mass, centre=centre):
                 load = steps.LoadData(mass, np.array(centre), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))
@@ -105,69 +124,76 @@ class _TrajectoryRunner:
             case rows.AtRow(at=values):
                 self.posture = values if self.posture is None else self.posture
             case rows.TellRow(text=text):
-                lead.append(steps.MessageStep(*where, "tell", (text,), False, text, False, "line"))
+                lead_steps.append(steps.MessageStep(*where, "tell", (text,), False, text, False, "line"))
             case rows.AskRow(text=text):
-                lead.append(steps.MessageStep(*where, "ask", (text,), True, text, True))
+                lead_steps.append(steps.MessageStep(*where, "ask", (text,), True, text, True))
                 self._meet(row, "WaitSyncTask", f"asked_{row.line}")
             case rows.SetRow(signal=signal, to=value):
-                lead.append(steps.SignalStep(*where, "set", signal, float(value), 0.0, True))
+                lead_steps.append(steps.SignalStep(*where, "set", signal, float(value), 0.0, True))
             case rows.AwaitRow(signal=signal, to=value, within=seconds):
-                lead.append(steps.WaitStep(*where, "await", seconds, signal, float(value), True))
+                lead_steps.append(steps.WaitStep(*where, "await", seconds, signal, float(value), True))
             case rows.DwellRow(seconds=seconds):
                 if seconds <= 0.0:
                     self._fail(row, f"a dwell of {seconds:g} s")
-                lead.append(steps.WaitStep(*where, "dwell", seconds, "", None, True))
+                lead_steps.append(steps.WaitStep(*where, "dwell", seconds, "", None, True))
             case rows.MoveRow():
                 self._move(row)
 
     def _meet(self, row: rows.TrajectoryRow, kind: str, ident: str) -> None:
+        """Append a meeting of all arms, if there are several."""
         if len(self.arms) > 1:
             for arm in self.arms:
                 self.out[arm].append(steps.SyncStep(*self._where(row), kind, ident, tuple(self.arms)))
 
     def _move(self, row: rows.MoveRow) -> None:
+        """Append the points of a goal as moves of its arms, between two meetings of all arms."""
         if self.posture is None:
             self._fail(row, "a move precedes the first check of the joints (at)")
         missing = [arm for arm in row.arms if arm not in self.tools]
         if missing or self.operation is None:
-            what = "operation" if self.operation is None else f"tool of {missing[0]}"
-            self._fail(row, f"a move precedes the row of the {what}")
+            missing_row = "operation" if self.operation is None else f"tool of {missing[0]}"
+            self._fail(row, f"a move precedes the row of the {missing_row}")
         holder = self.operation.held_by
         if holder and holder not in self.tools:
             self._fail(row, f"a move precedes the row of the tool of {holder}, which holds the block")
         self._check_move(row)
         self.goals += 1
-        together = len(row.arms) > 1
-        self._meet(row, "SyncMoveOn" if together else "WaitSyncTask", f"goal_{self.goals}")
+        several_arms = len(row.arms) > 1
+        self._meet(row, "SyncMoveOn" if several_arms else "WaitSyncTask", f"goal_{self.goals}")
         start_point, *points = row.points
         if start_point.segment or not points:
             self._fail(row, "the first point of a move must be its start; a segment, or the end, follows it")
         labels = {point.segment for point in points}
-        works = labels != {""}
-        if works and "" in labels:
+        is_work = labels != {""}
+        if is_work and "" in labels:
             self._fail(row, "points before the first segment of a move")
-        if not works and len(points) != 1:
-            what = "a rest-to-rest move has two points, its start and its end; "
-            self._fail(row, f"{what}got {len(row.points)}")
-        previous_time, label = 0.0, self.label if works else NO_WORK_SEGMENT
+        if not is_work and len(points) != 1:
+            self._fail(
+                row, f"a rest-to-rest move has two points, its start and its end; got {len(row.points)}"
+            )
+        previous_time = 0.0
+        # the start of a move in work belongs to the segment in which the previous move has ended
+        label = self.label if is_work else NO_WORK_SEGMENT
         self.label = row.points[-1].segment or NO_WORK_SEGMENT
         for point in row.points:
             self.ids += 1
             for arm in row.arms:
-                kind = PASSED if works else REST_TO_REST
+                kind = PASSED if is_work else REST_TO_REST
                 kind = FIRST_POINT_KINDS[kind] if point is start_point else kind
                 self.out[arm].append(
-                    self._step(point.segment or label, kind, point, arm, point.t - previous_time, together)
+                    self._step(
+                        point.segment or label, kind, point, arm, point.t - previous_time, several_arms
+                    )
                 )
             previous_time = point.t
-        self._meet(row, "SyncMoveOff" if together else "WaitSyncTask", f"goal_{self.goals}_end")
+        self._meet(row, "SyncMoveOff" if several_arms else "WaitSyncTask", f"goal_{self.goals}_end")
         self.posture = row.points[-1].q
 
     def _check_move(self, row: rows.MoveRow) -> None:
-        """Check that times increase, the move ends at rest, and arms that stand still keep their values."""
+        """Check that times increase, the move ends at rest, and arms that do not move keep their joints."""
         previous_time = 0.0
         start_posture = self.posture or ()
-        still = [i for arm in self.arms if arm not in row.arms for i in _indices(self.columns[arm])]
+        unmoved = [i for arm in self.arms if arm not in row.arms for i in _indices(self.columns[arm])]
         for point in row.points:
             if not point.t > previous_time:
                 self._fail(
@@ -175,20 +201,21 @@ class _TrajectoryRunner:
                     f"t is {point.t:g} s after {previous_time:g} s; times must be positive and increase",
                 )
             previous_time = point.t
-            for i in still:
+            for i in unmoved:
                 if point.q[i] != start_posture[i] or point.v[i] != 0.0:
                     self._fail(
                         point, f"number {i + 1} belongs to an arm that stands still in this move, but changes"
                     )
-        last = row.points[-1]
-        if any(last.v):
-            self._fail(last, "the last point of a move is not at rest: a velocity is not 0")
+        last_point = row.points[-1]
+        if any(last_point.v):
+            self._fail(last_point, "the last point of a move is not at rest: a velocity is not 0")
 
     def _step(
         self, label: str, kind: str, point: rows.TrajectoryPoint, arm: str, time: float, together: bool
     ) -> steps.MoveStep:
-        columns = self.columns[arm]
-        q, v = np.array(point.q[columns]), np.array(point.v[columns])
+        """Return the move of one arm to a point; ``time`` [s] counts from the previous point."""
+        arm_columns = self.columns[arm]
+        q, v = np.array(point.q[arm_columns]), np.array(point.v[arm_columns])
         name, tool = self.tools[arm]
         if kind in (PASSED, FIRST_POINT_KINDS[PASSED]):
             target: steps.PassedTarget | steps.JointTarget = steps.PassedTarget(q, v, _NO_AXES)
@@ -213,10 +240,10 @@ class _TrajectoryRunner:
         )
 
     def _frame(self, arm: str) -> tuple[steps.WorkObject, str]:
-        """Work frame of an arm: that of the block, which stands still.
+        """Work frame of an arm with its name: the frame of the block.
 
-        If one arm holds the block, it is the world for that arm, and the holder's TCP frame for the other
-        arm.
+        If an arm holds the block, the work frame is the world for that arm, and the holder's TCP frame for
+        the others.
         """
         operation = self.operation
         if operation is None:
@@ -233,6 +260,7 @@ class _TrajectoryRunner:
         return self._shared_frame(operation.line, block), BLOCK
 
     def _shared_frame(self, key: int, frame: steps.WorkObject) -> steps.WorkObject:
+        """The first frame with this key in the current operation: later equal frames are the same object."""
         line = 0 if self.operation is None else self.operation.line
         return self.frames.setdefault((line, key), frame)
 

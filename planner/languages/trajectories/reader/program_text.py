@@ -11,7 +11,7 @@ from planner.programs.program_text import PartSize, ProgramText
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class TrajectoryText(ProgramText):
-    """A trajectory file as read.
+    """A trajectory file as one of its arms has read it.
 
     Attributes:
         program: The program that moves the arm, perhaps with others.
@@ -30,7 +30,7 @@ class TrajectoryText(ProgramText):
         return self.program.digest
 
     def base_of(self, arm: Arm) -> FloatArray:
-        """Return the base that the file declares for the arm, (4, 4) [m]."""
+        """Return the pose of the arm's base in the world that the file declares, (4, 4) [m]."""
         return self.base
 
     @property

@@ -1,8 +1,9 @@
 """Strict reader of the rows of a trajectory file: JSON Lines, one step or one point of a move per line.
 
-A row is an object with exactly the keys of its kind, in their order. Numbers are plain decimals. Faults are
-NaN, duplicate keys, unknown keys or kinds of rows, and a last row that does not match number and hash of the
-rows before it. The reader shares no code with the writer: it implements docs/trajectories.md.
+A row is an object with exactly the keys of its kind, in their order. Numbers are decimals without exponent.
+Faults are, for example, NaN, duplicate or unknown keys, unknown kinds of rows, and a last row that does not
+match number and hash of the rows before it. The reader shares no code with the writer: it implements
+docs/trajectories.md.
 """
 
 import hashlib
@@ -20,7 +21,9 @@ VERSION: Final = 2
 MAX_VALUE: Final = 1e6
 """Maximum magnitude of numbers [s, rad, m, kg]."""
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_/.-]{0,99}", re.ASCII)
+"""Pattern of names."""
 _NUMBER: Final = re.compile(r"-?\d{1,7}(\.\d{1,12})?", re.ASCII)
+"""Pattern of numbers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,11 +35,11 @@ class TrajectoryRow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmRow(TrajectoryRow):
-    """An arm.
+    """An arm that the file moves. A pose is a position [m] and a rotation vector [rad], (6,).
 
     Attributes:
-        joints: Names of its joints, in the order of all numbers.
-        base: Base in the world, (6,).
+        joints: Names of its joints, in the order of their numbers in rows.
+        base: Pose of the base in the world, (6,).
     """
 
     arm: str
@@ -66,9 +69,9 @@ class ToolRow(TrajectoryRow):
     """Tool that an arm carries from here on.
 
     Attributes:
-        tcp: TCP in the flange frame, (6,).
+        tcp: Pose of the TCP in the flange frame, (6,).
         mass: Mass [kg].
-        centre: Centre of mass, (3,) [m].
+        centre: Centre of mass in the flange frame, (3,) [m].
     """
 
     tool: str
@@ -87,7 +90,7 @@ class CarryRow(TrajectoryRow):
     Attributes:
         mass: Mass [kg], 0 for nothing.
         centre: Centre of mass, (3,) [m].
-        axes: Rotation vector of the principal axes, (3,).
+        axes: Rotation vector of the principal axes, (3,) [rad].
         inertia: Principal moments of inertia, (3,) [kg m^2].
     """
 
@@ -101,7 +104,7 @@ class CarryRow(TrajectoryRow):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AtRow(TrajectoryRow):
-    """Check of all joints: they are at ``at`` [rad], each ``within`` [rad]; otherwise the run ends."""
+    """Checks that each joint deviates from ``at`` [rad] by at most ``within`` [rad]; else the run ends."""
 
     at: tuple[float, ...]
     within: float
@@ -125,7 +128,7 @@ class AskRow(TrajectoryRow):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetRow(TrajectoryRow):
-    """Switches an output."""
+    """Switches an output to the level ``to``, 0 or 1."""
 
     signal: str
     to: int
@@ -133,7 +136,7 @@ class SetRow(TrajectoryRow):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AwaitRow(TrajectoryRow):
-    """Waits ``within`` [s] for an input; otherwise the run ends."""
+    """Waits up to ``within`` [s] for an input to have the level ``to``; otherwise the run ends."""
 
     signal: str
     to: int
@@ -143,7 +146,7 @@ class AwaitRow(TrajectoryRow):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DwellRow(TrajectoryRow):
-    """Waits for ``seconds``."""
+    """Waits for ``seconds`` [s]."""
 
     seconds: float
     on_failure: tuple[str, ...]
@@ -168,14 +171,14 @@ class TrajectoryPoint(TrajectoryRow):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MoveRow(TrajectoryRow):
-    """One goal.
+    """One goal of the controller.
 
     Attributes:
         arms: Arms that move.
         path: Path tolerances of all joints [rad].
         goal: Goal tolerances of all joints [rad].
-        goal_time: Allowed delay [s].
-        points: Its points.
+        goal_time: Allowed delay of the end [s].
+        points: Points of the move; the rows after this one.
     """
 
     arms: tuple[str, ...]
@@ -198,8 +201,8 @@ class TrajectoryProgram:
         file: Its path.
         problem: Name of the problem.
         digest: Digest of the problem.
-        arms: Its arms.
-        rows: Its further rows; a move contains its points.
+        arms: Rows of its arms, in the order of all numbers.
+        rows: All other rows without head and end; a move contains its points.
     """
 
     file: str
@@ -215,7 +218,7 @@ class TrajectoryProgram:
 
     @property
     def width(self) -> int:
-        """Number of joints of all arms."""
+        """Total number of joints of all arms."""
         return sum(len(arm.joints) for arm in self.arms)
 
 
@@ -229,23 +232,24 @@ class RowError(Exception):
 
     def __init__(self, kind: str, message: str) -> None:
         super().__init__(message)
-        self.kind, self.message = kind, message
+        self.kind = kind
+        self.message = message
 
 
 def read(file: str, text: str, max_bytes: int) -> tuple[TrajectoryProgram | None, tuple[TextFault, ...]]:
-    """Return the program of a file, or None, and all faults.
+    """Return the program of a file, None if there are faults, and the faults.
 
     Args:
-        file: Its path.
+        file: Path of the file.
         text: Its text.
         max_bytes: Maximum size [bytes].
     """
     faults: list[TextFault] = []
     size = len(text.encode("utf-8", "surrogatepass"))
     if size > max_bytes:
-        what = f"{size} bytes; allowed: {max_bytes}; split the job"
+        message = f"{size} bytes; allowed: {max_bytes}; split the job"
         # parsing a file of this size takes minutes
-        return None, (TextFault(1, 1, "trajectory.file_size", what, file),)
+        return None, (TextFault(1, 1, "trajectory.file_size", message, file),)
     lines = text.replace("\r\n", "\n").split("\n")
     if lines[-1] != "":
         faults.append(TextFault(len(lines), 1, "trajectory.syntax", "the file ends within a line", file))
@@ -268,9 +272,12 @@ def read(file: str, text: str, max_bytes: int) -> tuple[TrajectoryProgram | None
 
 
 _MAX_FAULTS: Final = 50
+"""Number of faults after which reading stops."""
 
 
 class _MisplacedError(RowError):
+    """A row is valid in itself, but does not fit the rest of the file."""
+
     def __init__(self, line: int, message: str, kind: str = "syntax") -> None:
         super().__init__(kind, message)
         self.line = line
@@ -278,6 +285,8 @@ class _MisplacedError(RowError):
 
 @dataclass(frozen=True, slots=True)
 class _Head:
+    """First row of a file."""
+
     line: int
     version: int
     written_by: str
@@ -287,19 +296,23 @@ class _Head:
 
 @dataclass(frozen=True, slots=True)
 class _Segment:
+    """Start of a segment within a move."""
+
     line: int
     segment: str
 
 
 @dataclass(frozen=True, slots=True)
 class _End:
+    """Last row: number of all rows, and SHA-256 of the rows before it."""
+
     line: int
     rows: int
     sha256: str
 
 
 def _build_program(file: str, lines: Sequence[str], parsed: Sequence[Any]) -> TrajectoryProgram:
-    """The rows as a program. Raises `_MisplacedError` for a row that is out of place."""
+    """Return the parsed rows as a program; raise `_MisplacedError` for a row that does not fit the file."""
     if not parsed or not isinstance(parsed[0], _Head):
         raise _MisplacedError(1, "the file does not start with its head (tandem_trajectory)")
     head, end = parsed[0], parsed[-1]
@@ -334,10 +347,11 @@ def _build_program(file: str, lines: Sequence[str], parsed: Sequence[Any]) -> Tr
             case _:
                 raise _MisplacedError(row.line, "this row is not allowed here")
     program = TrajectoryProgram(file, head.problem, head.digest, tuple(arms), tuple(rows))
-    for name, values in (("arms", [a.arm for a in arms]), ("joints", [j for a in arms for j in a.joints])):
-        if len(set(values)) != len(values):
+    joints = [joint for arm in arms for joint in arm.joints]
+    for kind, names in (("arms", [arm.arm for arm in arms]), ("joints", joints)):
+        if len(set(names)) != len(names):
             raise _MisplacedError(
-                arms[0].line, f"the names of the {name} {', '.join(values)} must differ", "name_duplicate"
+                arms[0].line, f"the names of the {kind} {', '.join(names)} must differ", "name_duplicate"
             )
     if not arms:
         raise _MisplacedError(1, "the file names no arm")
@@ -347,12 +361,13 @@ def _build_program(file: str, lines: Sequence[str], parsed: Sequence[Any]) -> Tr
         for name in _signals(row):
             other = spellings.setdefault(name.lower(), name)
             if other != name:  # the proof ignores case, but a runner would use two services
-                what = f"{name} is spelt {other} elsewhere; use one spelling"
-                raise _MisplacedError(row.line, what, "name_duplicate")
+                message = f"{name} is spelt {other} elsewhere; use one spelling"
+                raise _MisplacedError(row.line, message, "name_duplicate")
     return program
 
 
 def _signals(row: TrajectoryRow) -> tuple[str, ...]:
+    """Names of all signals in a row."""
     match row:
         case SetRow(signal=name):
             return (name,)
@@ -362,19 +377,19 @@ def _signals(row: TrajectoryRow) -> tuple[str, ...]:
 
 
 def _check_row(row: TrajectoryRow, program: TrajectoryProgram) -> None:
-    """Raise unless a row has one number for each joint, and only arms of the file."""
-    known = [arm.arm for arm in program.arms]
+    """Raise `_MisplacedError` unless a row has one number for each joint, and names only arms of the file."""
+    arm_names = [arm.arm for arm in program.arms]
     match row:
         case AtRow(at=values):
             _require_width(row, program, values)
-        case OperationRow(held_by=arm) if arm and arm not in known:
+        case OperationRow(held_by=arm) if arm and arm not in arm_names:
             raise _MisplacedError(row.line, f"there is no arm {arm}", "undeclared")
-        case ToolRow(arm=arm) | CarryRow(arm=arm) if arm not in known:
+        case ToolRow(arm=arm) | CarryRow(arm=arm) if arm not in arm_names:
             raise _MisplacedError(row.line, f"there is no arm {arm}", "undeclared")
         case MoveRow(arms=arms, points=points):
-            if not arms or [name for name in known if name in arms] != list(arms):
+            if not arms or [name for name in arm_names if name in arms] != list(arms):
                 raise _MisplacedError(
-                    row.line, f"move of {list(arms)}; the file's arms are {known}", "undeclared"
+                    row.line, f"move of {list(arms)}; the file's arms are {arm_names}", "undeclared"
                 )
             _require_width(row, program, row.path)
             _require_width(row, program, row.goal)
@@ -396,6 +411,7 @@ def _require_width(row: TrajectoryRow, program: TrajectoryProgram, values: Seque
 
 
 def _parse_row(number: int, line: str) -> Any:
+    """Return the row in line ``number`` as an object of its kind; raise a `RowError` if it is not valid."""
     if not line.isascii():
         raise RowError("syntax", "the row contains characters that are not ASCII")
     try:
@@ -410,13 +426,13 @@ def _parse_row(number: int, line: str) -> Any:
     kind = _KINDS.get(keys[0])
     if kind is None:
         raise RowError("syntax", f"unknown row {keys[0]!r}; allowed: {', '.join(_KINDS)}")
-    parsers, make = kind
+    parsers, construct = kind
     if keys != tuple(parsers):
         raise RowError(
             "syntax", f"a row {keys[0]!r} has the keys {list(parsers)}, in this order; got {list(keys)}"
         )
-    parts = [take(name, value[name]) for name, take in parsers.items()]
-    return make(number, *parts)
+    values = [parse(name, value[name]) for name, parse in parsers.items()]
+    return construct(number, *values)
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -457,14 +473,16 @@ def _bit(name: str, value: Any) -> int:
 
 
 def _reals(count: int | None = None) -> Callable[[str, Any], tuple[float, ...]]:
-    def take(name: str, value: Any) -> tuple[float, ...]:
+    """Return a parser of a list of ``count`` numbers, or of any number of them."""
+
+    def parse(name: str, value: Any) -> tuple[float, ...]:
         if not isinstance(value, list):
             raise RowError("type", f"{name} is no list of numbers")
         if count is not None and len(value) != count:
             raise RowError("type", f"{name} has {len(value)} numbers; expected {count}")
         return tuple(_real(name, number) for number in value)
 
-    return take
+    return parse
 
 
 def _name(name: str, value: Any) -> str:
@@ -480,6 +498,7 @@ def _name_or_none(name: str, value: Any) -> str:
 
 
 def _names(name: str, value: Any) -> tuple[str, ...]:
+    """Parse a list of names that differ, case ignored."""
     if not isinstance(value, list):
         raise RowError("type", f"{name} is no list of names")
     out = tuple(_name(name, item) for item in value)
@@ -499,6 +518,7 @@ def _point(line: int, t: float, q: tuple[float, ...], v: tuple[float, ...]) -> T
 
 
 _Keys = Mapping[str, Callable[[str, Any], Any]]
+"""Parsers of the values of a row, by key."""
 _ON_FAILURE: Final[_Keys] = {"on_failure": _names}
 _KINDS: Final[Mapping[str, tuple[_Keys, Callable[..., Any]]]] = {
     "tandem_trajectory": (

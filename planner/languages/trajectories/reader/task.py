@@ -12,32 +12,35 @@ from planner.programs.steps import FlowError, ProgramStep, TextFault
 
 
 def _read(problem: Problem, arms: Arms, files: Files) -> ReadTasks:
+    """Read a trajectory file as one task for each arm, and follow it if its arms are those of the cell."""
     file = sorted(files)[0]
     program, faults = rows.read(file, files[file], problem.cell.controller.max_bytes)
     flow_faults: list[TextFault] = []
     if len(files) > 1:
-        what = f"{len(files)} files of trajectories, {', '.join(sorted(files))}; one clock moves all arms, "
-        what += "so that only one file is allowed"
-        faults = (*faults, TextFault(1, 1, "trajectory.name_file", what, sorted(files)[1]))
+        message = (
+            f"{len(files)} files of trajectories, {', '.join(sorted(files))}; one clock moves all arms, "
+        )
+        message += "so that only one file is allowed"
+        faults = (*faults, TextFault(1, 1, "trajectory.name_file", message, sorted(files)[1]))
     if program is None:
         return ReadTasks((), faults, tuple(flow_faults))
     steps: Mapping[str, tuple[ProgramStep, ...]] = {}
     joint_names = {name: _joint_names(problem, arm) for name, arm in arms.items()}
     for row in program.arms:
         if row.arm not in joint_names:
-            what = f"trajectories move no arm {row.arm}; allowed: {', '.join(joint_names)}"
-            flow_faults.append(TextFault(row.line, 1, "trajectory.flow", what, file))
+            message = f"trajectories move no arm {row.arm}; allowed: {', '.join(joint_names)}"
+            flow_faults.append(TextFault(row.line, 1, "trajectory.flow", message, file))
         elif row.robot != arms[row.arm].robot:
-            what = f"arm {row.arm} is stated as {row.robot}; expected: {arms[row.arm].robot}"
-            flow_faults.append(TextFault(row.line, 1, "trajectory.flow", what, file))
+            message = f"arm {row.arm} is stated as {row.robot}; expected: {arms[row.arm].robot}"
+            flow_faults.append(TextFault(row.line, 1, "trajectory.flow", message, file))
         elif row.joints != joint_names[row.arm]:
-            what = f"the joints of {row.arm} ({row.robot}) are {', '.join(row.joints)}; expected: "
-            what += f"{', '.join(joint_names[row.arm])}, in this order"
-            flow_faults.append(TextFault(row.line, 1, "trajectory.flow", what, file))
+            message = f"the joints of {row.arm} ({row.robot}) are {', '.join(row.joints)}; expected: "
+            message += f"{', '.join(joint_names[row.arm])}, in this order"
+            flow_faults.append(TextFault(row.line, 1, "trajectory.flow", message, file))
     order = [row.arm for row in program.arms]
     if order != [name for name in joint_names if name in order]:
-        what = f"the order of the arms is {', '.join(order)}; expected: the cell's order"
-        flow_faults.append(TextFault(program.arms[0].line, 1, "trajectory.flow", what, file))
+        message = f"the order of the arms is {', '.join(order)}; expected: the cell's order"
+        flow_faults.append(TextFault(program.arms[0].line, 1, "trajectory.flow", message, file))
     if not flow_faults:
         try:
             steps = flow.main_flow(program, {name: arm.data for name, arm in arms.items()})
@@ -53,7 +56,7 @@ def _read(problem: Problem, arms: Arms, files: Files) -> ReadTasks:
 
 
 def _joint_names(problem: Problem, arm: Arm) -> tuple[str, ...]:
-    """Controller's names of the joints of an arm: the URDF names with the prefix that the cell states."""
+    """Names of an arm's joints at the controller: the URDF names with the prefix that the cell states."""
     prefix = problem.cell.controller.joint_prefix.get(arm.name, "")
     return tuple(f"{prefix}{name}" for name in arm.data.joints)
 

@@ -33,8 +33,7 @@ from planner.proof.replay.standstill import (
     tool_in_holder_frame,
     work_nodes,
 )
-from planner.proof.replay.tool_speeds import STANDSTILL_M as STANDS_STILL
-from planner.proof.replay.tool_speeds import tool_speeds
+from planner.proof.replay.tool_speeds import STANDSTILL_M, tool_speeds
 from planner.proof.replay.trajectory_speed import settling_fraction
 from planner.proof.rule import RuleOutcome, mm, rule, sample_issue, step_issue
 from planner.proof.rules.setups_and_frames import FRAME_TOLERANCE_M, HOME_TOLERANCE_RAD, MASS_TOLERANCE_KG
@@ -46,7 +45,7 @@ CHECK_TOLERANCE_FACTOR: Final = 2.0
 MAX_DEVIATION_M: Final = 0.1e-3
 """Maximum deviation [m] of a tool from the straight segment between two points."""
 MAX_ROTATION_RAD: Final = float(np.deg2rad(0.1))
-"""Maximum rotation [rad] of a tool off this segment."""
+"""Maximum rotation [rad] of a tool from its orientation on this segment."""
 MAX_SPEED_RATIO: Final = 1.55
 """Maximum speed of a tool between two points relative to the fastest mean of the three nearest intervals.
 
@@ -55,11 +54,13 @@ A cubic from rest to rest reaches 1.5 times its own mean.
 _MAX_BACKWARD_M: Final = 0.02e-3
 """Maximum distance [m] by which a tool may move backwards between two points."""
 _ROUNDING_FACTOR: Final = 1.0 + 1e-6
+"""Factor by which tolerances may exceed their limit, because they are rounded."""
 _NOT_APPLICABLE: Final = "no trajectories"
+"""Why the rules do not apply to jobs without trajectory files."""
 
 
 def _programs(context: Context) -> Iterator[tuple[TaskText, TrajectoryProgram]]:
-    """Each trajectory file with the first task that it drives."""
+    """Yield each trajectory file with the task of its first arm."""
     for task in context.job.tasks:
         text = task.text
         if isinstance(text, TrajectoryText) and task.arm.name == text.program.arms[0].arm:
@@ -75,11 +76,12 @@ def _row_issue(
 def announcement_issues(context: Context) -> list[Issue]:
     """Return issues of rows of operations and tools that inform the operator incorrectly.
 
-    Each operation is announced once, by name and setup, right before its first move. Each tool follows it,
-    by name and mass.
+    Each operation is announced once, by name and setup, right before its first move. Its tools follow, by
+    name and mass.
     """
     issues: list[Issue] = []
-    setups, code = context.setups, "verify.dialogue"
+    setups = context.setups
+    code = "verify.dialogue"
     expected = [
         (context.problem.operations[k].name, setup.number) for setup in setups for k in setup.operations
     ]
@@ -90,46 +92,47 @@ def announcement_issues(context: Context) -> list[Issue]:
             for arm in program.arms
             for step in stage.moves(arm.arm)
         }
-        remaining, current_setup = iter(expected), 0
+        remaining = iter(expected)
+        current_setup = 0
         for row, next_row in itertools.zip_longest(program.rows, program.rows[1:]):
-            what = ""
+            fault = ""
             if isinstance(row, OperationRow):
                 name, current_setup = next(remaining, ("", 0))
                 if (row.operation, row.setup) != (panel_text(name) or "operation", current_setup):
-                    what = f"operation {row.operation!r}, setup {row.setup}, is announced; expected: "
-                    what += f"{name!r}, setup {current_setup}" if current_setup else "no further operation"
-                elif wrong := _held_fault(setups[current_setup - 1].stock, row):
-                    what = f"operation {row.operation!r}: {wrong}"
+                    fault = f"operation {row.operation!r}, setup {row.setup}, is announced; expected: "
+                    fault += f"{name!r}, setup {current_setup}" if current_setup else "no further operation"
+                elif held_fault := _held_fault(setups[current_setup - 1].stock, row):
+                    fault = f"operation {row.operation!r}: {held_fault}"
             elif isinstance(row, ToolRow) and 0 < current_setup <= len(setups):
                 tool = setups[current_setup - 1].cell.arm(row.arm).tool
                 if row.tool != tool.name or abs(row.mass - tool.mass) > MASS_TOLERANCE_KG:
-                    what = (
+                    fault = (
                         f"announced for arm {row.arm}: {row.tool}, {row.mass:g} kg; expected: {tool.name}, "
                     )
-                    what += f"{tool.mass:g} kg"
+                    fault += f"{tool.mass:g} kg"
             elif (
                 isinstance(row, MoveRow)
                 and setup_by_line.get(row.points[0].line, current_setup) != current_setup
             ):
-                what = (
+                fault = (
                     f"this move is in setup {setup_by_line[row.points[0].line]}; setup {current_setup} was "
                     "announced"
                 )
             if isinstance(row, OperationRow | ToolRow) and not isinstance(next_row, ToolRow | AtRow):
-                what = what or "an operation and its tools must be followed by the check of the joints"
+                fault = fault or "an operation and its tools must be followed by the check of the joints"
             if isinstance(row, CarryRow) and isinstance(next_row, CarryRow) and row.arm == next_row.arm:
-                what = f"arm {row.arm} is asked twice what it holds"
-            if what:
-                issues.append(_row_issue(code, what, program, row))
-        if left := [name for name, _ in remaining]:
+                fault = f"arm {row.arm} is asked twice what it holds"
+            if fault:
+                issues.append(_row_issue(code, fault, program, row))
+        if unannounced := [name for name, _ in remaining]:
             issues.append(
-                _row_issue(code, f"operation {left[0]!r} is not announced", program, program.rows[-1])
+                _row_issue(code, f"operation {unannounced[0]!r} is not announced", program, program.rows[-1])
             )
     return issues
 
 
 def _held_fault(stock: Stock, row: OperationRow) -> str:
-    """Fault of who holds the block, and where, "" for none."""
+    """Fault of the announced holder of the block or of its pose in the holder's TCP frame, "" for none."""
     if row.held_by != (stock.held_by or ""):
         return f"announced block holder: {row.held_by or 'no arm'}; expected: {stock.held_by or 'none'}"
     if not row.held_by:
@@ -151,29 +154,35 @@ def start_posture(context: Context) -> RuleOutcome:
     allowed deviation reach it within the limits of joints and tools.
     """
     issues: list[Issue] = []
-    code, worst, limit = "verify.start_posture", 0.0, 0.0
+    code = "verify.start_posture"
+    worst = limit = 0.0
     for _, program in _programs(context):
         controller = context.problem.cell.controller
         limit = CHECK_TOLERANCE_FACTOR * controller.goal_tolerance
         homes = {arm.name: arm.home for arm in context.problem.cell.arms}
         posture = np.concatenate([homes[row.arm] for row in program.arms])
-        allowed, previous, tools = HOME_TOLERANCE_RAD, None, dict[str, FloatArray]()
+        tolerance = HOME_TOLERANCE_RAD
+        previous: TrajectoryRow | None = None
+        tools: dict[str, FloatArray] = {}
         for row in program.rows:
             if isinstance(row, ToolRow):
                 tools[row.arm] = pose(row.tcp)
             if isinstance(row, AtRow):
                 worst = max(worst, row.within)
                 if not 0.0 < row.within <= limit * _ROUNDING_FACTOR:
-                    what = f"joints are checked within {np.rad2deg(row.within):g} deg; allowed: above 0, to "
-                    issues.append(_row_issue(code, f"{what}{np.rad2deg(limit):g}", program, row))
+                    message = (
+                        f"joints are checked within {np.rad2deg(row.within):g} deg; allowed: above 0, to "
+                        f"{np.rad2deg(limit):g}"
+                    )
+                    issues.append(_row_issue(code, message, program, row))
                 deviation = np.abs(np.array(row.at) - posture)
-                if deviation.max() > allowed:
-                    reference = "home" if allowed == HOME_TOLERANCE_RAD else "the end of the previous move"
-                    what = (
+                if deviation.max() > tolerance:
+                    reference = "home" if tolerance == HOME_TOLERANCE_RAD else "the end of the previous move"
+                    message = (
                         f"number {int(np.argmax(deviation)) + 1} is {np.rad2deg(deviation.max()):.6f} deg "
                         f"from {reference}"
                     )
-                    issues.append(_row_issue(code, what, program, row))
+                    issues.append(_row_issue(code, message, program, row))
             if isinstance(row, MoveRow):
                 if not isinstance(previous, AtRow):
                     issues.append(
@@ -181,7 +190,8 @@ def start_posture(context: Context) -> RuleOutcome:
                     )
                 else:
                     issues += _first_point_issues(context, program, row, previous, tools)
-                posture, allowed = np.array(row.points[-1].q), POSTURE_TOLERANCE_RAD
+                posture = np.array(row.points[-1].q)
+                tolerance = POSTURE_TOLERANCE_RAD
             previous = row
     measure = float(np.rad2deg(worst)), float(np.rad2deg(limit)), "deg"
     return RuleOutcome(tuple(issues), *measure, nothing="" if limit else _NOT_APPLICABLE)
@@ -190,30 +200,33 @@ def start_posture(context: Context) -> RuleOutcome:
 def _first_point_issues(
     context: Context, program: TrajectoryProgram, row: MoveRow, check: AtRow, tools: Mapping[str, FloatArray]
 ) -> list[Issue]:
-    """Faults of the first point of a move, for joints that are checked right before it.
+    """Issues of the first point of a move: its posture, and its time to correct the allowed deviation.
 
-    ``tools`` are the TCPs of the arms in the flange frame, (4, 4) [m], at that time.
+    ``check`` is the check of the joints before it. ``tools`` are the TCPs in the flange frame, (4, 4) [m].
     """
-    first, code = row.points[0], "verify.start_posture"
+    first = row.points[0]
+    code = "verify.start_posture"
     deviation = np.abs(np.array(first.q) - np.array(check.at)).max()
     if deviation > POSTURE_TOLERANCE_RAD or any(first.v):
         return [
             _row_issue(code, "the first point of this move is not the checked posture, at rest", program, row)
         ]
-    out, arm_columns = list[Issue](), columns(program)
+    out: list[Issue] = []
+    arm_columns = columns(program)
     for task in context.job.tasks:
         if not isinstance(task.text, TrajectoryText) or task.text.program is not program:
             continue
         arm = task.arm
-        q, tool = np.array(first.q)[arm_columns[arm.name]], tools.get(arm.name, arm.tool.tcp)
+        q = np.array(first.q)[arm_columns[arm.name]]
+        tcp = tools.get(arm.name, arm.tool.tcp)
         speed = context.problem.settings.tcp_speed
-        limit_fraction = settling_fraction(robot_machine(arm.data), tool, q, check.within, first.t, speed)
+        limit_fraction = settling_fraction(robot_machine(arm.data), tcp, q, check.within, first.t, speed)
         if limit_fraction > 1.0:
-            what = (
+            message = (
                 f"{arm.name} has {first.t:g} s to correct {np.rad2deg(check.within):g} deg at the start of "
+                f"this move, for which it would need {100.0 * limit_fraction:.0f} % of its limits"
             )
-            what += f"this move, for which it would need {100.0 * limit_fraction:.0f} % of its limits"
-            out.append(_row_issue(code, what, program, first, "make the first point later"))
+            out.append(_row_issue(code, message, program, first, "make the first point later"))
     return out
 
 
@@ -224,7 +237,9 @@ def goal_tolerances(context: Context) -> RuleOutcome:
     Controllers take a tolerance of 0 for no tolerance.
     """
     issues: list[Issue] = []
-    code, worst, applies = "verify.goal_tolerances", 0.0, False
+    code = "verify.goal_tolerances"
+    worst = 0.0
+    applies = False
     controller = context.problem.cell.controller
     for _, program in _programs(context):
         applies = True
@@ -235,19 +250,21 @@ def goal_tolerances(context: Context) -> RuleOutcome:
                 ("path", row.path, controller.path_tolerance),
                 ("goal", row.goal, controller.goal_tolerance),
             )
-            for word, values, limit in kinds:
+            for kind, values, limit in kinds:
                 worst = max(worst, max(values) / limit)
                 for i, value in enumerate(values):
                     if not 0.0 < value <= limit * _ROUNDING_FACTOR:
-                        got, allowed = np.rad2deg([value, limit])
-                        what = f"the {word} tolerance of number {i + 1} is {got:g} deg; allowed: above 0, "
-                        what += f"to {allowed:g}"
-                        issues.append(_row_issue(code, what, program, row))
+                        value_deg, limit_deg = np.rad2deg([value, limit])
+                        message = (
+                            f"the {kind} tolerance of number {i + 1} is {value_deg:g} deg; allowed: above 0, "
+                        )
+                        message += f"to {limit_deg:g}"
+                        issues.append(_row_issue(code, message, program, row))
             if not 0.0 < row.goal_time <= controller.goal_time * _ROUNDING_FACTOR:
-                what = (
+                message = (
                     f"the goal may be {row.goal_time:g} s late; allowed: above 0, to {controller.goal_time:g}"
                 )
-                issues.append(_row_issue(code, what, program, row))
+                issues.append(_row_issue(code, message, program, row))
     return RuleOutcome(
         tuple(issues), 100.0 * worst, 100.0, "% of the cell's", nothing="" if applies else _NOT_APPLICABLE
     )
@@ -260,7 +277,8 @@ def power_on_failure(context: Context) -> RuleOutcome:
     At the end of the file all outputs are off.
     """
     issues: list[Issue] = []
-    code, checked = "verify.power_on_failure", 0
+    code = "verify.power_on_failure"
+    checked = 0
     for _, program in _programs(context):
         on: dict[str, str] = {}
         for row in program.rows:
@@ -272,19 +290,19 @@ def power_on_failure(context: Context) -> RuleOutcome:
                 continue
             checked += 1
             named = {name.lower(): name for name in row.on_failure}
-            if left := [name for key, name in on.items() if key not in named]:
-                what = f"{', '.join(left)} stays on if this step fails; on_failure must name it"
-                issues.append(_row_issue(code, what, program, row))
+            if unnamed := [name for key, name in on.items() if key not in named]:
+                message = f"{', '.join(unnamed)} stays on if this step fails; on_failure must name it"
+                issues.append(_row_issue(code, message, program, row))
             if isinstance(row, CarryRow) and on:
-                what = f"the operator is asked about a load while {', '.join(on.values())} is on"
-                issues.append(_row_issue(code, what, program, row))
-            if more := [name for key, name in named.items() if key not in on]:
+                message = f"the operator is asked about a load while {', '.join(on.values())} is on"
+                issues.append(_row_issue(code, message, program, row))
+            if not_on := [name for key, name in named.items() if key not in on]:
                 issues.append(
-                    _row_issue(code, f"on_failure names {', '.join(more)}, which is not on", program, row)
+                    _row_issue(code, f"on_failure names {', '.join(not_on)}, which is not on", program, row)
                 )
         if on:
-            what = f"{', '.join(on.values())} is on at the end of the file"
-            issues.append(_row_issue(code, what, program, program.rows[-1]))
+            message = f"{', '.join(on.values())} is on at the end of the file"
+            issues.append(_row_issue(code, message, program, program.rows[-1]))
     summary = f"{checked} steps", "" if checked else _NOT_APPLICABLE
     return RuleOutcome(tuple(issues), float(len(issues)), 0.0, "steps", *summary)
 
@@ -297,54 +315,59 @@ def between_points(context: Context) -> RuleOutcome:
     intervals.
     """
     issues: list[Issue] = []
-    code, worst, applies = "verify.between_points", 0.0, False
+    code = "verify.between_points"
+    worst = 0.0
+    applies = False
     motion = context.motion
     for task in context.job.tasks:
         if not isinstance(task.text, TrajectoryText):
             continue
-        arm, applies = task.arm.name, True
-        work, start_pose, end_pose, holders = work_nodes(context, task)
+        arm = task.arm.name
+        applies = True
+        is_work, start_pose, end_pose, holders = work_nodes(context, task)
         issues += _speed_issues(context, task)
         samples = motion.merged_samples
-        rows = np.flatnonzero(work[samples.node])
-        for first in range(0, len(rows), SAMPLES_PER_BATCH):
-            batch = rows[first : first + SAMPLES_PER_BATCH]
+        work_samples = np.flatnonzero(is_work[samples.node])
+        for first in range(0, len(work_samples), SAMPLES_PER_BATCH):
+            batch = work_samples[first : first + SAMPLES_PER_BATCH]
             node = samples.node[batch]
             poses = tool_in_holder_frame(context, arm, holders[node], samples.row[batch], motion.poses)
-            deviation, turn = _segment_deviation(start_pose[node], end_pose[node], poses)
+            deviation, rotation = _segment_deviation(start_pose[node], end_pose[node], poses)
             worst = max(worst, float(deviation.max(initial=0.0)))
-            bad = np.flatnonzero((deviation > MAX_DEVIATION_M) | (turn > MAX_ROTATION_RAD))
-            for k in first_sample_of_each_node(node[bad], bad)[:20].tolist():
-                what = f"between two points the tool of {arm} is {mm(deviation[k]):.4f} mm and "
-                what += (
-                    f"{np.rad2deg(turn[k]):.4f} deg off the straight path; allowed: {mm(MAX_DEVIATION_M):g} "
-                    "mm and "
+            faulty = np.flatnonzero((deviation > MAX_DEVIATION_M) | (rotation > MAX_ROTATION_RAD))
+            for k in first_sample_of_each_node(node[faulty], faulty)[:20].tolist():
+                message = f"between two points the tool of {arm} is {mm(deviation[k]):.4f} mm and "
+                message += (
+                    f"{np.rad2deg(rotation[k]):.4f} deg off the straight path; allowed: "
+                    f"{mm(MAX_DEVIATION_M):g} mm and {np.rad2deg(MAX_ROTATION_RAD):g} deg"
                 )
-                what += f"{np.rad2deg(MAX_ROTATION_RAD):g} deg"
                 measure = (mm(float(deviation[k])), mm(MAX_DEVIATION_M), "mm")
-                issues.append(sample_issue(code, what, motion, arm, int(samples.sample[batch[k]]), measure))
+                sample = int(samples.sample[batch[k]])
+                issues.append(sample_issue(code, message, motion, arm, sample, measure))
     return RuleOutcome(
         tuple(issues), mm(worst), mm(MAX_DEVIATION_M), "mm", nothing="" if applies else _NOT_APPLICABLE
     )
 
 
 def _speed_issues(context: Context, task: TaskText) -> list[Issue]:
-    """Issues of points before which the tool moves backwards, or much faster than its mean nearby."""
+    """Issues of moves in which the tool moves backwards, or much faster than its mean speed nearby."""
     out: list[Issue] = []
     speeds = tool_speeds(context)[task.arm.name]
     moves, mean = speeds.moves, speeds.mean
-    works = np.array([isinstance(move.target, PassedTarget) for move in moves])
+    is_work = np.array([isinstance(move.target, PassedTarget) for move in moves])
     nearby_mean = np.maximum(mean, np.maximum(np.append(mean[1:], 0.0), np.append(0.0, mean[:-1])))
-    goes = works & (speeds.length > STANDS_STILL)
-    times = np.where(goes, speeds.peak / np.maximum(nearby_mean, 1e-9), 0.0)
-    for k in np.flatnonzero(times > MAX_SPEED_RATIO)[:20].tolist():
-        what = f"before this point the tool of {task.arm.name} reaches {mm(speeds.peak[k]):.2f} mm/s, "
-        what += f"{times[k]:.2f} times its mean speed there; allowed: {MAX_SPEED_RATIO:g} times"
-        out.append(step_issue("verify.between_points", what, task, moves[k]))
-    for k in np.flatnonzero(goes & (speeds.back > _MAX_BACKWARD_M))[:20].tolist():
-        what = f"before this point the tool of {task.arm.name} moves back by {mm(speeds.back[k]):.3f} mm; "
+    is_moving = is_work & (speeds.length > STANDSTILL_M)
+    speed_ratio = np.where(is_moving, speeds.peak / np.maximum(nearby_mean, 1e-9), 0.0)
+    for k in np.flatnonzero(speed_ratio > MAX_SPEED_RATIO)[:20].tolist():
+        message = f"before this point the tool of {task.arm.name} reaches {mm(speeds.peak[k]):.2f} mm/s, "
+        message += f"{speed_ratio[k]:.2f} times its mean speed there; allowed: {MAX_SPEED_RATIO:g} times"
+        out.append(step_issue("verify.between_points", message, task, moves[k]))
+    for k in np.flatnonzero(is_moving & (speeds.back > _MAX_BACKWARD_M))[:20].tolist():
+        message = f"before this point the tool of {task.arm.name} moves back by {mm(speeds.back[k]):.3f} mm; "
         out.append(
-            step_issue("verify.between_points", f"{what}allowed: {mm(_MAX_BACKWARD_M):g} mm", task, moves[k])
+            step_issue(
+                "verify.between_points", f"{message}allowed: {mm(_MAX_BACKWARD_M):g} mm", task, moves[k]
+            )
         )
     return out
 
@@ -352,17 +375,23 @@ def _speed_issues(context: Context, task: TaskText) -> list[Issue]:
 def _segment_deviation(start: FloatArray, end: FloatArray, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Deviation (S,) [m] and (S,) [rad] of poses (S, 4, 4) from straight segments with uniform rotation.
 
-    The segments lead from ``start`` to ``end``, (S, 4, 4) each.
+    The segments lead from ``start`` to ``end``, (S, 4, 4) each. The deviation is that from the nearest
+    position, or from the nearest rotation if the segment has no length.
     """
     step = end[:, :3, 3] - start[:, :3, 3]
-    turning = log_rotation(np.swapaxes(start[:, :3, :3], 1, 2) @ end[:, :3, :3])
+    segment_rotation = log_rotation(np.swapaxes(start[:, :3, :3], 1, 2) @ end[:, :3, :3])
     offset = pose[:, :3, 3] - start[:, :3, 3]
-    length, angle = np.linalg.norm(step, axis=1), np.linalg.norm(turning, axis=1)
-    rotated = log_rotation(np.swapaxes(start[:, :3, :3], 1, 2) @ pose[:, :3, :3])
-    by_way = dots(offset, step) / np.maximum(length, 1e-9) ** 2
-    by_turn = dots(rotated, turning) / np.maximum(angle, 1e-9) ** 2
-    progress = np.clip(np.where(length > 1e-6, by_way, np.where(angle > 1e-6, by_turn, 0.0)), 0.0, 1.0)
+    length = np.linalg.norm(step, axis=1)
+    angle = np.linalg.norm(segment_rotation, axis=1)
+    pose_rotation = log_rotation(np.swapaxes(start[:, :3, :3], 1, 2) @ pose[:, :3, :3])
+    translation_progress = dots(offset, step) / np.maximum(length, 1e-9) ** 2
+    rotation_progress = dots(pose_rotation, segment_rotation) / np.maximum(angle, 1e-9) ** 2
+    progress = np.clip(
+        np.where(length > 1e-6, translation_progress, np.where(angle > 1e-6, rotation_progress, 0.0)),
+        0.0,
+        1.0,
+    )
     deviation = np.linalg.norm(offset - progress[:, None] * step, axis=1)
-    expected = start[:, :3, :3] @ exp_rotation(progress[:, None] * turning)
+    expected = start[:, :3, :3] @ exp_rotation(progress[:, None] * segment_rotation)
     rotation_deviation = log_rotation(np.swapaxes(expected, 1, 2) @ pose[:, :3, :3])
     return deviation, np.asarray(np.linalg.norm(rotation_deviation, axis=1))

@@ -1,4 +1,7 @@
-"""Times at which curves pass targets and positions between them: melting cuts widen where tools are slow."""
+"""Times at which curves pass targets and positions between them.
+
+A melting cut is wider where the tool is slow, so that these times are needed for its kerf.
+"""
 
 from collections.abc import Sequence
 from typing import Final
@@ -12,13 +15,14 @@ from planner.languages.trajectories.writer.straight_segments import TrajectoryAr
 _SAMPLE_FRACTIONS: Final = np.array([0.25, 0.5, 0.75, 1.0])
 """Fractions of the time between two points at which the progress of the tool is sampled."""
 MIN_DISTANCE_M: Final = 1e-6
-"""Distance [m] below which a tool only rotates on a segment, uniformly."""
+"""Length [m] of a segment below which its tool only rotates, uniformly in time."""
 
 
 def passing_times(arm: TrajectoryArm, q: FloatArray, trajectory: TrajectoryPoints) -> FloatArray:
-    """Return path positions (2, K) from 0 to N, and the times [s] at which the curve reaches them.
+    """Return path positions and the times [s] at which a curve reaches them, (2, K).
 
-    The position follows from the progress of the arm's tool on the straight segments.
+    Path position k + f, from 0 to N, is at the fraction f of the segment from target k to target k + 1. The
+    fraction is the progress of the arm's tool on this straight segment.
 
     Args:
         arm: The arm.
@@ -31,35 +35,43 @@ def passing_times(arm: TrajectoryArm, q: FloatArray, trajectory: TrajectoryPoint
         joints_between(trajectory.q, np.diff(trajectory.t), trajectory.v, _SAMPLE_FRACTIONS)
     )[..., :3, 3].reshape(-1, 3)
     sample_times = (trajectory.t[:-1, None] + _SAMPLE_FRACTIONS * np.diff(trajectory.t)[:, None]).ravel()
-    line = np.diff(ends, axis=0)[segment]
-    size = dots(line, line)
-    fraction = dots(samples - ends[segment], line) / np.maximum(size, MIN_DISTANCE_M**2)
-    last = np.searchsorted(trajectory.end[1:], np.arange(len(ends) - 1), side="right")
-    arrival_times = np.append(0.0, trajectory.t[last])
+    step = np.diff(ends, axis=0)[segment]
+    squared_length = dots(step, step)
+    fraction = dots(samples - ends[segment], step) / np.maximum(squared_length, MIN_DISTANCE_M**2)
+    last_point = np.searchsorted(trajectory.end[1:], np.arange(len(ends) - 1), side="right")
+    arrival_times = np.append(0.0, trajectory.t[last_point])
     time_fraction = (sample_times - arrival_times[segment]) / np.maximum(
         arrival_times[segment + 1] - arrival_times[segment], 1e-9
     )
-    path_position = segment + np.clip(np.where(size > MIN_DISTANCE_M**2, fraction, time_fraction), 0.0, 1.0)
+    path_position = segment + np.clip(
+        np.where(squared_length > MIN_DISTANCE_M**2, fraction, time_fraction), 0.0, 1.0
+    )
     path_position = np.maximum.accumulate(np.append(0.0, path_position))
     return np.stack([path_position, np.append(0.0, sample_times)])
 
 
 def splice_clocks(time: FloatArray, runs: Sequence[tuple[IntArray, FloatArray]]) -> FloatArray:
-    """Return path positions (2, K) between targets, from 0, and the times [s] at which they are passed.
+    """Return path positions of an operation and the times [s] at which the programs pass them, (2, K).
+
+    Path position k + f is at the fraction f of the way from target k to target k + 1. Outside of the runs the
+    planned times apply, with the delay that the runs before them cause.
 
     Args:
         time: Planned times of the targets, (N,) [s].
-        runs: Runs whose times differ: targets (M,) that are reached from the previous one, and path
-            positions with times (2, L) on the way to them, from :func:`passing_times`.
+        runs: Runs that are written as curves: their targets (M,), and path positions with times (2, L) from
+            :func:`passing_times`, in which 0 is the target before the run.
     """
-    parts, delay, last_target = list[FloatArray](), 0.0, -1
+    parts: list[FloatArray] = []
+    delay = 0.0
+    last_target = -1
     for targets, clock in sorted(runs, key=lambda run: int(run[0][0])):
-        known = np.append(max(int(targets[0]) - 1, 0), targets)
-        planned = np.arange(last_target + 1, known[0] + 1)
+        run_targets = np.append(max(int(targets[0]) - 1, 0), targets)
+        planned = np.arange(last_target + 1, run_targets[0] + 1)
         parts.append(np.stack([planned, time[planned] + delay]))
-        start_time = float(time[known[0]]) + delay
-        path_position = np.interp(clock[0], np.arange(len(known)), known)
+        start_time = float(time[run_targets[0]]) + delay
+        path_position = np.interp(clock[0], np.arange(len(run_targets)), run_targets)
         parts.append(np.stack([path_position, start_time + clock[1]])[:, 1:])
-        delay, last_target = start_time + float(clock[1, -1]) - float(time[known[-1]]), int(known[-1])
+        delay = start_time + float(clock[1, -1]) - float(time[run_targets[-1]])
+        last_target = int(run_targets[-1])
     rest = np.arange(last_target + 1, len(time))
     return np.concatenate([*parts, np.stack([rest, time[rest] + delay])], axis=1)

@@ -1,9 +1,10 @@
-"""Joint trajectories through a plan's targets: points with velocities, as dense as straight segments require.
+"""Fits joint trajectories to a plan's targets: points with velocities, as dense as straight segments require.
 
 A controller interpolates a cubic between positions and velocities of two points. The velocities come from
 splines with continuous accelerations from rest to rest, or from corner to corner. Where the tool would leave
 the straight segment between two targets by more than ``MAX_DEVIATION_M``, a point is inserted on the segment
-and the spline is computed again. Where joints would be too fast or accelerate too much, points get later.
+and the spline is computed again. Where joints would be too fast or accelerate too much, the times between
+points are extended. P is the number of points, D the number of joints of all arms that move.
 """
 
 import dataclasses
@@ -27,40 +28,41 @@ from planner.languages.trajectories.writer.straight_segments import (
 MAX_DEVIATION_M: Final = 0.05e-3
 """Maximum deviation [m] of a tool from the straight segment between two points; half of the proof's limit."""
 MAX_ROTATION_RAD: Final = float(np.deg2rad(0.05))
-"""Maximum rotation [rad] of a tool off the segment; half of the proof's limit."""
+"""Maximum rotation deviation [rad] of a tool from the segment; half of the proof's limit."""
 MIN_MOVING_DISTANCE_M: Final = 0.09e-3
 """Distance [m] between two points above which the uniformity of the tool's speed is checked."""
 MAX_SPEED_RATIO: Final = 1.53
-"""Maximum speed of a tool between two points relative to the fastest mean there and nearby.
+"""Maximum speed of a tool between two points relative to its mean speed there.
 
-Nearby are the two adjacent intervals. Chosen: slightly below the limit of the proof, 1.55.
+The largest mean of this and the two adjacent intervals counts. Chosen: slightly below the limit of the proof,
+1.55.
 """
 MIN_INTERVAL_S: Final = 0.006
 """Minimum time [s] between two points: most controllers of this kind run at 100 to 1000 Hz."""
 SPEED_FRACTION: Final = 0.97
-"""Fraction of the joints' speeds that curves may use."""
+"""Fraction of the joints' maximum speeds that curves may use."""
 ACCELERATION_FRACTION: Final = 0.93
-"""Fraction of the joints' accelerations that curves may use."""
+"""Fraction of the joints' maximum accelerations that curves may use."""
 TOOL_SPEED_FRACTION: Final = 0.99
-"""Fraction of the tools' speeds that curves may use."""
+"""Fraction of the tools' maximum speeds that curves may use."""
 MIN_FEED_TIME_FACTOR: Final = 1.04
-"""Maximum time of a segment relative to the time that its minimum feed allows, as a whole."""
+"""Maximum time of a whole segment relative to the time that its minimum feed allows."""
 MIN_FEED_INTERVAL_S: Final = 0.004
-"""Interval [s] over which a minimum feed must also hold."""
+"""Interval [s] within a segment over which the minimum feed must also hold on average."""
 STANDSTILL_FRACTION: Final = 0.12
-"""Minimum joint speed at any position of a segment relative to the mean speed there, where work melts."""
+"""Minimum joint speed between two points relative to the mean there, for tools that melt the work."""
 MARK_DISTANCE_M: Final = 0.3
 """Distance [m] from the TCP of the points that represent the orientation of a tool."""
 DIFFERENCE_STEP_S: Final = 1e-6
-"""Time step [s] of the finite difference for the speed of these points."""
+"""Time step [s] of the finite difference for the speed of the points that represent an orientation."""
 CORNER_COSINE: Final = float(np.cos(np.deg2rad(15.0)))
-"""Cosine of the angle between joint velocities before and after a target above which it is a corner."""
+"""Cosine of the angle between joint velocities before and after a target; below it the target is a corner."""
 CORNER_SPEED_FRACTION: Final = 0.9
 """Fraction of the adjacent speed that work with a minimum feed keeps at a corner."""
 MAX_CORNER_SPEED_FACTOR: Final = 1.5
 """Maximum speed at a corner relative to the mean of the two velocities there."""
 MAX_CORNER_FRACTION: Final = 0.25
-"""Maximum fraction of the adjacent moves that a corner uses."""
+"""Maximum fraction of the time of each adjacent move that a corner uses."""
 MIN_END_FRACTION: Final = 0.1
 """Minimum fraction of an interval on either side of an inserted point."""
 _CHECK_FRACTIONS: Final = np.array([0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875])
@@ -85,7 +87,7 @@ class TrajectoryPoints:
         t: Times, (P,) [s].
         q: Joints, (P, D) [rad].
         v: Joint velocities, (P, D) [rad/s].
-        end: Given segment on which each point lies, (P,).
+        end: Index of the given segment on which each point lies, (P,); -1 for the start.
     """
 
     t: FloatArray
@@ -128,39 +130,40 @@ class SegmentRequirements:
             a: First segment.
             b: Segment after the last one.
         """
-        rows = slice(a, b)
+        section = slice(a, b)
         return dataclasses.replace(
             self,
-            duration=self.duration[rows],
-            max_speed=self.max_speed[:, rows],
-            min_speed=self.min_speed[:, rows],
-            min_progress=self.min_progress[rows],
-            may_stop=self.may_stop[rows],
-            melts=self.melts[rows],
+            duration=self.duration[section],
+            max_speed=self.max_speed[:, section],
+            min_speed=self.min_speed[:, section],
+            min_progress=self.min_progress[section],
+            may_stop=self.may_stop[section],
+            melts=self.melts[section],
         )
 
     @property
     def has_min_feed(self) -> bool:
-        """Whether some segments have a minimum feed. Corners then must not take longer."""
+        """Whether some segments have a minimum feed, so that corners must not slow the tool down much."""
         return bool((self.min_progress > 0.0).any())
 
 
 def fit_curve(
     arms: Sequence[TrajectoryArm], q: FloatArray, stop: BoolArray, requirements: SegmentRequirements
 ) -> TrajectoryPoints:
-    """Return the curve through the joints of N straight segments.
+    """Return a curve through the targets at the ends of N straight segments.
 
     Args:
         arms: The arms that move.
         q: Joints of the targets, (N + 1, D) [rad].
-        stop: Segments that end at rest, (N,); the last one always does.
+        stop: Whether each segment ends at rest, (N,); the last one always does.
         requirements: Requirements on the segments.
 
     Raises:
-        NotKeptError: No points keep the path.
+        PathNotKeptError: No points keep the path.
     """
     parts = _fit_parts(arms, q, requirements, np.flatnonzero(stop) + 1)
-    parts_on_one_clock, end_time = [parts[0]], parts[0].t[-1]
+    parts_on_one_clock = [parts[0]]
+    end_time = parts[0].t[-1]
     for part in parts[1:]:
         parts_on_one_clock.append(
             TrajectoryPoints(part.t[1:] + end_time, part.q[1:], part.v[1:], part.end[1:])
@@ -181,7 +184,7 @@ class _PointSequence:
     Attributes:
         q: Joints, (P, D) [rad].
         span: Times between points, (P - 1,) [s].
-        end: Given segment on which each point lies, (P,).
+        end: Index of the given segment on which each point lies, (P,); -1 for the start.
         corner: Whether a point is a corner, (P,); it has a separate point before and after it.
     """
 
@@ -194,23 +197,28 @@ class _PointSequence:
 def _fit_parts(
     arms: Sequence[TrajectoryArm], q: FloatArray, requirements: SegmentRequirements, stops: IntArray
 ) -> list[TrajectoryPoints]:
-    """Consecutive curves from rest to rest.
+    """Fit consecutive curves from rest to rest.
 
-    They stop at the rows ``stops`` of ``q`` (N + 1, D), and where nothing else keeps the path.
+    They stop at the targets ``stops`` of ``q`` (N + 1, D). Where no points keep the path, they also stop at
+    the ends of that segment if the requirements allow it.
     """
-    out, edges = list[TrajectoryPoints](), sorted({0, *stops.tolist(), len(requirements.duration)})
+    out: list[TrajectoryPoints] = []
+    edges = sorted({0, *stops.tolist(), len(requirements.duration)})
     for a, b in itertools.pairwise(edges):
-        rows, section = q[a : b + 1], requirements.section(a, b)
+        joints = q[a : b + 1]
+        section = requirements.section(a, b)
         try:
-            parts = [_fit_from_rest(arms, rows, section)]
-        except PathNotKeptError as lost:
-            cuts = [k for k in (lost.row, lost.row + 1) if 0 < k < b - a and section.may_stop[k - 1]]
+            parts = [_fit_from_rest(arms, joints, section)]
+        except PathNotKeptError as error:
+            cuts = [k for k in (error.row, error.row + 1) if 0 < k < b - a and section.may_stop[k - 1]]
             if not cuts:
-                raise PathNotKeptError(a + lost.row, lost.reason, lost.feed_fraction) from None
+                raise PathNotKeptError(a + error.row, error.reason, error.feed_fraction) from None
             try:
-                parts = _fit_parts(arms, rows, section, np.array(cuts))
-            except PathNotKeptError as still:
-                raise PathNotKeptError(a + still.row, still.reason, still.feed_fraction) from None
+                parts = _fit_parts(arms, joints, section, np.array(cuts))
+            except PathNotKeptError as next_error:
+                raise PathNotKeptError(
+                    a + next_error.row, next_error.reason, next_error.feed_fraction
+                ) from None
         out += [dataclasses.replace(part, end=part.end + a) for part in parts]
     return out
 
@@ -218,6 +226,7 @@ def _fit_parts(
 def _fit_from_rest(
     arms: Sequence[TrajectoryArm], q: FloatArray, requirements: SegmentRequirements
 ) -> TrajectoryPoints:
+    """Fit a curve from rest to rest through ``q`` (N + 1, D); insert points until it keeps the path."""
     count = len(requirements.duration)
     span = np.maximum(requirements.duration, MIN_INTERVAL_S)
     points = _PointSequence(q, span, np.arange(-1, count), np.zeros(count + 1, dtype=np.bool_))
@@ -229,24 +238,24 @@ def _fit_from_rest(
             _require_min_feed(arms, points, v, requirements)
             uneven = np.flatnonzero(_uneven_intervals(arms, points, v))
             if len(uneven):
-                row = int(points.end[uneven[0] + 1])
+                segment = int(points.end[uneven[0] + 1])
                 raise PathNotKeptError(
-                    row, "between two points the tool would move backwards, or much faster than its feed"
+                    segment, "between two points the tool would move backwards, or much faster than its feed"
                 )
             return TrajectoryPoints(np.append(0.0, np.cumsum(points.span)), points.q, v, points.end)
         too_short = np.flatnonzero(deviating & (points.span < 2.0 * MIN_INTERVAL_S))
         if len(too_short):
-            row = int(points.end[too_short[0] + 1])
-            raise PathNotKeptError(row, "points would be too close in time to keep the path")
-        rows = deviating if number < _SINGLE_ROUNDS else _with_adjacent(points, deviating)
-        points = _insert_midpoints(arms, points, v, np.flatnonzero(rows))
+            segment = int(points.end[too_short[0] + 1])
+            raise PathNotKeptError(segment, "points would be too close in time to keep the path")
+        halved = deviating if number < _SINGLE_ROUNDS else _with_adjacent(points, deviating)
+        points = _insert_midpoints(arms, points, v, np.flatnonzero(halved))
     raise PathNotKeptError(
         int(points.end[np.flatnonzero(deviating)[0] + 1]), f"{len(points.q)} points do not keep the path"
     )
 
 
 def _with_adjacent(points: _PointSequence, deviating: BoolArray) -> BoolArray:
-    """The intervals ``deviating`` (P - 1,) with adjacent ones in which points may be inserted.
+    """The intervals ``deviating`` (P - 1,), and adjacent ones that are long enough to be halved, too.
 
     If a single interval is halved, the spline oscillates into the next one.
     """
@@ -260,10 +269,10 @@ def _with_adjacent(points: _PointSequence, deviating: BoolArray) -> BoolArray:
 def _with_corners(
     arms: Sequence[TrajectoryArm], points: _PointSequence, has_min_feed: bool
 ) -> _PointSequence:
-    """The points with one before and one after each corner, so close that the speed changes only there.
+    """Insert a point before and a point after each corner, so close that the velocity changes only there.
 
-    A spline through the corner itself would oscillate far to both sides. Through the corner the tool slows
-    down uniformly; for an ``has_min_feed`` feed it loses half of the time that this takes.
+    A spline through the corner itself would oscillate far to both sides. The tool slows down uniformly to the
+    corner and accelerates uniformly after it. With a minimum feed it may lose only half of that time.
     """
     q, span = points.q, points.span
     max_velocity = np.concatenate([arm.robot.velocity for arm in arms])
@@ -272,17 +281,18 @@ def _with_corners(
     scaled = rate / max_velocity
     size = np.maximum(np.linalg.norm(scaled, axis=1), 1e-12)
     cosine = dots(scaled[:-1], scaled[1:]) / (size[:-1] * size[1:])
-    middle = 0.5 * (rate[:-1] + rate[1:])
-    rise = (np.abs(rate[:-1] - middle) / max_acceleration).max(axis=1)
-    needed = np.maximum(4.0 * rise if has_min_feed else rise, MIN_INTERVAL_S)
+    corner_rate = 0.5 * (rate[:-1] + rate[1:])  # velocity at a target if it is a corner
+    min_time = (np.abs(rate[:-1] - corner_rate) / max_acceleration).max(axis=1)
+    needed_time = np.maximum(4.0 * min_time if has_min_feed else min_time, MIN_INTERVAL_S)
     available_time = MAX_CORNER_FRACTION * np.minimum(span[:-1], span[1:])
-    corner_rows = np.flatnonzero((cosine < CORNER_COSINE) & (needed <= available_time)) + 1
-    if not len(corner_rows):
+    corners = np.flatnonzero((cosine < CORNER_COSINE) & (needed_time <= available_time)) + 1
+    if not len(corners):
         return points
-    corner_time, corner_ends = needed[corner_rows - 1], list[FloatArray]()
+    corner_time = needed_time[corners - 1]
+    corner_ends: list[FloatArray] = []
     for interval, fraction in (
-        (corner_rows - 1, 1.0 - corner_time / span[corner_rows - 1]),
-        (corner_rows, corner_time / span[corner_rows]),
+        (corners - 1, 1.0 - corner_time / span[corners - 1]),
+        (corners, corner_time / span[corners]),
     ):
         joints = q[interval] + fraction[:, None] * (q[interval + 1] - q[interval])
         for arm in carriers_first(arms):
@@ -293,20 +303,25 @@ def _with_corners(
         corner_ends.append(joints)
     corner_entry, corner_exit = corner_ends
     weight = 1.0 / max_velocity**2
+    # a uniform change from speed s to c s over the distance s T takes the time 2 T / (1 + c)
     slow_in, slow_out = (
         2.0
         * corner_time
-        / (1.0 + np.clip(_relative_component(middle[corner_rows - 1], rate[interval], weight), -0.5, 1.0))
-        for interval in (corner_rows - 1, corner_rows)
+        / (1.0 + np.clip(_relative_component(corner_rate[corners - 1], rate[interval], weight), -0.5, 1.0))
+        for interval in (corners - 1, corners)
     )
     if has_min_feed:  # mean of that and of the time at which the speed would overshoot the previous one
-        slow_in, slow_out = 0.5 * (slow_in + corner_time), 0.5 * (slow_out + corner_time)
-    out_q, out_span, out_end, out_corner = [q[0]], list[float](), [int(points.end[0])], [False]
-    corner = {int(k): i for i, k in enumerate(corner_rows)}
+        slow_in = 0.5 * (slow_in + corner_time)
+        slow_out = 0.5 * (slow_out + corner_time)
+    out_q = [q[0]]
+    out_span: list[float] = []
+    out_end = [int(points.end[0])]
+    out_corner = [False]
+    corner_numbers = {int(k): i for i, k in enumerate(corners)}
     for k in range(1, len(q)):
-        remaining = span[k - 1] - (corner_time[corner[k - 1]] if k - 1 in corner else 0.0)
-        if k in corner:
-            i = corner[k]
+        remaining = span[k - 1] - (corner_time[corner_numbers[k - 1]] if k - 1 in corner_numbers else 0.0)
+        if k in corner_numbers:
+            i = corner_numbers[k]
             out_q += [corner_entry[i], q[k], corner_exit[i]]
             out_span += [remaining - corner_time[i], slow_in[i], slow_out[i]]
             out_end += [int(points.end[k]), int(points.end[k]), int(points.end[k + 1])]
@@ -320,9 +335,9 @@ def _with_corners(
 
 
 def _relative_component(vector: FloatArray, other: FloatArray, weight: FloatArray) -> FloatArray:
-    """Component (K,) of ``vector`` along ``other`` (K, D), relative to its length.
+    """Components (K,) of vectors (K, D) along other vectors (K, D), relative to the length of the latter.
 
-    c = <some, other> / <other, other> with weights ``weight``.
+    c = <vector, other> / <other, other>, with the scalar product weighted by ``weight`` (D,).
     """
     return np.asarray(
         (vector * other * weight).sum(axis=1) / np.maximum((other**2 * weight).sum(axis=1), 1e-18)
@@ -330,10 +345,11 @@ def _relative_component(vector: FloatArray, other: FloatArray, weight: FloatArra
 
 
 def _velocities(points: _PointSequence, has_min_feed: bool) -> FloatArray:
-    """Velocities (P, D) of splines with continuous accelerations, between rests and corners.
+    """Velocities (P, D) at the points, from splines with continuous accelerations between rests and corners.
 
-    At a corner the velocity is the mean of those before and after it. For an ``has_min_feed`` feed only its
-    direction is, with a speed up to :data:`CORNER_SPEED_FRACTION`.
+    At a corner the velocity is the mean of those at the points before and after it. With a minimum feed this
+    mean is scaled up to :data:`CORNER_SPEED_FRACTION` of the slower one, at most by
+    :data:`MAX_CORNER_SPEED_FACTOR`.
     """
     q, span = points.q, points.span
     t = np.append(0.0, np.cumsum(span))
@@ -341,16 +357,19 @@ def _velocities(points: _PointSequence, has_min_feed: bool) -> FloatArray:
     corners = np.flatnonzero(points.corner)
     first, last = np.append(0, corners + 1), np.append(corners - 1, len(q) - 1)
     for a, b in zip(first, last, strict=True):
-        low = np.zeros(q.shape[1]) if a == 0 else (q[a + 1] - q[a]) / span[a]
-        high = np.zeros(q.shape[1]) if b == len(q) - 1 else (q[b] - q[b - 1]) / span[b - 1]
-        rows = slice(a, b + 1)
-        v[rows] = CubicSpline(t[rows], q[rows], axis=0, bc_type=((1, low), (1, high)))(t[rows], 1)
-        v[a], v[b] = low, high
+        start_velocity = np.zeros(q.shape[1]) if a == 0 else (q[a + 1] - q[a]) / span[a]
+        end_velocity = np.zeros(q.shape[1]) if b == len(q) - 1 else (q[b] - q[b - 1]) / span[b - 1]
+        spline_points = slice(a, b + 1)
+        v[spline_points] = CubicSpline(
+            t[spline_points], q[spline_points], axis=0, bc_type=((1, start_velocity), (1, end_velocity))
+        )(t[spline_points], 1)
+        v[a] = start_velocity
+        v[b] = end_velocity
     v[corners] = 0.5 * (v[corners - 1] + v[corners + 1])
     if has_min_feed and len(corners):
-        size = np.linalg.norm(v, axis=1)
-        target_speed = CORNER_SPEED_FRACTION * np.minimum(size[corners - 1], size[corners + 1])
-        factor = np.clip(target_speed / np.maximum(size[corners], 1e-12), 1.0, MAX_CORNER_SPEED_FACTOR)
+        speed = np.linalg.norm(v, axis=1)
+        target_speed = CORNER_SPEED_FRACTION * np.minimum(speed[corners - 1], speed[corners + 1])
+        factor = np.clip(target_speed / np.maximum(speed[corners], 1e-12), 1.0, MAX_CORNER_SPEED_FACTOR)
         v[corners] *= factor[:, None]
     return v
 
@@ -358,7 +377,7 @@ def _velocities(points: _PointSequence, has_min_feed: bool) -> FloatArray:
 def _with_feasible_times(
     arms: Sequence[TrajectoryArm], points: _PointSequence, requirements: SegmentRequirements
 ) -> tuple[_PointSequence, FloatArray]:
-    """The points with times at which joints keep their limits and tools their speeds, and the velocities."""
+    """Extend the times until joints and tools keep their limits; return points and velocities (P, D)."""
     max_velocity = np.concatenate([arm.robot.velocity for arm in arms]) * SPEED_FRACTION
     max_acceleration = np.concatenate([arm.robot.acceleration for arm in arms]) * ACCELERATION_FRACTION
     for _ in range(_MAX_TIMING_ROUNDS):
@@ -370,12 +389,13 @@ def _with_feasible_times(
         factor = np.maximum(factor, np.maximum(np.append(factor[1:], 1.0), np.append(1.0, factor[:-1])))
         # all intervals around a corner slow down together
         for corner in np.flatnonzero(points.corner).tolist():
-            rows = slice(max(corner - 2, 0), corner + 2)
-            factor[rows] = factor[rows].max()
+            around = slice(max(corner - 2, 0), corner + 2)
+            factor[around] = factor[around].max()
+        # 5 % more than needed, because the spline changes with the times, but at most double in one round
         span = points.span * np.minimum(1.0 + 1.05 * (factor - 1.0), 2.0)
         points = dataclasses.replace(points, span=span)
-    row = int(points.end[int(np.argmax(excess)) + 1])
-    raise PathNotKeptError(row, "joints cannot follow at any tried speed")
+    segment = int(points.end[int(np.argmax(excess)) + 1])
+    raise PathNotKeptError(segment, "joints cannot follow at any tried speed")
 
 
 def _time_excess(
@@ -386,19 +406,21 @@ def _time_excess(
     max_acceleration: FloatArray,
     requirements: SegmentRequirements,
 ) -> FloatArray:
-    """Factor (P - 1,) by which the times between points are too short."""
+    """Factors (P - 1,) by which the times between points are too short; at most 1 if all limits hold."""
     q, span = points.q, points.span
     T = span[:, None]
     change = np.diff(q, axis=0) / T
-    # accelerations of the cubic at its two ends
+    # accelerations of the cubic at its two ends, between which they are linear
     first = (6.0 * change - 4.0 * v[:-1] - 2.0 * v[1:]) / T
     last = (-6.0 * change + 2.0 * v[:-1] + 4.0 * v[1:]) / T
     with np.errstate(divide="ignore", invalid="ignore"):
-        at = np.clip(np.nan_to_num(first / (first - last)), 0.0, 1.0)  # time of the maximum speed in between
-    middle = v[:-1] + T * at * (first + 0.5 * at * (last - first))
-    speed = np.abs(np.stack([v[:-1], v[1:], middle])).max(axis=0) / max_velocity
-    rise = np.sqrt(np.maximum(np.abs(first), np.abs(last)) / max_acceleration)
-    out = np.maximum(speed.max(axis=1), rise.max(axis=1))
+        # fraction of the time at which the acceleration is 0, so that the speed is extreme
+        at = np.clip(np.nan_to_num(first / (first - last)), 0.0, 1.0)
+    inner_velocity = v[:-1] + T * at * (first + 0.5 * at * (last - first))
+    speed_excess = np.abs(np.stack([v[:-1], v[1:], inner_velocity])).max(axis=0) / max_velocity
+    # accelerations fall with the square of the time
+    acceleration_excess = np.sqrt(np.maximum(np.abs(first), np.abs(last)) / max_acceleration)
+    out = np.maximum(speed_excess.max(axis=1), acceleration_excess.max(axis=1))
     samples = joints_between(q, span, v, np.linspace(0.0, 1.0, _PIECES + 1))
     for arm, max_speed in zip(arms, requirements.max_speed, strict=True):
         max_speed = np.minimum(max_speed[points.end[1:]], np.inf if arm.carrier else requirements.tcp_speed)
@@ -413,7 +435,7 @@ def _time_excess(
 
 
 def _max_speeds(poses: FloatArray, span: FloatArray) -> FloatArray:
-    """Maximum speeds (P - 1,) [m/s] of poses (P - 1, S, 4, 4) at equal time steps."""
+    """Maximum speeds (P - 1,) [m/s] of tools with the poses (P - 1, S, 4, 4) at equal time steps."""
     steps = np.linalg.norm(np.diff(poses[..., :3, 3], axis=1), axis=2)
     return np.asarray(steps.max(axis=1) * steps.shape[1] / span)
 
@@ -421,7 +443,7 @@ def _max_speeds(poses: FloatArray, span: FloatArray) -> FloatArray:
 def _require_min_feed(
     arms: Sequence[TrajectoryArm], points: _PointSequence, v: FloatArray, requirements: SegmentRequirements
 ) -> None:
-    """Raise if segments with a minimum feed take too long, or the motion nearly stops where work melts."""
+    """Raise if segments with a minimum feed take too long, or if a tool that melts the work nearly stops."""
     segment_time = np.bincount(points.end[1:], points.span, len(requirements.duration))
     has_min_feed = requirements.min_progress > 0.0
     max_time = (
@@ -429,10 +451,9 @@ def _require_min_feed(
         * MIN_FEED_TIME_FACTOR
     )
     feed_fraction = np.where(has_min_feed, max_time / segment_time, np.inf)
-    row, samples = (
-        points.end[1:],
-        joints_between(points.q, points.span, v, np.linspace(0.0, 1.0, _PIECES + 1)),
-    )
+    segment = points.end[1:]
+    samples = joints_between(points.q, points.span, v, np.linspace(0.0, 1.0, _PIECES + 1))
+    # within segments the feed is checked where the planned times keep it, except next to a rest
     is_bound = has_min_feed & (requirements.duration * requirements.min_progress <= MIN_FEED_TIME_FACTOR)
     is_bound[[0, -1]] = False
     for arm, min_speed in zip(arms, requirements.min_speed, strict=True):
@@ -440,12 +461,14 @@ def _require_min_feed(
             _min_mean_speeds(arm.relative_pose(samples)[..., :3, 3], points.span) * MIN_FEED_TIME_FACTOR
         )
         speed_ratio = np.where(
-            is_bound[row] & (min_speed[row] > 0.0), speed_ratio / np.maximum(min_speed[row], 1e-9), np.inf
+            is_bound[segment] & (min_speed[segment] > 0.0),
+            speed_ratio / np.maximum(min_speed[segment], 1e-9),
+            np.inf,
         )
-        np.minimum.at(feed_fraction, row, speed_ratio)
+        np.minimum.at(feed_fraction, segment, speed_ratio)
     if feed_fraction.min() < 1.0:
-        why = "tools would fall below the minimum feed"
-        raise PathNotKeptError(int(np.argmin(feed_fraction)), why, float(feed_fraction.min()))
+        reason = "tools would fall below the minimum feed"
+        raise PathNotKeptError(int(np.argmin(feed_fraction)), reason, float(feed_fraction.min()))
     scale = np.concatenate([arm.robot.velocity for arm in arms])
     samples = samples[:, :: _PIECES // 8] / scale
     nearly_stops = _nearly_stops(samples, v / scale, points.span)
@@ -460,22 +483,25 @@ def _require_min_feed(
                 (later_marks - marks) / DIFFERENCE_STEP_S,
                 points.span,
             )
-    creeps = np.flatnonzero(nearly_stops & requirements.melts[row])
-    if len(creeps):
-        raise PathNotKeptError(int(points.end[creeps[0] + 1]), "joints would nearly stop")
+    near_stops = np.flatnonzero(nearly_stops & requirements.melts[segment])
+    if len(near_stops):
+        raise PathNotKeptError(int(points.end[near_stops[0] + 1]), "joints would nearly stop")
 
 
 def _min_mean_speeds(position: FloatArray, span: FloatArray) -> FloatArray:
     """Minimum mean speeds (P - 1,) [m/s] of positions (P - 1, S, 3) at equal time steps.
 
-    Means are over :data:`MIN_FEED_INTERVAL_S` or longer.
+    Each mean is over :data:`MIN_FEED_INTERVAL_S` or longer: over 1, 1/2, 1/4... of the time between points.
     """
-    count, out = position.shape[1] - 1, np.empty(len(span))
+    count = position.shape[1] - 1
+    out = np.empty(len(span))
     parts = 2 ** np.floor(np.log2(np.clip(span / MIN_FEED_INTERVAL_S, 1.0, count))).astype(np.int64)
     for part in np.unique(parts).tolist():
-        rows, steps = parts == part, count // part
-        distances = np.linalg.norm(position[rows, steps:] - position[rows, :-steps], axis=2).min(axis=1)
-        out[rows] = distances * part / span[rows]
+        selected, steps = parts == part, count // part
+        distances = np.linalg.norm(position[selected, steps:] - position[selected, :-steps], axis=2).min(
+            axis=1
+        )
+        out[selected] = distances * part / span[selected]
     return out
 
 
@@ -488,10 +514,10 @@ def _marks(pose: FloatArray) -> FloatArray:
 
 
 def _nearly_stops(samples: FloatArray, rate: FloatArray, span: FloatArray) -> BoolArray:
-    """Intervals (P - 1,) in which, or at whose ends, a motion nearly stops, except from and to rest.
+    """Whether a motion nearly stops in each interval or at its end, (P - 1,), except next to rest.
 
-    The motion is ``samples`` (P - 1, S, D) between the points and has the velocities ``rate`` (P, D) at the
-    points.
+    The motion has the positions ``samples`` (P - 1, S, D) at equal time steps between the points, and the
+    velocities ``rate`` (P, D) at the points.
     """
     mean = np.linalg.norm(samples[:, -1] - samples[:, 0], axis=1) / span
     min_speed = np.linalg.norm(np.diff(samples, axis=1), axis=2).min(axis=1) * (samples.shape[1] - 1) / span
@@ -502,7 +528,7 @@ def _nearly_stops(samples: FloatArray, rate: FloatArray, span: FloatArray) -> Bo
 
 
 def joints_between(q: FloatArray, span: FloatArray, v: FloatArray, fractions: FloatArray) -> FloatArray:
-    """Return the joints (P - 1, S, D) at fractions of the times between points.
+    """Return the joints (P - 1, S, D) [rad] at fractions of the times between points.
 
     Args:
         q: Joints of the points, (P, D) [rad].
@@ -511,19 +537,20 @@ def joints_between(q: FloatArray, span: FloatArray, v: FloatArray, fractions: Fl
         fractions: Fractions, (S,).
     """
     t = np.append(0.0, np.cumsum(span))
-    when = t[:-1, None] + fractions * span[:, None]
-    when[:, fractions == 1.0] = t[1:, None]
-    return np.asarray(CubicHermiteSpline(t, q, v, axis=0)(when))
+    times = t[:-1, None] + fractions * span[:, None]
+    times[:, fractions == 1.0] = t[1:, None]
+    return np.asarray(CubicHermiteSpline(t, q, v, axis=0)(times))
 
 
 def _deviating_intervals(
     arms: Sequence[TrajectoryArm], points: _PointSequence, v: FloatArray, requirements: SegmentRequirements
 ) -> BoolArray:
-    """Intervals (P - 1,) in which a tool leaves the straight segment."""
+    """Whether a tool leaves the straight segment between two points by more than the tolerances, (P - 1,)."""
     out = np.zeros(len(points.span), dtype=bool)
     samples = joints_between(points.q, points.span, v, _CHECK_FRACTIONS)
     for arm, max_rotation in zip(arms, requirements.max_rotation, strict=False):
-        ends, poses = arm.relative_pose(points.q), arm.relative_pose(samples)
+        ends = arm.relative_pose(points.q)
+        poses = arm.relative_pose(samples)
         fraction, _, _ = segment_progress(ends, poses)
         expected = interpolate_segments(ends, fraction)
         deviation = np.linalg.norm(poses[..., :3, 3] - expected[..., :3, 3], axis=2)
@@ -535,57 +562,61 @@ def _deviating_intervals(
 
 
 def _uneven_intervals(arms: Sequence[TrajectoryArm], points: _PointSequence, v: FloatArray) -> BoolArray:
-    """Intervals (P - 1,) in which a tool moves backwards, or much faster than its mean nearby.
+    """Whether a tool moves backwards between two points, or much faster than its mean nearby, (P - 1,).
 
-    The limit is :data:`MAX_SPEED_RATIO`.
+    The limit of the speed is :data:`MAX_SPEED_RATIO`.
     """
     out = np.zeros(len(points.span), dtype=np.bool_)
     samples = joints_between(points.q, points.span, v, np.linspace(0.0, 1.0, _PIECES + 1))
     for arm in arms:
         position = arm.relative_pose(samples)[..., :3, 3]
-        whole = position[:, -1] - position[:, 0]
-        length = np.linalg.norm(whole, axis=1)
+        chord = position[:, -1] - position[:, 0]
+        length = np.linalg.norm(chord, axis=1)
         mean = np.pad(length / points.span, 1)
         steps = np.diff(position, axis=1)
-        along = (steps * whole[:, None]).sum(axis=2) / np.maximum(length, 1e-9)[:, None]
-        fast = np.linalg.norm(steps, axis=2).max(axis=1) * _PIECES / points.span
+        progress_steps = (steps * chord[:, None]).sum(axis=2) / np.maximum(length, 1e-9)[:, None]
+        max_speed = np.linalg.norm(steps, axis=2).max(axis=1) * _PIECES / points.span
         nearby_mean = np.maximum(mean[1:-1], np.maximum(mean[:-2], mean[2:]))
         out |= (length > MIN_MOVING_DISTANCE_M) & (
-            (fast > MAX_SPEED_RATIO * nearby_mean) | (along.min(axis=1) < -0.2 * MAX_DEVIATION_M)
+            (max_speed > MAX_SPEED_RATIO * nearby_mean)
+            | (progress_steps.min(axis=1) < -0.2 * MAX_DEVIATION_M)
         )
     return out
 
 
 def _insert_midpoints(
-    arms: Sequence[TrajectoryArm], points: _PointSequence, v: FloatArray, rows: IntArray
+    arms: Sequence[TrajectoryArm], points: _PointSequence, v: FloatArray, intervals: IntArray
 ) -> _PointSequence:
-    """The points with one inserted in the middle of each of the intervals ``rows``, on the straight segment.
+    """Insert a point in the middle of each of the ``intervals``, on the straight segments of all tools.
 
-    The segment is straight for all arms at once. Between a corner and its adjacent point no point fits.
+    All arms have the same progress there: their mean, weighted by how far they move. Next to a corner no
+    point can be inserted.
     """
     q, span, end = points.q, points.span, points.end
-    next_to_corner = points.corner[rows] | points.corner[rows + 1]
+    next_to_corner = points.corner[intervals] | points.corner[intervals + 1]
     if next_to_corner.any():
         raise PathNotKeptError(
-            int(end[rows[next_to_corner][0] + 1]), "a corner there leaves the path at this speed"
+            int(end[intervals[next_to_corner][0] + 1]), "a corner there leaves the path at this speed"
         )
     middle = joints_between(q, span, v, np.array([0.5]))
-    shares, weights = [], []
+    fractions, weights = [], []
     for arm in arms:
         fraction, length, angle = segment_progress(arm.relative_pose(q), arm.relative_pose(middle))
-        shares.append(fraction[rows, 0])
-        weights.append(length[rows] + 0.3 * angle[rows] + 1e-9)
+        fractions.append(fraction[intervals, 0])
+        weights.append(length[intervals] + 0.3 * angle[intervals] + 1e-9)  # rotation counts as at 0.3 m
     # a cubic that overshoots the end of its segment would put the point on that end
-    fraction = np.clip(np.average(shares, axis=0, weights=weights), MIN_END_FRACTION, 1.0 - MIN_END_FRACTION)
-    inserted = middle[rows, 0]
+    fraction = np.clip(
+        np.average(fractions, axis=0, weights=weights), MIN_END_FRACTION, 1.0 - MIN_END_FRACTION
+    )
+    inserted = middle[intervals, 0]
     for arm in carriers_first(arms):
-        poses = interpolate_segments(arm.relative_pose(q), spread_fractions(fraction, rows, len(span)))
-        inserted[:, arm.columns] = arm.solve_joints(poses[rows, 0], inserted, end[rows + 1])
+        poses = interpolate_segments(arm.relative_pose(q), spread_fractions(fraction, intervals, len(span)))
+        inserted[:, arm.columns] = arm.solve_joints(poses[intervals, 0], inserted, end[intervals + 1])
     halved = span.copy()
-    halved[rows] *= 0.5
+    halved[intervals] *= 0.5
     return _PointSequence(
-        np.insert(q, rows + 1, inserted, axis=0),
-        np.insert(halved, rows + 1, halved[rows]),
-        np.insert(end, rows + 1, end[rows + 1]),
-        np.insert(points.corner, rows + 1, False),
+        np.insert(q, intervals + 1, inserted, axis=0),
+        np.insert(halved, intervals + 1, halved[intervals]),
+        np.insert(end, intervals + 1, end[intervals + 1]),
+        np.insert(points.corner, intervals + 1, False),
     )

@@ -1,8 +1,8 @@
-"""The trajectory file of a job: one ROS 2 controller moves all joints of all arms, goal by goal.
+"""Writes the trajectory file of a job: one ROS 2 controller moves all joints of all arms, goal by goal.
 
-The parallel tasks of a job become one sequence: an action of the arm that leads, a rest-to-rest move, a goal
-of work. Before each goal the runner checks the joints. Each step that may fail names the outputs that are
-on, which the runner then switches off.
+The parallel tasks of a job become one sequence of actions, rest-to-rest moves and goals of work. Before each
+goal the runner checks the joints. Each step that may fail names the outputs that are on, which the runner
+then switches off.
 """
 
 import dataclasses
@@ -35,11 +35,11 @@ from planner.targets import TargetAction, Targets
 from planner.tooling import Tool
 
 JOINT_TOLERANCE_RAD: Final = 1e-6
-"""Joint tolerance [rad] below which two postures are the same."""
+"""Maximum joint difference [rad] of two postures that count as the same."""
 CHECK_TOLERANCE_FACTOR: Final = 2.0
 """Tolerance of the check before a move, relative to the goal tolerance."""
 ParallelSteps = tuple[bool, Mapping[str, list[layout.TaskStep]]]
-"""Steps between two meetings: whether arms move at once, and the steps by arm."""
+"""Steps between two meetings: whether the arms move synchronised, and the steps by arm."""
 
 
 def joint_names(arm: Arm, controller: Controller) -> tuple[str, ...]:
@@ -70,21 +70,30 @@ def write(
         margins: Not used: the file has no comments.
 
     Raises:
-        TandemError: ``post.*``.
+        TandemError: The file cannot be written (``post.*``).
     """
     del tasks, margins  # one controller moves all arms, and the file has no comments
-    main = _TrajectoryWriter(job, plan, problem)
+    writer = _TrajectoryWriter(job, plan, problem)
     path = f"{rows.stem(problem.name)}.trajectory.jsonl"
-    text = rows.seal_rows(main.lines())
-    layout.require_one_file(path, text, problem.cell.controller, main.points, "points")
+    text = rows.seal_rows(writer.lines())
+    layout.require_one_file(path, text, problem.cell.controller, writer.points, "points")
     planned = [operation.time for operation in plan.operations]
     return WrittenPrograms(
-        {path: text}, {k: splice_clocks(planned[k], runs) for k, runs in main.runs.items()}
+        {path: text}, {k: splice_clocks(planned[k], runs) for k, runs in writer.runs.items()}
     )
 
 
 class _TrajectoryWriter:
-    """Writes the rows of a job."""
+    """Writes the rows of a job.
+
+    Attributes:
+        columns: Columns of each arm's joints among those of all arms.
+        posture: Joints of all arms after the last point, (D,) [rad].
+        outputs_on: Outputs that are on; each step that may fail names them.
+        tools: Tool that each arm carries, as the rows so far state.
+        pending_operation: Row of an operation and its programs by arm, until its first move.
+        runs: Runs of each operation that are written as curves, see `splice_clocks`.
+    """
 
     def __init__(self, job: layout.JobPrograms, plan: Plan, problem: Problem) -> None:
         self.job, self.plan, self.problem = job, plan, problem
@@ -99,14 +108,12 @@ class _TrajectoryWriter:
         self.outputs_on: list[str] = []
         self.tools: dict[str, Tool] = {}
         self.pending_operation: tuple[str, Mapping[str, layout.OperationProgram]] | None = None
-        """Row and programs of the operation until the first move."""
         self.rows_out: list[str] = []
         self.points = 0
         self.runs: dict[int, list[tuple[IntArray, FloatArray]]] = {}
-        """Targets of the curves of each operation, and path positions with times."""
 
     def lines(self) -> list[str]:
-        """Return all rows but the last one."""
+        """Return the rows of the file without the end row, which `rows.seal_rows` appends."""
         head = {
             "tandem_trajectory": rows.VERSION,
             "written_by": f"Tandem {__version__}",
@@ -125,6 +132,7 @@ class _TrajectoryWriter:
         return self.rows_out
 
     def _arm(self, task: layout.TaskProgram) -> None:
+        """Append the row of an arm."""
         values = {
             "arm": rows.require_name(task.arm.name),
             "robot": rows.require_name(task.arm.robot),
@@ -136,6 +144,7 @@ class _TrajectoryWriter:
     # ---- operations ----
 
     def _operation(self, programs: Mapping[str, layout.OperationProgram]) -> None:
+        """Append the rows of an operation, whose programs are given by arm."""
         first = programs[self.arms[0]]
         stock = self.problem.setups[first.setup - 1].stock
         holder = stock.held_by
@@ -145,7 +154,8 @@ class _TrajectoryWriter:
             "held_by": rows.require_name(holder) if holder else "",
             "block": rows.pose(stock.grip if holder else self.plan.stock_poses[first.setup - 1]),
         }
-        self.pending_operation = row(head), programs  # written after the setup in which tools are mounted
+        # its row is written before the first move: after the setup in which tools are mounted
+        self.pending_operation = row(head), programs
         for together, steps in _parallel_steps(programs):
             if together:
                 self._synchronised(steps, programs)
@@ -154,6 +164,7 @@ class _TrajectoryWriter:
                     self._solo(arm, arm_steps, programs[arm])
 
     def _tool(self, arm: str, program: layout.OperationProgram) -> None:
+        """Append the row of an arm's tool, unless it carries this tool already."""
         tool = program.arm.tool
         if self.tools.get(arm) is tool:
             return
@@ -169,8 +180,9 @@ class _TrajectoryWriter:
         self.rows_out.append(row(values))
 
     def _solo(self, arm: str, steps: Sequence[layout.TaskStep], program: layout.OperationProgram) -> None:
-        for kind, group in itertools.groupby(steps, key=lambda step: isinstance(step, layout.SegmentRun)):
-            if kind:
+        """Append the steps of one arm; consecutive segments become one goal."""
+        for is_work, group in itertools.groupby(steps, key=lambda step: isinstance(step, layout.SegmentRun)):
+            if is_work:
                 runs = [step for step in group if isinstance(step, layout.SegmentRun)]
                 self._work((arm,), {arm: program}, runs)
                 continue
@@ -186,6 +198,7 @@ class _TrajectoryWriter:
     def _synchronised(
         self, steps: Mapping[str, Sequence[layout.TaskStep]], programs: Mapping[str, layout.OperationProgram]
     ) -> None:
+        """Append the synchronised moves of several arms: goals of work, then rest-to-rest moves."""
         moving = {arm: arm_steps for arm, arm_steps in steps.items() if arm_steps}
         runs = {
             arm: [step for step in arm_steps if isinstance(step, layout.SegmentRun)]
@@ -197,15 +210,15 @@ class _TrajectoryWriter:
         }
         if any(runs.values()):
             self._work(tuple(moving), programs, next(iter(runs.values())))
-        for stations in zip(*joint_moves.values(), strict=True):
+        for simultaneous_moves in zip(*joint_moves.values(), strict=True):
             self._rest_to_rest(
-                {arm: step.q for arm, step in zip(joint_moves, stations, strict=True)}, programs
+                {arm: move.q for arm, move in zip(joint_moves, simultaneous_moves, strict=True)}, programs
             )
 
     def _driven(
         self, arms: Sequence[str], programs: Mapping[str, layout.OperationProgram]
     ) -> dict[str, TrajectoryArm]:
-        """The arms that move, with consecutive joint columns."""
+        """The arms that move, by name; their joint columns are consecutive in the given order."""
         out: dict[str, TrajectoryArm] = {}
         first = 0
         for arm in arms:
@@ -213,11 +226,11 @@ class _TrajectoryWriter:
             columns = slice(first, first + task.robot.axes)
             out[arm] = TrajectoryArm(task.robot, task.base, programs[arm].arm.tool.tcp, columns)
             first = columns.stop
-        for arm, driven in out.items():
+        for arm, trajectory_arm in out.items():
             track = programs[arm].moves
             holder = "" if track is None else track.frame.removeprefix("held:")
             if track is not None and holder != track.frame and holder in out:
-                out[arm] = dataclasses.replace(driven, carrier=out[holder])
+                out[arm] = dataclasses.replace(trajectory_arm, carrier=out[holder])
         return out
 
     # ---- moves ----
@@ -225,17 +238,20 @@ class _TrajectoryWriter:
     def _rest_to_rest(
         self, ends: Mapping[str, FloatArray], programs: Mapping[str, layout.OperationProgram]
     ) -> None:
+        """Append a move to the joints ``ends`` by arm, unless the arms are there already."""
         arms = [arm for arm in self.arms if arm in ends]
         goal = self.posture.copy()
         for arm in arms:
             goal[self.columns[arm]] = np.round(ends[arm], JOINT_DECIMALS)
         if np.abs(goal - self.posture).max() < JOINT_TOLERANCE_RAD:
             return
-        driven, limits = self._driven(arms, programs), self.problem.settings
+        driven = self._driven(arms, programs)
+        limits = self.problem.settings
         start, end = (np.concatenate([q[self.columns[arm]] for arm in arms]) for q in (self.posture, goal))
         fractions = (limits.speed_fraction, limits.acceleration_fraction)
         duration = rest_to_rest_time(driven, start, end, fractions, limits.tcp_speed)
         start_time = self._move(arms)
+        # one more unit of the last decimal, so that rounding does not shorten the duration
         self._point(start_time + duration + 10.0**-TIME_DECIMALS, goal, np.zeros(self.width))
 
     def _work(
@@ -244,6 +260,7 @@ class _TrajectoryWriter:
         programs: Mapping[str, layout.OperationProgram],
         runs: Sequence[layout.SegmentRun],
     ) -> None:
+        """Append a goal of work: the curve through the targets of consecutive segments (``runs``)."""
         first, last = runs[0].first, runs[-1].last
         tracks = {arm: programs[arm].moves for arm in arms}
         lead = programs[arms[0]]
@@ -252,38 +269,48 @@ class _TrajectoryWriter:
         joints = [track.q[rows_of_run] for track in tracks.values() if track is not None]
         q = np.concatenate([start[None], np.concatenate(joints, axis=1)])
         driven = list(self._driven(arms, programs).values())
-        targets, speed = self.plan.operations[runs[0].operation].targets, self.problem.settings.tcp_speed
+        targets = self.plan.operations[runs[0].operation].targets
+        tcp_speed = self.problem.settings.tcp_speed
         moving = {arm: programs[arm] for arm in arms}
         try:
             trajectory = fit_curve(
-                driven, q, lead.stop[rows_of_run], segment_requirements(targets, moving, rows_of_run, speed)
+                driven,
+                q,
+                lead.stop[rows_of_run],
+                segment_requirements(targets, moving, rows_of_run, tcp_speed),
             )
-        except PathNotKeptError as lost:
+        except PathNotKeptError as error:
             message = format_message(
                 "post.trajectory",
                 operation=lead.name,
-                target_number=first + lost.row + 1,
-                segment=lead.segments[first + lost.row],
-                reason=lost.reason,
+                target_number=first + error.row + 1,
+                segment=lead.segments[first + error.row],
+                reason=error.reason,
             )
-            hint = _remedy(targets, int(lead.targets[first + lost.row]), lost.feed_fraction)
+            hint = _remedy(targets, int(lead.targets[first + error.row]), error.feed_fraction)
             raise issue_error("post.trajectory", message, arm=arms[0], hint=hint) from None
         self.runs.setdefault(runs[0].operation, []).append(
             (lead.targets[rows_of_run], passing_times(driven[0], q, trajectory))
         )
         start_time = self._move(arms)
-        labels = [layout.segment_mark(lead.segments[first + row]) for row in trajectory.end[1:].tolist()]
+        labels = [layout.segment_mark(lead.segments[first + index]) for index in trajectory.end[1:].tolist()]
         self._points(trajectory, start_time, arms, labels)
 
     def _points(
         self, trajectory: TrajectoryPoints, start_time: float, arms: Sequence[str], labels: Sequence[str]
     ) -> None:
+        """Append the points of a curve after its first one, and a row where a segment starts.
+
+        The curve starts at ``start_time`` [s] in the goal. ``labels`` are the segments of the points.
+        """
         current_segment = ""
         for k, segment in enumerate(labels, 1):
             if segment != current_segment:
                 self.rows_out.append(row({"segment": segment}))
                 current_segment = segment
-            q, v, first = self.posture.copy(), np.zeros(self.width), 0
+            q = self.posture.copy()
+            v = np.zeros(self.width)
+            first = 0
             for arm in arms:
                 columns = self.columns[arm]
                 width = columns.stop - columns.start
@@ -316,7 +343,7 @@ class _TrajectoryWriter:
         return float(np.round(start_time, TIME_DECIMALS))
 
     def _all_arms(self) -> list[TrajectoryArm]:
-        """All arms with what they carry: arms that stand still may deviate as well."""
+        """All arms with their tools: at the start of a goal, arms that do not move may deviate as well."""
         tasks = ((self.tasks[arm], self.columns[arm]) for arm in self.arms)
         return [
             TrajectoryArm(task.robot, task.base, self.tools.get(task.arm.name, task.arm.tool).tcp, columns)
@@ -343,16 +370,16 @@ class _TrajectoryWriter:
     # ---- messages and signals ----
 
     def _carry(self, arm: str, load: layout.HeldLoad | None) -> None:
-        """Append what the tool holds from here on, in its TCP frame; the mass is 0 for nothing."""
-        mass, centre, turn, inertia = 0.0, np.zeros(3), np.zeros(3), np.zeros(3)
+        """Append the load that an arm's tool holds from here on, in its TCP frame; None is a mass of 0."""
+        mass, centre, rotation_vector, inertia = 0.0, np.zeros(3), np.zeros(3), np.zeros(3)
         if load is not None:
             mass, centre, inertia = load.mass, load.cog, load.inertia
-            turn = log_rotation(load.axes[None])[0]
+            rotation_vector = log_rotation(load.axes[None])[0]
         values = {
             "carry": arm,
             "mass": rows.real(mass, 3),
             "centre": rows.numbers(centre, 6),
-            "axes": rows.numbers(turn, JOINT_DECIMALS),
+            "axes": rows.numbers(rotation_vector, JOINT_DECIMALS),
             "inertia": rows.numbers(inertia, 6),
             "on_failure": list(self.outputs_on),
         }
@@ -366,6 +393,7 @@ class _TrajectoryWriter:
         self.rows_out.append(row({"set": rows.require_name(signal), "to": int(on)}))
 
     def _action(self, action: TargetAction, arm: str) -> None:
+        """Append the row of an action of the process."""
         match action.kind:
             case "message":
                 self.rows_out.append(row({"tell": rows.ascii_text(action.text)}))
@@ -382,7 +410,10 @@ class _TrajectoryWriter:
 
 
 def _remedy(targets: Targets, row: int, feed_fraction: float) -> str:
-    """Remedy if no points keep the path to target ``row``, or only ``feed_fraction`` of its minimum feed."""
+    """Hint for a path to target ``row`` that no points keep.
+
+    ``feed_fraction`` is the fraction of its minimum feed that is possible, 1 if the feed is not the reason.
+    """
     if targets.may_stop or not targets.segment[row].works:
         return "stop the motion at sharp corners, or reduce the speed there"
     remedies = "lower the feed there (feed_mm_s), allow more (shape_tol_mm), or round the corner of the part"
@@ -401,18 +432,18 @@ def torch_issue(arm: str) -> Issue:
 
 
 def _parallel_steps(programs: Mapping[str, layout.OperationProgram]) -> list[ParallelSteps]:
-    """Steps of an operation between meetings, for all arms."""
-    parts: list[list[tuple[bool, list[layout.TaskStep]]]] = []
+    """Split the steps of an operation at the meetings, which all arms have in common."""
+    groups_by_arm: list[list[tuple[bool, list[layout.TaskStep]]]] = []
     for program in programs.values():
-        inside, groups = False, [(False, list[layout.TaskStep]())]
+        groups: list[tuple[bool, list[layout.TaskStep]]] = [(False, [])]
         for step in program.steps:
             if isinstance(step, layout.SyncOn | layout.SyncOff | layout.Meeting):
-                inside = isinstance(step, layout.SyncOn)
-                groups.append((inside, []))
+                synchronised = isinstance(step, layout.SyncOn)
+                groups.append((synchronised, []))
             else:
                 groups[-1][1].append(step)
-        parts.append(groups)
+        groups_by_arm.append(groups)
     return [
-        (pieces[0][0], {arm: steps for arm, (_, steps) in zip(programs, pieces, strict=True)})
-        for pieces in zip(*parts, strict=True)
+        (groups[0][0], {arm: steps for arm, (_, steps) in zip(programs, groups, strict=True)})
+        for groups in zip(*groups_by_arm, strict=True)
     ]

@@ -23,17 +23,17 @@ JOINT_DECIMALS: Final = 9
 METRE_DECIMALS: Final = 7
 """Decimals of positions in m."""
 NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_/.-]{0,99}", re.ASCII)
-"""Pattern of names in a row."""
+"""Pattern of names that a row may contain."""
 
 
 def row(values: Mapping[str, object]) -> str:
-    """Return a row of keys and values; :class:`JsonText` values are JSON already."""
+    """Format a row as a JSON object, with keys in this order; :class:`JsonText` values are JSON already."""
     parts = (f"{json.dumps(key)}:{_value(value)}" for key, value in values.items())
     return f"{{{','.join(parts)}}}"
 
 
 class JsonText(str):
-    """A value that is already formatted."""
+    """A value that is already formatted as JSON."""
 
 
 def _value(value: object) -> str:
@@ -49,7 +49,7 @@ def require_name(value: str) -> str:
     """Return a valid name unchanged.
 
     Raises:
-        TandemError: The text is no valid name (``post.name``).
+        TandemError: The text is not a valid name (``post.name``).
     """
     if NAME.fullmatch(value) is None:
         message = f"{value!r} is no valid name in a trajectory file"
@@ -62,7 +62,7 @@ def stem(problem: str) -> str:
     """Return the file name without suffix for a problem's name.
 
     Raises:
-        TandemError: The result is no valid name (``post.name``).
+        TandemError: The result is not a valid name (``post.name``).
     """
     return require_name(re.sub(r"[^a-z0-9]+", "_", to_ascii(problem).lower()).strip("_")[:60].strip("_"))
 
@@ -74,7 +74,7 @@ def numbers(values: Iterable[float], decimals: int) -> JsonText:
         values: The numbers.
         decimals: Number of decimals.
     """
-    return JsonText(f"[{','.join(format_fixed(float(v), decimals) for v in values)}]")
+    return JsonText(f"[{','.join(format_fixed(float(value), decimals) for value in values)}]")
 
 
 def real(value: float, decimals: int) -> JsonText:
@@ -88,16 +88,17 @@ def real(value: float, decimals: int) -> JsonText:
 
 
 def pose(matrix: FloatArray) -> JsonText:
-    """Format a pose (4, 4) [m]."""
-    position = [format_fixed(float(v), METRE_DECIMALS) for v in matrix[:3, 3]]
-    turn = [format_fixed(float(v), JOINT_DECIMALS) for v in log_rotation(matrix[None, :3, :3])[0]]
-    return JsonText(f"[{','.join([*position, *turn])}]")
+    """Format a pose (4, 4) [m] as position [m] and rotation vector [rad]."""
+    rotation_vector = log_rotation(matrix[None, :3, :3])[0]
+    position_texts = [format_fixed(float(value), METRE_DECIMALS) for value in matrix[:3, 3]]
+    rotation_texts = [format_fixed(float(value), JOINT_DECIMALS) for value in rotation_vector]
+    return JsonText(f"[{','.join([*position_texts, *rotation_texts])}]")
 
 
 def seal_rows(lines: Sequence[str]) -> str:
-    """Return the file of these rows with the last row, which has their number and SHA-256.
+    """Return the text of a file with these rows and the end row, by which a reader detects changes.
 
-    The hash covers the rows before it, each with a line feed.
+    The end row states the number of all rows, and the SHA-256 of the rows before it, each with a line feed.
     """
     digest = hashlib.sha256("".join(f"{line}\n" for line in lines).encode("ascii")).hexdigest()
     rows = [*lines, row({"end": len(lines) + 1, "sha256": digest})]

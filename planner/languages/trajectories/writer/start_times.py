@@ -18,16 +18,16 @@ from planner.languages.trajectories.writer.curves import MIN_INTERVAL_S
 from planner.languages.trajectories.writer.straight_segments import TrajectoryArm
 
 TIME_RESERVE_FACTOR: Final = 1.05
-"""Ratio of the time of a start to its minimum. Chosen: 5 % reserve."""
+"""Ratio of the time until the first point of a move to its minimum. Chosen: 5 % reserve."""
 
 
 def settling_time(
     arms: Iterable[TrajectoryArm], posture: FloatArray, tolerance: float, tcp_speed: float
 ) -> float:
-    """Return the time [s] in which all joints that deviate from a posture at rest reach it on cubics.
+    """Return the time [s] in which joints that deviate from a posture reach it, from rest to rest.
 
-    Joints keep their speeds and accelerations (a cubic over a step d in time T has the speed 1.5 d / T and
-    the acceleration 6 d / T^2), tools their speed.
+    Joints keep their maximum speeds and accelerations, and tools their maximum speed. A cubic from rest to
+    rest over a distance d in time T has the maximum speed 1.5 d / T and acceleration 6 d / T^2.
 
     Args:
         arms: The arms.
@@ -35,17 +35,21 @@ def settling_time(
         tolerance: Maximum deviation of the joints [rad].
         tcp_speed: Maximum speed of tools [m/s].
     """
-    out = MIN_INTERVAL_S
+    time = MIN_INTERVAL_S
     for arm in arms:
         robot = arm.robot
-        out = max(out, float((1.5 * tolerance / robot.velocity).max()))
-        out = max(out, float(np.sqrt(6.0 * tolerance / robot.acceleration).max()))
-        out = max(out, 1.5 * _max_tool_shift(robot, posture[arm.columns], arm.tcp, tolerance) / tcp_speed)
-    return TIME_RESERVE_FACTOR * out
+        time = max(time, float((1.5 * tolerance / robot.velocity).max()))
+        time = max(time, float(np.sqrt(6.0 * tolerance / robot.acceleration).max()))
+        time = max(time, 1.5 * _max_tool_shift(robot, posture[arm.columns], arm.tcp, tolerance) / tcp_speed)
+    return TIME_RESERVE_FACTOR * time
 
 
 def _max_tool_shift(robot: RobotData, q: FloatArray, tcp: FloatArray, tolerance: float) -> float:
-    """Maximum distance [m] of a tool while all joints rotate by ``tolerance`` [rad] to ``q`` (J,)."""
+    """Maximum path length [m] of the TCP while all joints rotate by ``tolerance`` [rad] to ``q`` (J,).
+
+    To first order, it is the sum of the speeds of the TCP per joint speed, times the tolerance. On the way
+    each of these speeds changes by at most max_lever * J * tolerance.
+    """
     slopes = jacobian(robot, q)
     lever = forward_kinematics(robot, q)[:3, :3] @ tcp[:3, 3]
     first_order = np.linalg.norm(slopes[3:].T + np.cross(slopes[:3].T, lever), axis=1).sum()
@@ -60,23 +64,23 @@ def rest_to_rest_time(
     fractions: tuple[float, float],
     tcp_speed: float,
 ) -> float:
-    """Return the time [s] of a rest-to-rest move, straight in joint space.
+    """Return the time [s] of a rest-to-rest move, straight in joint space on a cubic.
 
     Args:
         arms: The arms that move, by name.
         start: Joints at the start, (D,) [rad].
         end: Joints at the end, (D,) [rad].
-        fractions: Allowed fractions of the joints' speeds and accelerations.
+        fractions: Allowed fractions of the joints' maximum speeds and maximum accelerations.
         tcp_speed: Maximum speed of tools [m/s].
     """
     change = np.abs(end - start)
-    out = MIN_INTERVAL_S
-    x = np.linspace(0.0, 1.0, 401)
-    q = start + (x * x * (3.0 - 2.0 * x))[:, None] * (end - start)
+    time = MIN_INTERVAL_S
+    s = np.linspace(0.0, 1.0, 401)
+    q = start + (s * s * (3.0 - 2.0 * s))[:, None] * (end - start)
     for arm in arms.values():
         arm_change = change[arm.columns]
-        out = max(out, float((1.5 * arm_change / (fractions[0] * arm.robot.velocity)).max()))
-        out = max(out, float(np.sqrt(6.0 * arm_change / (fractions[1] * arm.robot.acceleration)).max()))
-        steps = np.linalg.norm(np.diff(arm.tcp_pose(q)[:, :3, 3], axis=0), axis=1).max()
-        out = max(out, float(steps * (len(x) - 1) / (0.99 * tcp_speed)))
-    return out
+        time = max(time, float((1.5 * arm_change / (fractions[0] * arm.robot.velocity)).max()))
+        time = max(time, float(np.sqrt(6.0 * arm_change / (fractions[1] * arm.robot.acceleration)).max()))
+        max_step = np.linalg.norm(np.diff(arm.tcp_pose(q)[:, :3, 3], axis=0), axis=1).max()
+        time = max(time, float(max_step * (len(s) - 1) / (0.99 * tcp_speed)))
+    return time

@@ -1,15 +1,15 @@
-"""The straight path of a URScript program: settings are put into moves, names are replaced by values.
+"""Follows a URScript program statement by statement: settings are put into moves, names become values.
 
 There is one path, because the only branches end the program. The first statements check whether the
 controller moves the planned arm. A straight move takes its time t in any case. Its blend radius r bounds
 how far from its target the path may leave the straight lines; 0 is an exact stop.
 
-A program that meets another controller's has three functions and a thread, which end it in a defined way:
-its own running wire and all that it has switched on go off before. All of them read that wire back, which
-stays low after a pause. Questions are between its fall and its rise; nothing else switches it.
+A program that meets the one of another controller has three functions and a thread that end it in a defined
+way: they first switch off its own running wire and all that it has switched on. All of them read that wire
+back, which stays low after a pause. Questions are between its fall and its rise; nothing else switches it.
 
-A torch with a thread burns from its output's rise on, at rest. After the wait for its input and a pause the
-thread starts. Only straight moves are between that and its end, with which the output falls.
+A torch with a thread burns from its output's rise on, while the arm is at rest. After the wait for its input
+and a pause, the thread starts. Only straight moves follow until the thread ends and the output falls.
 """
 
 import math
@@ -32,15 +32,16 @@ MAIN_PROCEDURE: Final = "main"
 """Name of the program in steps outside of its segments. Its own name is the problem's."""
 ARM_CHECK_KIND: Final = "get_forward_kin"
 """Kind of the step that checks whether the controller moves the planned arm.
-Its values are joints, the point of the flange and its position as poses, and the allowed distance.
+
+Its 19 values are six joints [rad], the checked point of the flange and its expected position as poses of six
+numbers, and the allowed distance [m].
 """
 SETTLING_TIME_S: Final = 0.1
-"""Time [s] for which a program waits after the rise of its running wire, so that it reads it back
-correctly.
-"""
+"""Time [s] that a program waits after the rise of its running wire, so that it reads back the new level."""
 _EXACT_STOP: Final = steps.Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""Corner of a move that ends at rest."""
 _NO_AXES: Final = np.zeros(6)
-"""Values of external axes, which do not exist."""
+"""Values of the external axes, which URScript programs do not move."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +52,8 @@ class ControllerWires:
         outputs: Outputs by number.
         inputs: Inputs by number.
         other: Arm of the other controller, empty for none.
-        line: Output to the other controller.
-        running: Running wire.
+        line: Output whose line the other controller reads.
+        running: Output of this program's running wire.
     """
 
     outputs: Mapping[int, str]
@@ -72,7 +73,7 @@ def flow_steps(
         base: The controller's base (4, 4) in the world.
         wires: Names of the controller's signals.
         arm: Name of the arm.
-        model: Name of the robot.
+        model: Name of the robot model.
         velocity: Maximum speeds (6,) [rad/s] of its axes.
 
     Raises:
@@ -111,32 +112,47 @@ class _ScriptMotion:
 
 
 class _FlowReader:
+    """Follows one program.
+
+    Attributes:
+        awaits_question: Whether the last popup is a text before a question, which must follow.
+        load_line: Line of the last set_payload; with the tool's name it identifies a tool.
+        meets: Whether the program meets the one of another controller.
+        question_wire: Statement at which the running wire fell for a question that is still open, else None.
+        question_asked: Whether that question has been asked.
+        watched: Whether the thread runs that watches the other program.
+        stays_low_checked: Whether the program has checked that its running wire does not stay high.
+        wire_rose: Whether the running wire has just risen, so that a pause must follow.
+        must_watch: Whether the thread or a wait must follow before any other pause.
+        waited: Time [s] of pauses since the last popup or check while the running wire is low.
+    """
+
     def __init__(
         self,
         program: syntax_tree.ScriptProgram,
         base: FloatArray,
         wires: ControllerWires,
-        other: str,
+        expected_check_text: str,
         velocity: FloatArray,
     ) -> None:
         self.program, self.base, self.wires = program, base, wires
-        self.other, self.velocity = other, velocity
+        self.expected_check_text, self.velocity = expected_check_text, velocity
         self.steps: list[steps.ProgramStep] = []
         self.procedure = MAIN_PROCEDURE
         self.tool_name = ""
         self.load: steps.LoadData | None = None
         self.tools: dict[tuple[str, int], steps.Tool] = {}
-        self.works: dict[str, steps.WorkObject] = {}
+        self.work_objects: dict[str, steps.WorkObject] = {}
         self.arm_checked = self.moved = self.awaits_question = False
         self.load_line = 0
         self.meets = bool(program.endings)
         self.question_wire: syntax_tree.SetOutput | None = None
-        """Where the running wire has fallen for a question that is still open."""
-        self.question_asked = self.watched = self.stays_low = self.wire_rose = self.must_watch = False
+        self.question_asked = self.watched = self.stays_low_checked = self.wire_rose = self.must_watch = False
         self.waited = 0.0
         self.torches = TorchChecks(program, self._fail, self._output, self._input)
 
     def run(self) -> tuple[steps.ProgramStep, ...]:
+        """Return the steps of the program; raise a FlowError at the first statement that is not allowed."""
         if self.meets:
             self._check_functions()
         self.torches.check_functions()
@@ -157,8 +173,8 @@ class _FlowReader:
             self._fail(self.program.body[-1], "the last informational popup is not followed by a question")
         self.torches.end(self.program.body[-1])
         if self.question_wire is not None or self.wire_rose:
-            last = self.question_wire or self.program.body[-1]
-            self._fail(last, "the running wire falls for a question, and does not rise and settle after it")
+            at = self.question_wire or self.program.body[-1]
+            self._fail(at, "the running wire falls for a question, and does not rise and settle after it")
         return tuple(self.steps)
 
     def _fail(self, statement: syntax_tree.Statement, message: str) -> NoReturn:
@@ -167,21 +183,22 @@ class _FlowReader:
         )
 
     def _location(self, statement: syntax_tree.Statement) -> tuple[str, str, int, str]:
+        """The first four fields of a step: module, procedure, line and condition."""
         return self.program.file.rpartition("/")[2], self.procedure, statement.line, ""
 
     def _statement(self, statement: syntax_tree.Statement) -> None:
+        """Append the step of a statement, or store its setting for later moves."""
         where = self._location(statement)
         match statement:
             case syntax_tree.SetTcp(name=name):
-                self.tool_name, self.load = name, None
+                self.tool_name = name
+                self.load = None
             case syntax_tree.SetPayload(mass=mass, centre=centre):
                 if not self.tool_name:
                     self._fail(statement, "a payload is set before any tool")
                 axes = np.array([1.0, 0.0, 0.0, 0.0])
-                self.load, self.load_line = (
-                    steps.LoadData(mass, np.array(centre), axes, np.zeros(3)),
-                    statement.line,
-                )
+                self.load = steps.LoadData(mass, np.array(centre), axes, np.zeros(3))
+                self.load_line = statement.line
             case syntax_tree.SetOutput(number=number, value=on):
                 if on and not self.arm_checked:
                     self._fail(statement, "an output is switched on before the program has checked the arm")
@@ -196,17 +213,17 @@ class _FlowReader:
                     self._fail(statement, "a popup holds the program while its running wire is high")
                 self.question_asked |= asks
                 panel: Literal["line", ""] = "" if asks else "line"
-                falls = self.meets and asks
-                step = steps.MessageStep(
-                    *where, "popup", (text,), asks, text, asks, panel, counts_as_stopped=falls
+                message = steps.MessageStep(
+                    *where, "popup", (text,), asks, text, asks, panel, counts_as_stopped=self.meets and asks
                 )
-                self.steps.append(step)
+                self.steps.append(message)
             case syntax_tree.PoseCheck():
                 self._check_arm(statement)
             case syntax_tree.OutputLowCheck(number=number) if self.torches.watches(number):
                 if any(isinstance(step, steps.SignalStep) for step in self.steps):
-                    what = "the program checks whether a torch stays on after it has switched outputs"
-                    self._fail(statement, what)
+                    self._fail(
+                        statement, "the program checks whether a torch stays on after it has switched outputs"
+                    )
             case syntax_tree.OutputLowCheck(number=number, switched_off=off, text=text):
                 expected_text = urscript_sentences.STAYS_ON.format(signal=self.wires.running)
                 if not self.meets or not self._runs(number) or text != expected_text:
@@ -214,35 +231,37 @@ class _FlowReader:
                         statement, "a check of an output other than the running wire's, or with another text"
                     )
                 if off != (number,):
-                    what = f"only {self.wires.running} must be switched off where it is found to stay on"
-                    self._fail(statement, what)
-                if self.stays_low:
+                    self._fail(
+                        statement,
+                        f"only {self.wires.running} must be switched off where it is found to stay on",
+                    )
+                if self.stays_low_checked:
                     self._fail(statement, "the program checks again whether its running wire stays high")
-                self.stays_low = True
+                self.stays_low_checked = True
             case syntax_tree.AwaitSignal(name=name, value=value, seconds=seconds):
                 ending = self.program.endings.get(name)
                 if ending is None:
                     self._fail(statement, f"there is no function {name}")
-                given = self._input(ending.numbers[0])
-                self.steps.append(steps.WaitStep(*where, name, seconds, given, float(value), True))
+                signal = self._input(ending.numbers[0])
+                self.steps.append(steps.WaitStep(*where, name, seconds, signal, float(value), True))
             case syntax_tree.AwaitArc(name=name, seconds=seconds):
-                given = self._input(self.program.torches[name].given or 0)
-                self.steps.append(steps.WaitStep(*where, name, seconds, given, 1.0, True))
+                signal = self._input(self.program.torches[name].given or 0)
+                self.steps.append(steps.WaitStep(*where, name, seconds, signal, 1.0, True))
             case syntax_tree.ArcWatchdog(name=name, on=on):
                 thread = self.program.torches[name]
-                given = "" if thread.given is None else self._input(thread.given)
+                input_name = "" if thread.given is None else self._input(thread.given)
                 output_name = self._output(-1 if thread.torch_output is None else thread.torch_output)
                 self.steps.append(
                     steps.GuardStep(
-                        *where, output_name, given, thread.max_standing_time, thread.min_travel, on
+                        *where, output_name, input_name, thread.max_standing_time, thread.min_travel, on
                     )
                 )
-            case syntax_tree.PartnerCheck(value=value, running=output_name):
+            case syntax_tree.PartnerCheck(value=value, running=own_level):
                 ending = self.program.endings.get(syntax_tree.CHECK)
                 if ending is None:
                     self._fail(statement, f"there is no function {syntax_tree.CHECK}")
-                line, runs = map(self._input, ending.numbers)
-                self.steps.append(steps.CheckStep(*where, line, int(value), runs, output_name))
+                line, partner_running = map(self._input, ending.numbers)
+                self.steps.append(steps.CheckStep(*where, line, int(value), partner_running, own_level))
             case syntax_tree.WatchdogThread(on=on):
                 self._watch(statement, on)
             case syntax_tree.ScriptJointMove():
@@ -253,10 +272,12 @@ class _FlowReader:
                 self._standing_move(statement)
 
     def _check_arm(self, check: syntax_tree.PoseCheck) -> None:
+        """Append the step of the check whether the controller moves the planned arm."""
         if self.arm_checked or self.moved:
             self._fail(check, "the program must check the arm before it moves")
-        if check.text != self.other:
-            self._fail(check, f"the check of the arm shows {check.text!r}; expected: {self.other!r}")
+        if check.text != self.expected_check_text:
+            message = f"the check of the arm shows {check.text!r}; expected: {self.expected_check_text!r}"
+            self._fail(check, message)
         values = (*self.program.data[check.name].value, *check.tip, *check.position, check.tolerance)
         self.steps.append(steps.SettingStep(*self._location(check), ARM_CHECK_KIND, (), values))
         self.arm_checked = True
@@ -264,21 +285,24 @@ class _FlowReader:
     # ---- the other controller ----
 
     def _output(self, number: int) -> str:
+        """Name of an output, or its number in words if it has none."""
         return self.wires.outputs.get(number, f"output {number}")
 
     def _input(self, number: int) -> str:
         return self.wires.inputs.get(number, f"input {number}")
 
     def _runs(self, number: int) -> bool:
-        """Return whether an output is this controller's running wire."""
+        """Return whether an output is this program's running wire."""
         return self._output(number).lower() == self.wires.running.lower()
 
     def _check_functions(self) -> None:
-        """Check the functions and the thread.
+        """Check the functions and the thread that end the program because of the other controller.
 
-        They must exist, read the running wire back, and switch off what must be off at the end.
+        They must exist, read the running wire back, show the expected text, and switch off the running wire
+        first and then all that the program switches on, except the line to the other controller.
         """
-        endings, wires = self.program.endings, self.wires
+        endings = self.program.endings
+        wires = self.wires
         first = next(iter(endings.values()))
         missing = [
             name
@@ -292,10 +316,16 @@ class _FlowReader:
             if name not in endings
         ]
         if missing or not wires.other:
-            what = f"{', '.join(missing)} is missing" if missing else "no other controller exists to wait for"
-            self._fail(first, what)
-        switched = (s.number for s in self.program.body if isinstance(s, syntax_tree.SetOutput) and s.value)
-        on = {self._output(number).lower() for number in switched} - {wires.line.lower()}
+            cause = (
+                f"{', '.join(missing)} is missing" if missing else "no other controller exists to wait for"
+            )
+            self._fail(first, cause)
+        numbers = (
+            statement.number
+            for statement in self.program.body
+            if isinstance(statement, syntax_tree.SetOutput) and statement.value
+        )
+        switched_on = {self._output(number).lower() for number in numbers} - {wires.line.lower()}
         for name, ending in endings.items():
             if name == syntax_tree.STAND:
                 continue  # it ends nothing
@@ -310,23 +340,24 @@ class _FlowReader:
             switched_off = [self._output(number).lower() for number in ending.switched_off]
             if switched_off[:1] != [wires.running.lower()]:
                 self._fail(ending, f"{name} does not switch off {wires.running} before all else")
-            if left := sorted(on - set(switched_off)):
-                self._fail(ending, f"{name} leaves {', '.join(left)} on")
+            if still_on := sorted(switched_on - set(switched_off)):
+                self._fail(ending, f"{name} leaves {', '.join(still_on)} on")
             if wires.line.lower() in switched_off:
                 self._fail(
                     ending, f"{name} switches {wires.line}, which the other program would take for an arrival"
                 )
 
     def _take_running_wire(self, statement: syntax_tree.Statement) -> bool:
-        """Process statements on the running wire and return whether the statement is only that.
+        """Check a statement against the state of the running wire.
 
-        They are its fall before a question, what may come while it is low, its rise, and the pause after
-        that.
+        The wire falls before a question, only some statements are allowed while it is low, it rises after the
+        answer, and a pause follows. Returns True if the statement needs no further processing.
         """
         if self.wire_rose:
             if not isinstance(statement, syntax_tree.SleepStatement) or statement.seconds != SETTLING_TIME_S:
                 self._fail(statement, f"sleep({SETTLING_TIME_S}) must follow the rise of the running wire")
-            self.wire_rose, self.must_watch = False, True
+            self.wire_rose = False
+            self.must_watch = True
             return True
         if self.must_watch and isinstance(statement, syntax_tree.SleepStatement):
             self._fail(statement, "the program waits after the rise of its running wire without watching")
@@ -337,16 +368,20 @@ class _FlowReader:
         if self.question_wire is None:
             if not is_running_wire or not isinstance(statement, syntax_tree.SetOutput) or statement.value:
                 return False
-            if not self.stays_low:
-                what = "nothing checks before whether the running wire stays high without a program"
-                self._fail(statement, what)
-            self.question_wire, self.question_asked, self.waited = statement, False, 0.0
+            if not self.stays_low_checked:
+                self._fail(
+                    statement, "nothing checks before whether the running wire stays high without a program"
+                )
+            self.question_wire = statement
+            self.question_asked = False
+            self.waited = 0.0
             self.steps.append(steps.RunningStep(*self._location(statement), False))
             return True
         match statement:
             case syntax_tree.SetOutput(value=True) if is_running_wire and self.question_asked:
                 self.steps.append(steps.RunningStep(*self._location(statement), True, self.waited))
-                self.question_wire, self.wire_rose = None, True
+                self.question_wire = None
+                self.wire_rose = True
                 return True
             case syntax_tree.SleepStatement(seconds=seconds) if self.question_asked:
                 self.waited += seconds
@@ -359,12 +394,12 @@ class _FlowReader:
             case syntax_tree.Popup() | syntax_tree.PartnerCheck(running=False):
                 self.waited = 0.0
                 return False
-        line = (
+        resets_line = (
             isinstance(statement, syntax_tree.SetOutput)
             and not statement.value
             and self._is_line(statement.number)
         )
-        if not line or self.question_asked:
+        if not resets_line or self.question_asked:
             self._fail(statement, "only a question may come while the running wire is low")
         return False
 
@@ -372,9 +407,10 @@ class _FlowReader:
         return self._output(number).lower() == self.wires.line.lower()
 
     def _watch(self, statement: syntax_tree.Statement, on: bool) -> None:
+        """Start (``on``) or end the thread that watches the other program."""
         if on == self.watched:
-            what = "the thread that watches the other program "
-            self._fail(statement, what + ("runs already" if on else "does not run"))
+            thread = "the thread that watches the other program "
+            self._fail(statement, thread + ("runs already" if on else "does not run"))
         ending = self.program.endings.get(syntax_tree.WATCH)
         if ending is None:
             self._fail(statement, f"there is no thread {syntax_tree.WATCH}")
@@ -384,6 +420,7 @@ class _FlowReader:
     # ---- moves ----
 
     def _joint(self, move: syntax_tree.ScriptJointMove) -> None:
+        """Append a movej, whose speed is stated as a fraction of each axis' maximum speed."""
         target = steps.JointTarget(np.array(self.program.data[move.name].value), _NO_AXES)
         fractions = tuple(float(move.speed / axis_speed) for axis_speed in self.velocity)
         speed = steps.MoveSpeed(math.inf, math.inf, 0.0, 0.0, fractions)
@@ -394,35 +431,43 @@ class _FlowReader:
         self._move(move, motion)
 
     def _straight(self, move: syntax_tree.ScriptLinearMove) -> None:
+        """Append a movel, whose time and blend radius are stated."""
         if not self.moved:
             self._fail(move, "movel has no known start; use movej to joints first")
-        turn = to_quaternion(exp_rotation(np.array(move.target[3:])))
-        target = steps.RobTarget(np.array(move.target[:3]), turn, None, _NO_AXES)
-        stop = move.radius == 0.0
-        zone = _EXACT_STOP if stop else steps.Zone(False, move.radius, 0.0, 0.0, 0.0, 0.0, 0.0)
+        quaternion = to_quaternion(exp_rotation(np.array(move.target[3:])))
+        target = steps.RobTarget(np.array(move.target[:3]), quaternion, None, _NO_AXES)
+        stops = move.radius == 0.0
+        zone = _EXACT_STOP if stops else steps.Zone(False, move.radius, 0.0, 0.0, 0.0, 0.0, 0.0)
         speed = steps.MoveSpeed(math.inf, math.inf, 0.0, 0.0)
         work_object = self._work_object(move.frame)
         self._move(move, _ScriptMotion(target, speed, zone, work_object, move.frame, time=move.seconds))
 
     def _standing_move(self, stand: syntax_tree.DwellMove) -> None:
-        """Add the arm's part of a move in which only the other arm moves."""
-        last = next((step for step in reversed(self.steps) if isinstance(step, steps.MoveStep)), None)
+        """Append the step of an arm that waits at its last target while only the other arm moves."""
+        previous_move = next(
+            (step for step in reversed(self.steps) if isinstance(step, steps.MoveStep)), None
+        )
         if (
             syntax_tree.STAND not in self.program.endings
-            or last is None
-            or not isinstance(last.target, steps.RobTarget)
+            or previous_move is None
+            or not isinstance(previous_move.target, steps.RobTarget)
         ):
             self._fail(stand, f"{syntax_tree.STAND} is allowed only after a movel")
         motion = _ScriptMotion(
-            last.target, last.speed, _EXACT_STOP, last.wobj, last.wobj_name, time=stand.seconds
+            previous_move.target,
+            previous_move.speed,
+            _EXACT_STOP,
+            previous_move.wobj,
+            previous_move.wobj_name,
+            time=stand.seconds,
         )
         self._move(stand, motion)
 
     def _work_object(self, name: str) -> steps.WorkObject:
-        if name not in self.works:
-            seen = pose(self.program.data[name].value)
-            self.works[name] = steps.WorkObject(False, True, "", self.base, seen)
-        return self.works[name]
+        if name not in self.work_objects:
+            frame = pose(self.program.data[name].value)
+            self.work_objects[name] = steps.WorkObject(False, True, "", self.base, frame)
+        return self.work_objects[name]
 
     def _tool(self, statement: syntax_tree.Statement) -> steps.Tool:
         if self.load is None:
@@ -437,6 +482,7 @@ class _FlowReader:
         move: syntax_tree.ScriptJointMove | syntax_tree.ScriptLinearMove | syntax_tree.DwellMove,
         motion: _ScriptMotion,
     ) -> None:
+        """Append the step of a move with the tool in force."""
         if not self.arm_checked:
             self._fail(move, "an arm moves before the program has checked whether it is the planned one")
         tool = self._tool(move)

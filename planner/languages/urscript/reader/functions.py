@@ -1,6 +1,6 @@
-"""Functions and threads before the statements of a URScript program.
+"""Reads the functions and threads that are defined before the statements of a URScript program.
 
-Each has one form, except for inputs, outputs, a text, and times.
+The text of each of them is fixed. Only the numbers of inputs and outputs, a popup's text, and times differ.
 """
 
 import re
@@ -25,30 +25,33 @@ from planner.languages.urscript.reader.words import (
 WAIT_STEP: Final = "0.01"
 """Time [s] between two checks of a wait, as written."""
 SETTLING_TIME: Final = "0.1"
-"""Time [s] for which the thread that monitors a torch waits before it reads its output back, as
-written.
-"""
+"""Time [s] that the thread of a torch waits before it first reads the torch's output back, as written."""
 ARC_LOST_TIME: Final = "0.2"
 """Time [s] for which the torch's input may be low, as written."""
 _WAIT_LOOP_END: Final = (f"sleep({WAIT_STEP})", f"passed=passed+{WAIT_STEP}", "end", "end")
 """Lines that continue the loop of a wait and end its function."""
 MAX_READ_TRAVEL_M: Final = 0.01
-"""Maximum readable distance [m] that a torch has to move so that it does not count as standing."""
+"""Maximum distance [m] that a program may require a torch to move so that it does not count as standing."""
 MAX_READ_STANDING_S: Final = 600.0
-"""Maximum readable time [s] for which a torch may stand."""
+"""Maximum time [s] for which a program may let a torch stand."""
 
 
 def read_function(
     line: int, words: ScriptLine, rows: Rows
 ) -> tuple[str, syntax_tree.EndingFunction | syntax_tree.ArcFunction]:
-    """Read a function or thread from its head. Return its name and what it does."""
-    thread = words.next_word.text == "thread"
-    (word,) = words.values("thread" if thread else "def", ScriptLine.name)
-    if (match := re.fullmatch(syntax_tree.ARC_FUNCTION, word)) and thread == (
-        match[1] == syntax_tree.WATCH_ARC
-    ):
-        return word, (_read_arc_watch if thread else _read_arc_wait)(line, words, rows)
-    if thread:
+    """Read a function or thread and return its name and definition.
+
+    Args:
+        line: Line of its head.
+        words: Words of its head.
+        rows: The rows after it, of which those of the function are taken.
+    """
+    is_thread = words.next_word.text == "thread"
+    (word,) = words.values("thread" if is_thread else "def", ScriptLine.name)
+    match = re.fullmatch(syntax_tree.ARC_FUNCTION, word)
+    if match and is_thread == (match[1] == syntax_tree.WATCH_ARC):
+        return word, (_read_arc_watch if is_thread else _read_arc_wait)(line, words, rows)
+    if is_thread:
         if word != syntax_tree.WATCH:
             raise ScriptError("syntax", f"{word}: not a thread of these programs")
         return word, _read_watch(line, words, rows)
@@ -64,34 +67,37 @@ def read_function(
 
 
 def _read_check(line: int, words: ScriptLine, rows: Rows) -> syntax_tree.EndingFunction:
-    """Read the function that checks the other program."""
+    """Read the function that checks the other program's line and running wire, and the own running wire."""
     words.rest("(level,own):")
     *numbers, running = next_line(rows).rest(
         "if", input_read, "!=level or", input_read, "==False or", output_read, "!=own:"
     )
     if numbers[0] == numbers[1]:
-        what = f"{syntax_tree.CHECK} compares input {numbers[0]} twice; line and running wire need one each"
-        raise ScriptError("syntax", what)
+        message = (
+            f"{syntax_tree.CHECK} compares input {numbers[0]} twice; line and running wire need one each"
+        )
+        raise ScriptError("syntax", message)
     switched_outputs, text = read_switched_off(rows, blocking=True)
     expect_lines(rows, "end", "end")
     return syntax_tree.EndingFunction(line, tuple(numbers), running, switched_outputs, text)
 
 
 def _read_wait(line: int, word: str, words: ScriptLine, rows: Rows) -> syntax_tree.EndingFunction:
-    """Read a function that waits for the other program."""
+    """Read a function that waits until an input has a level, and ends the program after a time limit."""
     words.rest("(level,limit):")
     expect_lines(rows, "local passed=0.0")
     number, running = next_line(rows).rest("while", input_read, "!=level or", output_read, "==False:")
-    again = next_line(rows)
-    if again.values("if passed>limit or", output_read) != [running]:
+    repeated_check = next_line(rows)
+    if repeated_check.values("if passed>limit or", output_read) != [running]:
         raise ScriptError("syntax", f"{word} reads two outputs; allowed: one")
-    again.rest("==False:")
+    repeated_check.rest("==False:")
     switched_outputs, text = read_switched_off(rows, blocking=True)
     expect_lines(rows, "end", *_WAIT_LOOP_END)
     return syntax_tree.EndingFunction(line, (number,), running, switched_outputs, text)
 
 
 def _read_watch(line: int, words: ScriptLine, rows: Rows) -> syntax_tree.EndingFunction:
+    """Read the thread that ends the program when the other one no longer runs."""
     words.rest("():")
     number, running = next_line(rows).rest("while", input_read, "and", output_read, ":")
     expect_lines(rows, "sync()", "end")
@@ -101,39 +107,40 @@ def _read_watch(line: int, words: ScriptLine, rows: Rows) -> syntax_tree.EndingF
 
 
 def _read_arc_wait(line: int, words: ScriptLine, rows: Rows) -> syntax_tree.ArcFunction:
-    """Read the function that waits for a torch to burn."""
+    """Read the function that waits until a torch's input shows that it burns."""
     words.rest("(limit):")
     expect_lines(rows, "local passed=0.0")
-    (given,) = next_line(rows).rest("while", input_read, "==False:")
+    (input_number,) = next_line(rows).rest("while", input_read, "==False:")
     expect_lines(rows, "if passed>limit:")
     switched_outputs, text = read_switched_off(rows, blocking=True)
     expect_lines(rows, "end", *_WAIT_LOOP_END)
-    return syntax_tree.ArcFunction(line, given, None, switched_outputs, text)
+    return syntax_tree.ArcFunction(line, input_number, None, switched_outputs, text)
 
 
 def _read_arc_watch(line: int, words: ScriptLine, rows: Rows) -> syntax_tree.ArcFunction:
     """Read the thread that monitors a burning torch.
 
-    It reads the torch's output, its input if it has one, and checks whether the torch stands.
+    It ends the program if the torch's output falls, if its input (if it has one) is low for too long, or if
+    the torch stands.
     """
     words.rest("():")
     code = next_code(rows)
-    lost = ScriptLine(code).words == ScriptLine("local arc_lost=0.0").words
-    if lost:
+    has_input = ScriptLine(code).words == ScriptLine("local arc_lost=0.0").words
+    if has_input:
         code = next_code(rows)
     if ScriptLine(code).words != ScriptLine("local arc_stood=0.0").words:
         raise ScriptError("syntax", f"{code!r}: expected local arc_stood=0.0")
     expect_lines(rows, "local arc_place=get_actual_tcp_pose()", f"sleep({SETTLING_TIME})")
-    burning = f"and arc_lost<={ARC_LOST_TIME}" if lost else ""
-    longest = positive_number(MAX_READ_STANDING_S, "the standing time")
+    burning = f"and arc_lost<={ARC_LOST_TIME}" if has_input else ""
+    standing_time = positive_number(MAX_READ_STANDING_S, "the standing time")
     torch_output, max_standing_time = next_line(rows).rest(
-        "while", output_read, burning, "and arc_stood<=", longest, ":"
+        "while", output_read, burning, "and arc_stood<=", standing_time, ":"
     )
     expect_lines(rows, f"sleep({WAIT_STEP})")
-    given: int | None = None
-    if lost:
+    input_number: int | None = None
+    if has_input:
         expect_lines(rows, f"arc_lost=arc_lost+{WAIT_STEP}")
-        (given,) = next_line(rows).rest("if", input_read, ":")
+        (input_number,) = next_line(rows).rest("if", input_read, ":")
         expect_lines(rows, "arc_lost=0.0", "end")
     expect_lines(rows, f"arc_stood=arc_stood+{WAIT_STEP}")
     condition = "if point_dist(get_actual_tcp_pose(),arc_place)>"
@@ -144,7 +151,7 @@ def _read_arc_watch(line: int, words: ScriptLine, rows: Rows) -> syntax_tree.Arc
     switched_outputs, text = read_switched_off(rows, blocking=False)
     expect_lines(rows, "end")
     return syntax_tree.ArcFunction(
-        line, given, torch_output, switched_outputs, text, max_standing_time, min_travel
+        line, input_number, torch_output, switched_outputs, text, max_standing_time, min_travel
     )
 
 
@@ -155,7 +162,15 @@ def awaits_arc(word: str) -> bool:
 
 
 def read_switched_off(rows: Rows, blocking: bool) -> tuple[tuple[int, ...], str]:
-    """Return the outputs that are switched off, and the text that is shown before the program ends."""
+    """Read statements that switch outputs off, and the popup and halt after them.
+
+    Args:
+        rows: The rows from the first statement on.
+        blocking: Whether the popup must hold the program.
+
+    Returns:
+        Numbers of the outputs in their order, and the text of the popup.
+    """
     outputs: list[int] = []
     while True:
         words = next_line(rows)
@@ -169,10 +184,10 @@ def read_switched_off(rows: Rows, blocking: bool) -> tuple[tuple[int, ...], str]
 
 
 def read_ending(words: ScriptLine, rows: Rows, blocking: bool) -> str:
-    """Return the text of a popup after which the program ends."""
+    """Read a popup, whose first words are given, and the halt after it; return the popup's text."""
     text, title, holds = words.rest("popup(", *popup(error=True), ")")
     if holds != blocking or title != "Tandem":
-        how = "hold the program" if blocking else "not hold the program"
-        raise ScriptError("syntax", f"the popup before halt has to {how}")
+        requirement = "hold the program" if blocking else "not hold the program"
+        raise ScriptError("syntax", f"the popup before halt has to {requirement}")
     expect_lines(rows, "halt")
     return str(text)

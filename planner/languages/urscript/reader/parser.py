@@ -44,15 +44,17 @@ _TITLES: Final[dict[tuple[str, bool], Literal["question", "read", "note"]]] = {
 }
 """Kind of a popup by its title, and by whether it holds the program."""
 _KILL: Final = re.compile(rf"kill\s+({syntax_tree.WATCHING}|{syntax_tree.WATCHING_ARC}((?:_\d+)?))")
+"""Statement that ends a thread."""
 _RUN_WATCH: Final = re.compile(rf"{syntax_tree.WATCHING}\s*=\s*run\s+{syntax_tree.WATCH}\s*\(\s*\)")
+"""Statement that starts the thread that watches the other program."""
 _RUN_ARC: Final = re.compile(
     rf"{syntax_tree.WATCHING_ARC}((?:_\d+)?)\s*=\s*run\s+{syntax_tree.WATCH_ARC}((?:_\d+)?)\s*\(\s*\)"
 )
-"""Statements that end and start threads."""
+"""Statement that starts the thread of a torch."""
 MAX_READ_SECONDS: Final = 3600.0
-"""Maximum readable time [s] of a move or pause."""
+"""Maximum time [s] of a move or pause that a program may state."""
 MAX_READ_WAIT_S: Final = 1e6
-"""Maximum readable time [s] of a wait for the other program."""
+"""Maximum time [s] of a wait for the other program that a program may state."""
 
 
 def _radius(words: ScriptLine) -> float:
@@ -63,6 +65,7 @@ def _radius(words: ScriptLine) -> float:
 
 
 def _popup(line: int, text: str, title: str, blocking: bool) -> syntax_tree.Statement:
+    """Return a popup, whose kind follows from its title and from whether it holds the program."""
     kind = _TITLES.get((title, blocking))
     if kind is None:
         holding = "blocking" if blocking else "not blocking"
@@ -122,7 +125,7 @@ _CALLS: Final[dict[str, tuple[Callable[..., syntax_tree.Statement], tuple[Part, 
     },
     **{word: (syntax_tree.SetOutput, switched_output(first)) for word, first in OUTPUT_WORDS.items()},
 }
-"""Statements by the function that they call: their class, and the form of the parameters."""
+"""Calls by the function's name: the constructor of the statement, and the form of the arguments."""
 
 
 class ScriptReader:
@@ -138,13 +141,11 @@ class ScriptReader:
         self.faults.append(TextFault(line, 1, f"urscript.{kind}", message, self.file))
 
     def program(self) -> syntax_tree.ScriptProgram | None:
-        """Return the file's program, None if it has no head."""
-        name, data, body, closed = (
-            "",
-            dict[str, syntax_tree.ScriptVariable](),
-            list[syntax_tree.Statement](),
-            False,
-        )
+        """Return the file's program with all that could be read, None if it has no valid head."""
+        name = ""
+        data: dict[str, syntax_tree.ScriptVariable] = {}
+        body: list[syntax_tree.Statement] = []
+        closed = False
         endings: dict[str, syntax_tree.EndingFunction | syntax_tree.ArcFunction] = {}
         rows = iter(enumerate(self.rows, 1))
         for line, row in rows:
@@ -172,8 +173,8 @@ class ScriptReader:
                             "name_duplicate", f"{word} is defined in line {endings[word].line} already"
                         )
                     endings[word] = ending
-                elif (watch := _thread(line, code)) is not None:
-                    body.append(watch)
+                elif (thread_statement := _thread(line, code)) is not None:
+                    body.append(thread_statement)
                 elif code.startswith("if"):
                     body.append(self._branch(line, words, rows))
                 elif words.words[1:2] == (ScriptWord("sign", "="),):
@@ -189,7 +190,7 @@ class ScriptReader:
             return None
         if not closed:
             self.fault(len(self.rows), "syntax", "the program has no end")
-        meeting_functions = {
+        partner_functions = {
             word: definition
             for word, definition in endings.items()
             if isinstance(definition, syntax_tree.EndingFunction)
@@ -199,7 +200,7 @@ class ScriptReader:
             for word, definition in endings.items()
             if isinstance(definition, syntax_tree.ArcFunction)
         }
-        return syntax_tree.ScriptProgram(self.file, name, data, tuple(body), meeting_functions, torches)
+        return syntax_tree.ScriptProgram(self.file, name, data, tuple(body), partner_functions, torches)
 
     def _datum(
         self,
@@ -208,6 +209,7 @@ class ScriptReader:
         data: dict[str, syntax_tree.ScriptVariable],
         body: list[syntax_tree.Statement],
     ) -> None:
+        """Read a variable with its value, and add it to ``data``; ``body`` are the statements so far."""
         (name,) = words.values(ScriptLine.name, "=")
         _check_name(name)
         if name in data:
@@ -215,18 +217,18 @@ class ScriptReader:
         if any(not isinstance(statement, syntax_tree.SegmentComment) for statement in body):
             raise ScriptError("syntax", f"{name} gets its value after the first statement")
         if words.next_word.kind == "text":
-            datum = syntax_tree.ScriptVariable(line, "text", words.text())
+            variable = syntax_tree.ScriptVariable(line, "text", words.text())
         elif words.next_word.text == "p":
-            datum = syntax_tree.ScriptVariable(line, "pose", words.pose())
+            variable = syntax_tree.ScriptVariable(line, "pose", words.pose())
         else:
-            datum = syntax_tree.ScriptVariable(line, "joints", words.numbers(6))
+            variable = syntax_tree.ScriptVariable(line, "joints", words.numbers(6))
         words.rest()
-        data[name] = datum
+        data[name] = variable
 
     def _branch(
         self, line: int, words: ScriptLine, rows: Rows
     ) -> syntax_tree.PoseCheck | syntax_tree.OutputLowCheck:
-        """Read one of the two branches that exist. Both show a text and end the program."""
+        """Read an if: a check of an output or of the arm. Both show a text and end the program."""
         words.values("if")
         if words.next_word.text in OUTPUTS_READ:
             (number,) = words.rest(output_read, ":")
@@ -243,12 +245,14 @@ class ScriptReader:
 
 
 def _head(words: ScriptLine) -> str:
+    """Read the head of the program and return its name."""
     (name,) = words.rest("def", ScriptLine.name, "():")
     _check_name(name)
     return str(name)
 
 
 def _check_name(name: str) -> None:
+    """Raise a ScriptError for the name of a program or variable that is too long or a word of URScript."""
     if len(name) > syntax_tree.NAME_LENGTH:
         raise ScriptError(
             "name_length", f"{name} has {len(name)} characters; allowed: {syntax_tree.NAME_LENGTH}"
@@ -262,14 +266,15 @@ def _check_name(name: str) -> None:
 
 
 def _call(line: int, words: ScriptLine) -> syntax_tree.Statement:
+    """Read a statement that is a call of a function."""
     word = words.take("name", what="a statement")
     if awaits_arc(word):
-        make: Callable[..., syntax_tree.Statement] = functools.partial(syntax_tree.AwaitArc, name=word)
+        construct: Callable[..., syntax_tree.Statement] = functools.partial(syntax_tree.AwaitArc, name=word)
         parts: tuple[Part, ...] = (positive_number(MAX_READ_SECONDS, "the longest wait"),)
     elif word in _CALLS:
-        make, parts = _CALLS[word]
+        construct, parts = _CALLS[word]
     else:
         raise ScriptError("syntax", f"{word}: not a statement of these programs")
-    out = make(line, *words.values("(", *parts))
+    statement = construct(line, *words.values("(", *parts))
     words.rest(")")
-    return out
+    return statement

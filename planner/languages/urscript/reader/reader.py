@@ -1,7 +1,8 @@
 """The URScript program of one arm, read strictly: the entry point of the reader.
 
-`read` returns the program and every fault of its text; `flow` its straight path. The reader shares no code
-with the writer: it knows the language from docs/urscript.md and the sources named there.
+`read` returns the program and every fault of its text. The module `flow` follows it statement by statement.
+The reader shares no code with the writer: it knows the language from docs/urscript.md and the sources named
+there.
 """
 
 from collections.abc import Iterator, Mapping
@@ -43,18 +44,18 @@ class ScriptText(ProgramText):
 
     @property
     def base(self) -> FloatArray | None:
-        """The controller's base (4, 4) in the cell as the program states it, None if it does not."""
+        """Pose (4, 4) [m] of the controller's base in the world that the program states, or None."""
         item = None if self.program is None else self.program.data.get(BASE_FRAME)
         return pose(item.value) if item is not None and item.kind == "pose" else None
 
     @property
     def digest(self) -> str:
-        """Digest of the problem that the program names."""
+        """Digest of the problem that the program names, "" if it names none."""
         item = None if self.program is None else self.program.data.get(DIGEST)
         return str(item.value) if item is not None and item.kind == "text" else ""
 
     def base_of(self, arm: Arm) -> FloatArray | None:
-        """Return the base of the arm, which differs from that of its controller."""
+        """Return the arm's base in the world, (4, 4) [m], or None. Its controller's base is another frame."""
         return (
             None if self.base is None else np.asarray(self.base @ inverse(robot_machine(arm.data).table.base))
         )
@@ -72,14 +73,19 @@ def pose(values: SixNumbers) -> FloatArray:
 
 
 def read(files: Mapping[str, str], most_bytes: int) -> ScriptText:
-    """Read all files of one arm (file name -> text). There has to be exactly one."""
+    """Read the program of one arm. Any other number of files than one is a fault.
+
+    Args:
+        files: Texts by file name.
+        most_bytes: Maximum size of a file [bytes].
+    """
     faults: list[TextFault] = []
     programs: list[ScriptProgram] = []
     for file, text in files.items():
         size = len(text.encode("utf-8", "surrogatepass"))
         if size > most_bytes:
-            what = f"{size} bytes; allowed: {most_bytes}; split the job"
-            faults.append(TextFault(1, 1, "urscript.file_size", what, file))
+            message = f"{size} bytes; allowed: {most_bytes}; split the job"
+            faults.append(TextFault(1, 1, "urscript.file_size", message, file))
         reader = ScriptReader(text.replace("\r\n", "\n"), file)
         program = reader.program()
         faults += reader.faults
@@ -87,17 +93,17 @@ def read(files: Mapping[str, str], most_bytes: int) -> ScriptText:
             continue
         programs.append(program)
         if PurePosixPath(file).stem != program.name:
-            what = f"the file contains {program.name}; file and program must have the same name"
-            faults.append(TextFault(1, 1, "urscript.name_file", what, file))
+            message = f"the file contains {program.name}; file and program must have the same name"
+            faults.append(TextFault(1, 1, "urscript.name_file", message, file))
         faults += _check_names(program)
     if len(files) > 1:
-        what = f"the arm has {len(files)} programs; it needs one"
-        faults.append(TextFault(1, 1, "urscript.name_duplicate", what, sorted(files)[1]))
+        message = f"the arm has {len(files)} programs; it needs one"
+        faults.append(TextFault(1, 1, "urscript.name_duplicate", message, sorted(files)[1]))
     return ScriptText(programs[0] if len(programs) == 1 else None, tuple(faults))
 
 
 def _check_names(program: ScriptProgram) -> Iterator[TextFault]:
-    """Yield faults of used names: missing, or of another kind."""
+    """Yield faults of the variables that statements use: missing, or of another kind."""
     for statement in program.body:
         match statement:
             case SetTcp(name=name) | ScriptLinearMove(frame=name):
@@ -108,8 +114,8 @@ def _check_names(program: ScriptProgram) -> Iterator[TextFault]:
                 continue
         item = program.data.get(name)
         if item is None:
-            what = f"{name} has no value"
-            yield TextFault(statement.line, 1, "urscript.undeclared", what, program.file)
+            message = f"{name} has no value"
+            yield TextFault(statement.line, 1, "urscript.undeclared", message, program.file)
         elif item.kind != expected:
-            what = f"{name} is {item.kind}; expected: {expected}"
-            yield TextFault(statement.line, 1, "urscript.type", what, program.file)
+            message = f"{name} is {item.kind}; expected: {expected}"
+            yield TextFault(statement.line, 1, "urscript.type", message, program.file)

@@ -17,7 +17,7 @@ class Statement:
 
 @dataclass(frozen=True, slots=True)
 class SetTcp(Statement):
-    """set_tcp to the pose `name`."""
+    """set_tcp: the TCP is the pose variable `name`, in the flange frame."""
 
     name: str
 
@@ -32,7 +32,7 @@ class SetPayload(Statement):
 
 @dataclass(frozen=True, slots=True)
 class SetOutput(Statement):
-    """A digital output is switched, by its number, 8 and more for configurable ones."""
+    """A digital output is switched. `number` is 0 to 7 for standard outputs, from 8 for configurable ones."""
 
     number: int
     value: bool
@@ -50,7 +50,8 @@ class Popup(Statement):
     """A popup.
 
     Attributes:
-        kind: A question, a text to be read before one, or a text that is shown meanwhile.
+        kind: "question" waits for the operator's answer, "read" is a text that the operator confirms before
+            a question, and "note" is shown while the program continues.
         text: Its text.
     """
 
@@ -63,9 +64,9 @@ class PoseCheck(Statement):
     """The program ends unless a point of the flange is where it is expected.
 
     Attributes:
-        name: Joints at which it is checked.
-        tip: Point of the flange.
-        position: Expected position in the controller's base.
+        name: Variable with the joints at which the forward kinematics is computed.
+        tip: The point, as a pose in the flange frame.
+        position: Expected position, as a pose in the controller's base frame.
         tolerance: Tolerance [m].
         text: Text that is shown before the program ends.
     """
@@ -79,7 +80,7 @@ class PoseCheck(Statement):
 
 @dataclass(frozen=True, slots=True)
 class ScriptJointMove(Statement):
-    """movej to the joints `name`; `acceleration` [rad/s^2] and `speed` [rad/s] of the leading axis."""
+    """movej to the variable `name`; `acceleration` [rad/s^2] and `speed` [rad/s] are of the leading axis."""
 
     name: str
     acceleration: float
@@ -91,8 +92,8 @@ class ScriptLinearMove(Statement):
     """movel.
 
     Attributes:
-        frame: Frame of the target.
-        target: Target.
+        frame: Pose variable with the frame of the target.
+        target: Target pose in that frame.
         seconds: Time [s].
         radius: Blend radius [m], 0 for an exact stop.
     """
@@ -109,8 +110,8 @@ class OutputLowCheck(Statement):
 
     Attributes:
         number: The output.
-        switched_off: Outputs that are switched off before.
-        text: Text that is shown before.
+        switched_off: Outputs that are switched off before the end.
+        text: Text that is shown before the end.
     """
 
     number: int
@@ -146,12 +147,10 @@ class WatchdogThread(Statement):
 
 @dataclass(frozen=True, slots=True)
 class PartnerCheck(Statement):
-    """A call of the function that ends the program on an unexpected state of the other program.
-
-    It ends the program unless the other program runs and signals are as expected.
+    """A call of the function that ends the program unless the other one runs and the signals are as expected.
 
     Attributes:
-        value: Expected level of the other one's line.
+        value: Expected level of the other program's line.
         running: Expected level of this program's running wire.
     """
 
@@ -165,9 +164,9 @@ class EndingFunction(Statement):
 
     Attributes:
         numbers: Inputs that it reads.
-        running: Output that it reads back.
-        switched_off: Outputs that are switched off before.
-        text: Text that is shown before.
+        running: Output of this program's running wire, which it reads back; -1 for none.
+        switched_off: Outputs that are switched off before the end.
+        text: Text that is shown before the end.
     """
 
     numbers: tuple[int, ...]
@@ -200,8 +199,8 @@ class ArcFunction(Statement):
     the output is off, or if the torch stands.
 
     Attributes:
-        given: Input of the torch, None for a thread without one.
-        torch_output: Output of the torch, None for the function.
+        given: Number of the torch's input, None for a thread without one.
+        torch_output: Number of the torch's output that the thread reads back, None for the function.
         switched_off: Outputs that are switched off before the end.
         text: Text that is shown before the end.
         max_standing_time: Time [s] for which the torch may stand.
@@ -241,7 +240,8 @@ class ScriptProgram:
         name: Name of the program.
         data: Its data by name.
         body: Its statements after the data.
-        endings: Functions and thread of a program that meets another one, by name, else empty.
+        endings: Functions and thread that end the program because of a second controller, by name; empty
+            without one.
         torches: Functions and threads of torches, by name.
     """
 
@@ -265,28 +265,27 @@ LINE_LENGTH: Final = 400
 TEXT_LENGTH: Final = 255
 """Maximum length [characters] of a popup's text."""
 CHECK_POINT: Final = (0.1, 0.2, 0.3)
-"""Point of the flange [m] that programs check.
-It is off all axes, so that its position reveals a rotated base or flange.
-"""
+"""Point of the flange [m] that programs check. It is on no axis: its position reveals any rotation."""
 MAX_CHECK_TOLERANCE_M: Final = 0.01
 """Maximum tolerance [m] for the controller's flange, because arms are calibrated individually."""
 
 AWAIT_LINE, AWAIT_RUNNING = "await_line", "await_running"
-"""Functions that wait for the other controller's line, and for its running wire."""
+"""Names of the functions that wait for the other controller's line, and for its running wire."""
 CHECK = "check_partner"
-"""Function that checks both at one instant."""
+"""Name of the function that checks line and running wire of the other controller at one instant."""
 STAND = "stand"
-"""Function that waits in place of a move."""
+"""Name of the function that waits in place of a move."""
 WATCH, WATCHING = "watch_partner", "watching"
-"""Thread that watches that wire, and the variable that holds it."""
+"""Names of the thread that watches the other controller's running wire, and of its variable."""
 AWAIT_ARC, WATCH_ARC, WATCHING_ARC = "await_arc", "watch_arc", "watching_arc"
-"""Function that waits for a torch to burn, thread that monitors it, and variable that holds the thread.
+"""Names of the function that waits for a torch to burn, of the thread that monitors it, and of its variable.
+
 Those of further torches have a number appended.
 """
 ARC_FUNCTION: Final = rf"({AWAIT_ARC}|{WATCH_ARC})(?:_\d+)?"
-"""Pattern of the names of these functions and threads."""
+"""Pattern of the names of the functions and threads of torches."""
 ARC_VARIABLE: Final = rf"{WATCHING_ARC}(?:_\d+)?"
-"""Pattern of the names of these variables."""
+"""Pattern of the names of the variables that hold threads of torches."""
 
 _RESERVED_TEXT = """
 and break continue def elif else end enter_critical exit_critical false False for global halt if in join kill
@@ -299,4 +298,4 @@ await_line await_running check_partner watch_partner watching passed level limit
 arc_lost arc_stood arc_place get_actual_tcp_pose
 """
 RESERVED: Final = frozenset(_RESERVED_TEXT.split())
-"""Words of the language and of its functions, which no variable may hide."""
+"""Words of the language and of its functions, which no variable may shadow."""

@@ -18,10 +18,12 @@ _MOVE_PATTERN: Final = re.compile(r"\b((?:move[jlpc]|servo[jc]|speed[jl]|optimov
 
 
 def _read(problem: Problem, arms: Arms, files: Files) -> ReadTasks:
+    """Read the files of the one task that ``arms`` names, and follow its program if it has no faults."""
     controller = problem.cell.controller
     ((name, arm),) = arms.items()
     text = reader.read(files, controller.max_bytes)
-    steps, lost = tuple[ProgramStep, ...](), tuple[TextFault, ...]()
+    steps = tuple[ProgramStep, ...]()
+    flow_faults = tuple[TextFault, ...]()
     if not text.faults and text.program is not None:
         names = controller_signals(problem, arm)
         wires = flow.ControllerWires(names.outputs, names.inputs)
@@ -35,11 +37,11 @@ def _read(problem: Problem, arms: Arms, files: Files) -> ReadTasks:
             base = arm.base @ robot_machine(arm.data).table.base if text.base is None else text.base
             steps = flow.flow_steps(text, base, wires, arm.name, arm.robot, arm.data.velocity)
         except FlowError as wrong:
-            lost = wrong.faults
+            flow_faults = wrong.faults
         except TandemError as wrong:
-            what = wrong.issues[0].message
-            lost = (TextFault(1, 1, "urscript.flow", what, text.program.file),)
-    return ReadTasks((TaskText(name, arm, text, steps, files),), text.faults, lost)
+            message = wrong.issues[0].message
+            flow_faults = (TextFault(1, 1, "urscript.flow", message, text.program.file),)
+    return ReadTasks((TaskText(name, arm, text, steps, files),), text.faults, flow_faults)
 
 
 READER: Final = Reader(read=_read, move_pattern=_MOVE_PATTERN, known_moves=frozenset({"movej", "movel"}))

@@ -1,9 +1,7 @@
-"""Torches in the straight path of a URScript program.
+"""Checks the statements of a URScript program about torches that a thread monitors.
 
-This module reads the statements that are required while a torch burns, and its function and thread.
-
-A controller may be paused anywhere, and continues there. Its output is low then, and stays low. So a torch
-burns only while nothing moves yet, or while a thread monitors it.
+A controller may be paused anywhere, and continues there. Its outputs are low then, and stay low. Therefore a
+torch may be on only while nothing has moved yet, or while a thread monitors it.
 """
 
 import enum
@@ -15,6 +13,8 @@ from planner.languages.urscript.reader import syntax_tree
 
 
 class _TorchState(enum.Enum):
+    """What the program has done with the torch, in the required order."""
+
     NOT_BURNING = "no torch burns"
     LIT = "it has been lit, and nothing has moved"
     BURNS = "the program has waited for it"
@@ -23,17 +23,17 @@ class _TorchState(enum.Enum):
 
 
 class TorchChecks:
-    """Checks the statements of a program on the outputs that threads of torches monitor.
+    """Checks the statements of a program about the outputs that threads of torches monitor.
 
     Attributes:
         program: The program.
-        fail: Refuses a statement.
-        output: Names an output by its number.
-        input: Names an input by its number.
-        torch_outputs: Outputs of torches.
-        state: State of the torch that burns.
-        number: Its output.
-        checked: Outputs that the program has checked at its start.
+        fail: Function that raises the fault of a statement.
+        output: Function that returns the name of an output by its number.
+        input: Function that returns the name of an input by its number.
+        torch_outputs: Numbers of the outputs of torches.
+        state: State of the torch that is on.
+        number: Number of its output, -1 before the first one.
+        checked: Numbers of the outputs that the program has checked to be off at its start.
     """
 
     def __init__(
@@ -43,25 +43,31 @@ class TorchChecks:
         output: Callable[[int], str],
         given: Callable[[int], str],
     ) -> None:
-        self.program, self.fail, self.output, self.input = program, fail, output, given
+        self.program, self.fail = program, fail
+        self.output, self.input = output, given
         self.torch_outputs = {
             function.torch_output
             for function in program.torches.values()
             if function.torch_output is not None
         }
-        self.state, self.number = _TorchState.NOT_BURNING, -1
+        self.state = _TorchState.NOT_BURNING
+        self.number = -1
         self.checked: set[int] = set()
 
     def watches(self, number: int) -> bool:
-        """Return whether an output is a torch's."""
+        """Return whether an output is that of a torch with a thread."""
         return number in self.torch_outputs
 
     def check_functions(self) -> None:
-        """Check that functions and threads switch all power off, and show why they end the program."""
-        switched = {s.number for s in self.program.body if isinstance(s, syntax_tree.SetOutput) and s.value}
+        """Check that functions and threads of torches switch all outputs off and show the expected text."""
+        switched_on = {
+            statement.number
+            for statement in self.program.body
+            if isinstance(statement, syntax_tree.SetOutput) and statement.value
+        }
         for name, function in self.program.torches.items():
-            if left := sorted(map(self.output, switched - set(function.switched_off))):
-                self.fail(function, f"{name} leaves {', '.join(left)} on")
+            if still_on := sorted(map(self.output, switched_on - set(function.switched_off))):
+                self.fail(function, f"{name} leaves {', '.join(still_on)} on")
             if function.torch_output is None:
                 continue
             signal = self.output(function.torch_output)
@@ -74,7 +80,7 @@ class TorchChecks:
                 self.fail(function, f"{name} shows {function.text!r}; expected: {expected_text!r}")
 
     def process(self, statement: syntax_tree.Statement) -> None:
-        """Process the next statement."""
+        """Check the next statement of the program against the state of the torch, and update the state."""
         if isinstance(statement, syntax_tree.OutputLowCheck) and self.watches(statement.number):
             self._check_low(statement)
         elif isinstance(statement, syntax_tree.AwaitArc):
@@ -92,12 +98,13 @@ class TorchChecks:
             self.fail(statement, f"only movel is allowed while {self._lit} is on")
 
     def end(self, last: syntax_tree.Statement) -> None:
-        """Check the state after the last statement."""
+        """Check that no torch is on after the ``last`` statement."""
         if self.state is not _TorchState.NOT_BURNING:
             self.fail(last, f"the program ends while {self._lit} is on")
 
     @property
     def _lit(self) -> str:
+        """Name of the output of the torch that is on."""
         return self.output(self.number)
 
     def _function(self, statement: syntax_tree.AwaitArc | syntax_tree.ArcWatchdog) -> syntax_tree.ArcFunction:
@@ -107,17 +114,19 @@ class TorchChecks:
         return function
 
     def _check_low(self, check: syntax_tree.OutputLowCheck) -> None:
+        """Process the check that the output of a torch is off at the start of the program."""
         expected_text = urscript_sentences.STAYS_ON.format(signal=self.output(check.number))
         if check.text != expected_text:
             self.fail(check, f"the check of a torch shows {check.text!r}; expected: {expected_text!r}")
         if check.switched_off != (check.number,):
-            what = f"only {self.output(check.number)} must be switched off where it is found to stay on"
-            self.fail(check, what)
+            message = f"only {self.output(check.number)} must be switched off where it is found to stay on"
+            self.fail(check, message)
         if check.number in self.checked:
             self.fail(check, f"the program checks again whether {self.output(check.number)} stays on")
         self.checked.add(check.number)
 
     def _await(self, wait: syntax_tree.AwaitArc) -> None:
+        """Process the wait for the input of a torch, which directly follows the rise of its output."""
         function = self._function(wait)
         if self.state is not _TorchState.LIT:
             self.fail(wait, "a wait for an arc must directly follow its output's rise")
@@ -129,6 +138,7 @@ class TorchChecks:
         self.state = _TorchState.BURNS
 
     def _guard(self, guard: syntax_tree.ArcWatchdog) -> None:
+        """Process the start or the end of the thread that monitors the torch."""
         thread = self._function(guard)
         if not guard.on:
             if self.state is not _TorchState.GUARDED or thread.torch_output != self.number:
@@ -142,13 +152,15 @@ class TorchChecks:
         self.state = _TorchState.GUARDED
 
     def _switch(self, statement: syntax_tree.SetOutput) -> None:
+        """Process a rise or fall of the output of a torch."""
         if statement.value:
             if self.state is not _TorchState.NOT_BURNING:
                 self.fail(statement, f"{self.output(statement.number)} is set while {self._lit} is on")
             if statement.number not in self.checked:
-                what = f"nothing checks whether {self.output(statement.number)} stays on without a program"
-                self.fail(statement, what)
-            self.state, self.number = _TorchState.LIT, statement.number
+                message = f"nothing checks whether {self.output(statement.number)} stays on without a program"
+                self.fail(statement, message)
+            self.state = _TorchState.LIT
+            self.number = statement.number
             return
         if self.state is _TorchState.NOT_BURNING:
             return

@@ -1,7 +1,7 @@
-"""The words of a line of URScript, taken one by one, and lines of one form.
+"""Splits lines of URScript into words and matches them with expected forms.
 
-The readers of statements and of functions share these. Numbers are plain or with an exponent, smaller than
-a controller's largest.
+The readers of statements and of functions share this. Numbers may have an exponent, and must be within the
+range of a controller.
 """
 
 import functools
@@ -20,19 +20,20 @@ _WORD: Final = re.compile(
 )
 """A word of a line: a number, a name, a text, or a sign."""
 OUTPUT_WORDS: Final = {"set_standard_digital_out": 0, "set_configurable_digital_out": 8}
-"""Functions that switch digital outputs, and the number of their first output here."""
+"""Functions that switch digital outputs; the value is added to their argument to number all outputs."""
 OUTPUTS_READ: Final = {"get_standard_digital_out": 0, "get_configurable_digital_out": 8}
-"""Functions that read outputs, and the number of their first output here."""
+"""Functions that read outputs back; the value is added to their argument to number all outputs."""
 OUTPUTS_EACH: Final = 8
-"""Number of outputs of each of them."""
+"""Number of inputs or outputs that each of these functions accesses."""
 
 
 class ScriptError(Exception):
-    """A line is no statement. `kind` is a fault's code without the language."""
+    """A line does not have the expected form. `kind` is the fault's code without the prefix "urscript."."""
 
     def __init__(self, kind: str, message: str) -> None:
         super().__init__(message)
-        self.kind, self.message = kind, message
+        self.kind = kind
+        self.message = message
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +45,7 @@ class ScriptWord:
 
 
 def _words(code: str) -> tuple[ScriptWord, ...]:
+    """Split a line into words; raise a ScriptError at text that is not a word."""
     out: list[ScriptWord] = []
     position = 0
     code = code.rstrip()
@@ -60,14 +62,14 @@ def _words(code: str) -> tuple[ScriptWord, ...]:
 
 @functools.cache
 def _fixed_words(code: str) -> tuple[tuple[ScriptWord, str], ...]:
-    """Return words that have to be exactly so, and their names in faults: "" for themselves in quotes."""
+    """Return the words of a fixed part of a line, each with a description for faults, "" for its own text."""
     out: list[tuple[ScriptWord, str]] = []
     words = _words(code)
     for index, word in enumerate(words):
-        what = word.text if word.kind == "number" else ""
+        description = word.text if word.kind == "number" else ""
         if word.kind == "name" and words[index + 1 : index + 2] == (ScriptWord("sign", "="),):
-            what = f"the parameter {word.text}="
-        out.append((word, what))
+            description = f"the parameter {word.text}="
+        out.append((word, description))
     return tuple(out)
 
 
@@ -92,7 +94,13 @@ class ScriptLine:
         raise ScriptError("syntax", f"{self.next_word.text}: expected {expected}")
 
     def take(self, kind: str, text: str = "", what: str = "") -> str:
-        """Take the next word, which must be of a kind, and equal to ``text`` if stated."""
+        """Take the next word, which must have a kind and, if given, a text; return its text.
+
+        Args:
+            kind: number, name, text or sign.
+            text: Required text, "" for any.
+            what: Description of the expected word in a fault, "" for the default one.
+        """
         word = self.next_word
         if word.kind != kind or (text and word.text != text):
             self.fail(what or (repr(text) if text else f"a {kind}"))
@@ -100,12 +108,12 @@ class ScriptLine:
         return word.text
 
     def values(self, *parts: "Part") -> list[Any]:
-        """Take the next words, which must be of this form, and return their values."""
+        """Take the next words, which must be of this form, and return the values that its readers read."""
         out = []
         for part in parts:
             if isinstance(part, str):
-                for word, what in _fixed_words(part):
-                    self.take(word.kind, word.text, what)
+                for word, description in _fixed_words(part):
+                    self.take(word.kind, word.text, description)
             else:
                 out.append(part(self))
         return out
@@ -127,7 +135,7 @@ class ScriptLine:
         value = float(text)
         if not abs(value) < MAX_NUMBER:
             raise ScriptError("number", f"{text:.40} is too large for a controller")
-        return value or 0.0
+        return value or 0.0  # 0.0 for -0.0
 
     def flag(self) -> bool:
         """Take ``True`` or ``False``."""
@@ -167,7 +175,7 @@ Part = str | Callable[[ScriptLine], Any]
 
 
 def positive_number(maximum: float, what: str) -> Callable[[ScriptLine], float]:
-    """Return a reader of a number above 0, up to a maximum."""
+    """Return a function that reads a number above 0, up to a maximum; ``what`` names it in a fault."""
 
     def read(words: ScriptLine) -> float:
         value = words.number()
@@ -179,21 +187,21 @@ def positive_number(maximum: float, what: str) -> Callable[[ScriptLine], float]:
 
 
 def popup(error: bool) -> tuple[Part, ...]:
-    """Return the form of a popup: text, title, and whether it holds the program."""
+    """Return the form of a popup's arguments: text, title, the required value of ``error``, and blocking."""
     return (ScriptLine.text, ",", ScriptLine.text, f",False,{error},blocking=", ScriptLine.flag)
 
 
 Rows = Iterator[tuple[int, str]]
-"""Rows of a file that are still to be read, with their numbers."""
+"""Lines of a file that are still to be read, with their numbers from 1."""
 
 
 def next_code(rows: Rows) -> str:
-    """Return the code of the next row that has any, empty after the last one."""
+    """Take rows up to the next one with code, and return that code; empty after the last one."""
     return next((code for _, row in rows if (code := split_comment(row)[0])), "")
 
 
 def next_line(rows: Rows) -> ScriptLine:
-    """Return the words of the next row that has any."""
+    """Take rows up to the next one with code, and return its words."""
     return ScriptLine(next_code(rows))
 
 
@@ -212,13 +220,15 @@ def _number_of(words: ScriptLine, what: str) -> int:
     return int(text)
 
 
-def _reads(known: Mapping[str, int]) -> Callable[[ScriptLine], int]:
+def _reads(offsets: Mapping[str, int]) -> Callable[[ScriptLine], int]:
+    """Return a function that reads a call of one of ``offsets`` and returns its argument plus the offset."""
+
     def read(words: ScriptLine) -> int:
-        word = words.take("name", what=" or ".join(known))
-        if word not in known:
-            raise ScriptError("syntax", f"{word}: expected {' or '.join(known)}")
+        word = words.take("name", what=" or ".join(offsets))
+        if word not in offsets:
+            raise ScriptError("syntax", f"{word}: expected {' or '.join(offsets)}")
         words.values("(")
-        number = known[word] + _number_of(words, f"{word} of ")
+        number = offsets[word] + _number_of(words, f"{word} of ")
         words.values(")")
         return number
 
@@ -226,13 +236,13 @@ def _reads(known: Mapping[str, int]) -> Callable[[ScriptLine], int]:
 
 
 input_read = _reads({"get_standard_digital_in": 0, "get_configurable_digital_in": 8})
-"""Reads the number of an input in a call that reads it."""
+"""Reads a call that reads an input, and returns the input's number."""
 output_read = _reads(OUTPUTS_READ)
-"""Reads the number of an output in a call that reads it back."""
+"""Reads a call that reads an output back, and returns the output's number."""
 
 
 def switched_output(first: int) -> tuple[Part, ...]:
-    """Return the form of a switched output: its number, counted from ``first``, and its value."""
+    """Return the form of the arguments that switch an output: ``first`` plus the number, and the value."""
     return (lambda words: first + _number_of(words, "output "), ",", ScriptLine.flag)
 
 
@@ -241,11 +251,11 @@ def split_comment(row: str) -> tuple[str, str]:
 
     No text contains a quote, so the first # outside of quotes starts the comment.
     """
-    inside = False
-    for i, letter in enumerate(row):
-        if letter == '"':
-            inside = not inside
-        elif letter == "#" and not inside:
+    in_text = False
+    for i, character in enumerate(row):
+        if character == '"':
+            in_text = not in_text
+        elif character == "#" and not in_text:
             return row[:i].strip(), row[i:].strip()
     return row.strip(), ""
 

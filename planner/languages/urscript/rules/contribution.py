@@ -1,4 +1,4 @@
-"""What URScript contributes to the proof."""
+"""Rules, checks and texts that URScript contributes to the proof."""
 
 from typing import Final
 

@@ -16,38 +16,43 @@ from planner.proof.rules.setups_and_frames import FRAME_TOLERANCE_M, HOME_TOLERA
 
 
 def robot_check(context: Context, task: TaskText) -> RuleOutcome:
-    """Return the faults of the comparison of the arm with the planned one (verify.cell_check)."""
+    """Check the statements by which a program verifies that it moves the planned arm (verify.cell_check)."""
     return RuleOutcome(
         tuple(step_issue(CELL_CHECK, fault, task, step) for step, fault in _check_faults(task))
     )
 
 
 def _check_faults(task: TaskText) -> list[tuple[ProgramStep | None, str]]:
-    """Return the faults of a program's check of its arm, step by step."""
-    steps = [s for s in task.steps if isinstance(s, SettingStep) and s.kind == ARM_CHECK_KIND]
+    """Return the faults of a program's check of its arm, each with its step; None for a missing check."""
+    steps = [step for step in task.steps if isinstance(step, SettingStep) and step.kind == ARM_CHECK_KIND]
     if len(steps) != 1:
         return [
             (None, f"the program checks {len(steps)} times that the arm is the planned one; required: once")
         ]
-    (step,), machine = steps, arm_model.robot_machine(task.arm.data)
-    out: list[tuple[ProgramStep | None, str]] = []
+    (step,) = steps
+    machine = arm_model.robot_machine(task.arm.data)
+    faults: list[tuple[ProgramStep | None, str]] = []
     q, tip, position, tolerance = (
-        np.array(step.values[a:b]) for a, b in ((0, 6), (6, 12), (12, 18), (18, 19))
+        np.array(step.values[first:end]) for first, end in ((0, 6), (6, 12), (12, 18), (18, 19))
     )
     if np.abs(q - task.arm.home).max() > HOME_TOLERANCE_RAD:
-        out.append((step, "the arm is not checked at its home joints"))
+        faults.append((step, "the arm is not checked at its home joints"))
     if np.abs(tip[:3] - CHECK_POINT).max() > FRAME_TOLERANCE_M:
-        out.append((step, f"the point of the flange is {tip[:3].tolist()} m; expected: {list(CHECK_POINT)}"))
+        faults.append(
+            (step, f"the point of the flange is {tip[:3].tolist()} m; expected: {list(CHECK_POINT)}")
+        )
     flange = inverse(machine.table.base) @ machine.flange(q)
     distance = float(np.linalg.norm((flange @ pose(tuple(tip)))[:3, 3] - position[:3]))
     if distance > FRAME_TOLERANCE_M:
-        out.append((step, f"by the arm's URDF that point is {mm(distance):.4f} mm away from the program's"))
+        faults.append(
+            (step, f"by the arm's URDF that point is {mm(distance):.4f} mm away from the program's")
+        )
     if tolerance[0] > MAX_CHECK_TOLERANCE_M:
-        out.append(
+        faults.append(
             (
                 step,
                 f"the tolerance of the point is {mm(tolerance[0]):g} mm; allowed: "
                 f"{mm(MAX_CHECK_TOLERANCE_M):g}",
             )
         )
-    return out
+    return faults

@@ -1,4 +1,4 @@
-"""URScript, as programs are written in it."""
+"""The writer of URScript as the planner uses it."""
 
 from typing import Final
 

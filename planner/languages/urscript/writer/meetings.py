@@ -1,4 +1,4 @@
-"""Meetings with a program on another UR controller, by programs that watch each other themselves."""
+"""Steps of meetings between programs on two UR controllers, which watch each other by a thread."""
 
 import dataclasses
 
@@ -18,15 +18,17 @@ from planner.languages.writing.layout import ActionStep, Meeting, SegmentRun, Ta
 
 @dataclasses.dataclass(frozen=True)
 class StartWatching:
-    """From here on the program itself watches the other one's running wire, because no controller does."""
+    """From here on, a thread of the program watches the other one's running wire; the controller does not."""
 
 
 WatchedStep = PartnerStep | StartWatching
+"""A step of a meeting of programs that watch each other."""
 
 
 def question_meetings_of(task: TaskProgram) -> frozenset[int]:
-    """Return the meetings after which, before the next one, a task's program asks something."""
-    out, number = set[int](), 1
+    """Return the numbers of the meetings between which and the next one a task's program asks a question."""
+    out: set[int] = set()
+    number = 1
     for operation in task.operations:
         for step in operation.steps:
             if isinstance(step, Meeting):
@@ -39,13 +41,13 @@ def question_meetings_of(task: TaskProgram) -> frozenset[int]:
 
 
 def held_meetings(partner: HandshakeSide, question_meetings: frozenset[int]) -> frozenset[int]:
-    """Return the meetings during which the other program asks a question.
+    """Return the numbers of the meetings during which the other program asks a question.
 
-    This program's line is 1 meanwhile: it waits where its own line rose, for the other one to continue.
+    Meanwhile this program's line is 1: it waits after the rise of its own line until the other one continues.
 
     Args:
         partner: This program's side.
-        question_meetings: Meetings after which the other program asks.
+        question_meetings: Numbers of the meetings after which the other program asks.
     """
     return frozenset(number + 1 if partner.lead else number for number in question_meetings)
 
@@ -53,14 +55,15 @@ def held_meetings(partner: HandshakeSide, question_meetings: frozenset[int]) -> 
 def watched_meeting(
     partner: HandshakeSide, wait: float, longest: float = 0.0
 ) -> tuple[list[WatchedStep], list[WatchedStep]]:
-    """Return the steps of a meeting in two parts.
+    """Return the steps of a meeting in two parts, between which the program may ask a question.
 
-    The first part goes up to where the lead has seen both lines rise, or the follower the other one's.
+    In the first part, the lead sets its line and waits for that of the follower, which waits for that of the
+    lead. The second part completes the four-phase handshake.
 
     Args:
         partner: This program's side.
         wait: Maximum wait [s].
-        longest: Time [s] for which the other program may ask in the middle, if that is longer.
+        longest: Maximum wait [s] for the other program's line if it asks in the middle, if that is longer.
     """
     first: list[WatchedStep] = [AwaitRunning(1, wait)]
     longest = max(wait, longest)
@@ -72,13 +75,14 @@ def watched_meeting(
 def watched_start(partner: HandshakeSide, ask: str) -> list[PartnerStep]:
     """Return the first steps of a program, up to the first meeting.
 
-    It starts anew after each stop, so its line is low before anybody is asked.
+    A program starts from its beginning after each stop. Its line is low before it asks anything.
 
     Args:
         partner: This program's side.
-        ask: The lead's question.
+        ask: Question of the lead whether the work may start.
     """
-    limit, other = partner.handshake.timeout, partner.other
+    limit = partner.handshake.timeout
+    other = partner.other
     earlier = urscript_sentences.UR_EARLIER if partner.lead else urscript_sentences.UR_CALLED
     out: list[PartnerStep] = [SetLine(0), AskOperator(earlier.format(other=other)), AwaitRunning(0, limit)]
     if partner.lead:

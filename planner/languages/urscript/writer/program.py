@@ -53,7 +53,7 @@ from planner.targets import TargetAction
 from planner.tooling import Tool
 
 CHECK_TIP: Final = from_rpy([0.1, 0.2, 0.3], [0.0, 0.0, 0.0])
-"""A point of the flange's frame off all axes. Its position reveals a rotated base or flange."""
+"""A point of the flange, as a pose, that is on no axis. Its position reveals a rotated base or flange."""
 CHECK_TOLERANCE_M: Final = 0.01
 """Tolerance [m] for that point at the controller, because arms are calibrated individually, to some mm."""
 UNKNOWN_START_FRACTION: Final = 0.10
@@ -61,23 +61,23 @@ UNKNOWN_START_FRACTION: Final = 0.10
 _SPEED_SAMPLES: Final = 400
 """Number of positions of a joint move at which the TCP's speed is computed."""
 _SPEED_FRACTION: Final = 0.99
-"""Fraction of the speed limit that is used, because the fastest position may lie between two of these."""
+"""Fraction of the speed limit that is used, because the fastest position may lie between two samples."""
 MIN_JOINT_SPEED_RAD_S: Final = 0.001
-"""Minimum speed [rad/s] of a leading axis that is written."""
+"""Minimum speed [rad/s] of the leading axis that a program states."""
 _ZERO: Final = np.deg2rad([-90.0, 0.0, -90.0, 0.0, 0.0])
-"""Offsets of axes 2 to 6 of UR's own zero posture."""
+"""Offsets [rad] of axes 2 to 6 in the zero posture of a UR controller."""
 _ZERO_TOLERANCE_RAD: Final = 1e-6
 """Tolerance [rad] of these offsets."""
 _UNTESTED: Final = "No controller of UR has run such a program yet: begin at low speed, and compare the time."
 """Note in the header of each program."""
 _STEM_LENGTH: Final = 24
-"""Number of characters of the problem's name in the program's."""
+"""Maximum number of characters of the problem's name in the program's name."""
 
 
 def controller_base(arm: Arm) -> FloatArray:
-    """Return the base (4, 4) in which a UR controller counts, in the arm's own base.
+    """Return the base frame of a UR controller in the base frame of the arm's model, (4, 4) [m].
 
-    At zero the arm lies along its -x.
+    With all joints at zero, the arm lies along -x of the controller's base.
 
     Raises:
         TandemError: Zero, signs or flange of the arm are not those of UR (``post.ur_arm``). Joints in
@@ -95,36 +95,53 @@ def controller_base(arm: Arm) -> FloatArray:
         message = format_message("post.ur_arm", arm=arm.name, robot=arm.robot, reason=wrong)
         hint = "use UR's own URDF with base: base_link and tip: tool0, or family: generic"
         raise issue_error("post.ur_arm", message, arm=arm.name, hint=hint)
-    turn = from_rpy([0.0, 0.0, 0.0], [0.0, 0.0, np.pi - float(form.offsets[0])])
-    return turn if form.left is None else np.asarray(form.left @ turn)
+    rotation = from_rpy([0.0, 0.0, 0.0], [0.0, 0.0, np.pi - float(form.offsets[0])])
+    return rotation if form.left is None else np.asarray(form.left @ rotation)
 
 
 def joint_speed(
     robot: RobotData, start: FloatArray, end: FloatArray, tcp: FloatArray, limit: float, max_fraction: float
 ) -> float:
-    """Return the speed [rad/s] of the leading axis of a joint move.
+    """Return the highest speed [rad/s] of the leading axis of a joint move at which all limits hold.
+
+    Between two of N + 1 samples, the leading axis moves by change / N and the TCP by at most a distance d.
+    The speed of the leading axis is at most limit * change / (d N), rounded down to 1e-4 rad/s.
 
     Args:
         robot: The robot.
         start: Joints (6,) [rad] at the start.
         end: Joints (6,) [rad] at the end.
-        tcp: TCP (4, 4) in the flange.
+        tcp: TCP in the flange frame, (4, 4) [m].
         limit: Maximum speed [m/s] of the TCP.
         max_fraction: Maximum fraction of each axis' speed.
     """
     q = start + np.linspace(0.0, 1.0, _SPEED_SAMPLES + 1)[:, None] * (end - start)
-    point = (forward_kinematics(robot, q) @ tcp)[:, :3, 3]
+    positions = (forward_kinematics(robot, q) @ tcp)[:, :3, 3]
     change = np.abs(end - start)
-    farthest = float(np.linalg.norm(np.diff(point, axis=0), axis=1).max()) * _SPEED_SAMPLES
-    lead = float(change.max())
+    path_rate = float(np.linalg.norm(np.diff(positions, axis=0), axis=1).max()) * _SPEED_SAMPLES
+    leading_change = float(change.max())
     speed = max_fraction * float(np.min(robot.velocity))
-    if farthest > 0.0:
-        speed = min(speed, _SPEED_FRACTION * limit * lead / farthest)
+    if path_rate > 0.0:
+        speed = min(speed, _SPEED_FRACTION * limit * leading_change / path_rate)
     return max(MIN_JOINT_SPEED_RAD_S, float(np.floor(1e4 * speed) / 1e4))
 
 
 class _ProgramWriter:
-    """Writes the program of one task."""
+    """Writes the program of one task.
+
+    Attributes:
+        controller_base: Base frame of the controller in that of the arm, (4, 4) [m].
+        base: Base frame of the controller in the world, (4, 4) [m].
+        asks: Meetings after which this program asks a question.
+        held: Meetings in which the other program asks a question.
+        last_meeting: Number of the last meeting so far.
+        question_meeting: Meeting whose first part is already written because a question precedes it.
+        pending_steps: Steps of the last meeting that follow a question.
+        torch: Torch of the current operation.
+        lit: Whether it is on.
+        guarded: Whether its thread runs.
+        joints_before: Joints [rad] at which the next move starts, None at the start of the program.
+    """
 
     def __init__(
         self, task: layout.TaskProgram, job: layout.JobPrograms, plan: Plan, problem: Problem
@@ -137,30 +154,25 @@ class _ProgramWriter:
         self.joint_names: dict[str, str] = {}
         self.moves = 0
         self.partner = handshake.HandshakeSide.of(task, job)
-        self.asks, self.held = frozenset[int](), frozenset[int]()
-        """Meetings behind which this program asks somebody, and those in which the other one does."""
+        self.asks = frozenset[int]()
+        self.held = frozenset[int]()
         if self.partner is not None:
             self.asks = question_meetings_of(task)
             others = (question_meetings_of(other) for other in job.tasks if other is not task)
             self.held = held_meetings(self.partner, frozenset[int]().union(*others))
         self.watching = False
         self.last_meeting = 0
-        """The last meeting."""
         self.question_meeting = 0
-        """The meeting before which the other one's line was seen to rise, for a question."""
         self.pending_steps: list[WatchedStep] = []
-        """Steps of the last meeting that stand behind a question."""
         self.powered: set[str] = set()
         self.torches = task_torches(task)
         self.torch: ScriptTorch | None = None
-        """That of the operation that is written."""
         self.lit = self.guarded = False
-        """Whether it burns, and its thread runs."""
         self.joints_before: FloatArray | None = None
         self._acceleration = float(np.min(task.robot.acceleration)) * problem.settings.acceleration_fraction
 
     def lines(self) -> tuple[list[str], list[str]]:
-        """Return declarations, and the statements after them."""
+        """Return the lines of declarations with functions, and the statements after them."""
         self._declare("base_frame", syntax.pose(self.base))
         home = self._joints(layout.JointMove(self.task.arm.home, "home"), 0)
         check_pose = (
@@ -173,8 +185,8 @@ class _ProgramWriter:
         out += [self._switch(signal, False) for signal in self.job.switched_signals(self.task)]
         if self.partner is not None:
             running = self._signals.running
-            stays = urscript_sentences.STAYS_ON.format(signal=running)
-            out += syntax.low_check(self._number(running), self._set_running(False), stays)
+            text_stays_on = urscript_sentences.STAYS_ON.format(signal=running)
+            out += syntax.low_check(self._number(running), self._set_running(False), text_stays_on)
         out += syntax.kinematics_check(home, CHECK_TIP, check_pose, CHECK_TOLERANCE_M, text)
         clear = (sentences.KRL_CLEAR if self.problem.setups[0].steps else sentences.KRL_READY).format()
         functions = self._torch_functions()
@@ -196,29 +208,28 @@ class _ProgramWriter:
         """
         out: list[str] = []
         for signal in dict.fromkeys(torch.signal for torch in self.torches.values()):
-            stays = urscript_sentences.STAYS_ON.format(signal=signal)
-            out += syntax.low_check(self._number(signal), self._switch(signal, False), stays)
+            text = urscript_sentences.STAYS_ON.format(signal=signal)
+            out += syntax.low_check(self._number(signal), self._switch(signal, False), text)
         return out
 
     def _torch_functions(self) -> list[str]:
         off_statements = [self._switch(signal, False) for signal in self.job.switched_signals(self.task)]
         out: list[str] = []
         for torch in dict.fromkeys(self.torches.values()):
-            given = None if torch.ok_signal is None else self._number(torch.ok_signal)
-            out += torch_functions(torch, self._number(torch.signal), given, off_statements)
+            input_number = None if torch.ok_signal is None else self._number(torch.ok_signal)
+            out += torch_functions(torch, self._number(torch.signal), input_number, off_statements)
         return out
 
     def _switch_output(self, signal: str, on: bool) -> list[str]:
-        """Return statements that switch an output.
-
-        The thread of a torch ends before its output goes off.
-        """
+        """Return statements that switch an output. The thread of a torch ends before its output falls."""
         torch = self.torch
         out = [self._switch(signal, on)]
         if torch is None or signal != torch.signal:
             return out
-        self.lit, guarded, self.guarded = on, self.guarded, False
-        return [torch.end_thread, *out] if guarded else out
+        was_guarded = self.guarded
+        self.lit = on
+        self.guarded = False
+        return [torch.end_thread, *out] if was_guarded else out
 
     # ---- the other controller ----
 
@@ -228,15 +239,15 @@ class _ProgramWriter:
         off_statements = [
             self._switch(signal, False) for signal in (signals.running, *self.job.switched_signals(self.task))
         ]
-        lost = urscript_sentences.PARTNER_LOST.format(other=partner.other)
-        given, runs, back = (
-            self._number(s) for s in (signals.input, signals.partner_running, signals.running)
+        text_lost = urscript_sentences.PARTNER_LOST.format(other=partner.other)
+        line, runs, running = (
+            self._number(signal) for signal in (signals.input, signals.partner_running, signals.running)
         )
         return [
-            *syntax.wait_function(syntax.AWAIT_LINE, given, back, off_statements, partner.timeout_text),
-            *syntax.wait_function(syntax.AWAIT_RUNNING, runs, back, off_statements, partner.timeout_text),
-            *syntax.check_function(given, runs, back, off_statements, partner.timeout_text),
-            *syntax.watch_thread(runs, back, off_statements, lost),
+            *syntax.wait_function(syntax.AWAIT_LINE, line, running, off_statements, partner.timeout_text),
+            *syntax.wait_function(syntax.AWAIT_RUNNING, runs, running, off_statements, partner.timeout_text),
+            *syntax.check_function(line, runs, running, off_statements, partner.timeout_text),
+            *syntax.watch_thread(runs, running, off_statements, text_lost),
             *syntax.stand_function(),
         ]
 
@@ -248,12 +259,14 @@ class _ProgramWriter:
         return self._switch(self._signals.running, on)
 
     def _start(self, partner: handshake.HandshakeSide, clear: str) -> list[str]:
-        """Return all statements up to the first meeting, and that.
+        """Return all statements up to the end of the first meeting; ``clear`` is a question of the lead.
 
         A program starts with its wires low, and waits for a while before its running wire rises after a
-        question. At the second question it sees the other one run.
+        question. At the second question, which only the lead asks, the other program runs already.
         """
-        out, popups, first = [self._set_running(False)], list[str](), True
+        out = [self._set_running(False)]
+        popups: list[str] = []
+        first = True
         for step in watched_start(partner, clear):
             match step:
                 case handshake.ShowText(text) if partner.lead:
@@ -277,19 +290,21 @@ class _ProgramWriter:
         return [*out, *comment("First meeting: both programs run."), *self._meeting(partner, 1, wait)]
 
     def _raise_running(self) -> list[str]:
+        """Return the rise of the running wire and the pause until it is read back correctly."""
         return [self._set_running(True), f"sleep({syntax.format_real(syntax.SETTLING_TIME_S, 1)})"]
 
     def _meeting(self, partner: handshake.HandshakeSide, meeting: int, wait: float) -> list[str]:
-        """Return the statements of a meeting.
+        """Return the statements of a meeting with a maximum wait [s].
 
         The program stops watching before a meeting in which the other program asks, or after which both
-        end. A question of this program is in the meeting or before it.
+        end. A question of this program is between the two parts of a meeting: the lead postpones the second
+        part, and the follower has already written the first part with its question.
         """
-        quiet = meeting in self.held or meeting == partner.meets
+        unwatched = meeting in self.held or meeting == partner.meets
         longest = partner.handshake.patience if meeting in self.held else 0.0
         first, rest = watched_meeting(partner, wait, longest)
         self.last_meeting = meeting
-        out = self._watch(False) if quiet else []
+        out = self._watch(False) if unwatched else []
         out += [syntax.partner_check(1, True)] if self.question_meeting == meeting else self._steps(first)
         if partner.lead and meeting in self.asks:
             self.pending_steps = rest
@@ -297,6 +312,7 @@ class _ProgramWriter:
         return out + self._steps(rest)
 
     def _steps(self, steps: Sequence[WatchedStep]) -> list[str]:
+        """Return the statements of handshake steps; nothing is watched after the last meeting."""
         out: list[str] = []
         for step in steps:
             match step:
@@ -313,10 +329,10 @@ class _ProgramWriter:
         return out
 
     def _question(self, popups: Sequence[str], following: Sequence[layout.TaskStep]) -> list[str]:
-        """Return the statements of a question between two meetings.
+        """Return the statements of a question between two meetings, with the popups that show it.
 
-        The other program waits with its line at 1: for the lead in the meeting before, else in the one
-        after. ``following`` are the steps of the operation after the question.
+        The other program waits with its line at 1: in the previous meeting if the lead asks, in the next one
+        if the follower asks. ``following`` are the steps of the operation after the question.
         """
         if self.partner is None:
             return list(popups)
@@ -324,14 +340,19 @@ class _ProgramWriter:
         if not self.partner.lead and self.question_meeting != self.last_meeting + 1:
             self.question_meeting = self.last_meeting + 1
             out = self._steps(watched_meeting(self.partner, self.partner.handshake.patience)[0])
-        low = [self._set_running(False), *popups, syntax.partner_check(1, False), *self._raise_running()]
-        out += [*self._watch(False), *low, *self._watch(True), syntax.partner_check(1, True)]
+        wire_low = [self._set_running(False), *popups, syntax.partner_check(1, False), *self._raise_running()]
+        out += [*self._watch(False), *wire_low, *self._watch(True), syntax.partner_check(1, True)]
         if not _asks_again(following):
             out += self._steps(self.pending_steps)
             self.pending_steps = []
         return out
 
     def _watch(self, on: bool) -> list[str]:
+        """Start or end the thread that watches the other program, unless that is done already.
+
+        Raises:
+            TandemError: Power is on where the thread would end (``post.handshake_process``).
+        """
         if on == self.watching:
             return []
         self.watching = on
@@ -346,32 +367,39 @@ class _ProgramWriter:
         return [f"{syntax.WATCHING} = run {syntax.WATCH}()" if on else f"kill {syntax.WATCHING}"]
 
     def _declare(self, word: str, value: str) -> str:
+        """Declare a variable with a value as text and return its name."""
         if self.data.setdefault(word, value) != value:
             message = f"two data of arm {self.task.arm.name} would have the name {word}"
             raise issue_error("post.name", message, hint="give the tool another name")
         return word
 
     def _operation(self, index: int, operation: layout.OperationProgram) -> list[str]:
-        out, tool_set = comment(f"Operation {operation.name}."), False
+        """Return the statements of an operation; ``index`` counts from 1."""
+        out = comment(f"Operation {operation.name}.")
+        tool_set = False
         self.torch = self.torches.get(index)
-        held: list[str] = []
+        popups: list[str] = []  # texts that are shown together with the question after them
         for i, step in enumerate(operation.steps):
-            if not tool_set and isinstance(
-                step, layout.JointMove | layout.SegmentRun
-            ):  # after the setup that has mounted the tool
-                tool_set, tool = True, operation.arm.tool
+            # the tool is set before the first move, after the setup in which it is mounted
+            if not tool_set and isinstance(step, layout.JointMove | layout.SegmentRun):
+                tool_set = True
+                tool = operation.arm.tool
                 out += [f"set_tcp({self._tool(tool)})", _payload(tool)]
             if isinstance(step, layout.ActionStep) and step.action.kind in ("message", "confirm"):
-                held += self._action(step.action, layout.question_follows(operation.steps[i + 1 :]))
+                following = operation.steps[i + 1 :]
+                popups += self._action(step.action, layout.question_follows(following))
                 if step.action.kind == "confirm":
-                    out, held = [*out, *self._question(held, operation.steps[i + 1 :])], []
-                elif not layout.question_follows(operation.steps[i + 1 :]):
-                    out, held = [*out, *held], []
+                    out += self._question(popups, following)
+                    popups = []
+                elif not layout.question_follows(following):
+                    out += popups
+                    popups = []
                 continue
             out += self._step(step, index, operation)
         return out
 
     def _step(self, step: layout.TaskStep, index: int, operation: layout.OperationProgram) -> list[str]:
+        """Return the statements of a step that shows no text."""
         match step:
             case layout.JointMove():
                 return self._movej(step, index, operation)
@@ -387,18 +415,22 @@ class _ProgramWriter:
         return []
 
     def _movej(self, step: layout.JointMove, index: int, operation: layout.OperationProgram) -> list[str]:
-        limits, robot = self.problem.settings, self.task.robot
-        tcp, fraction, start = operation.arm.tool.tcp, limits.speed_fraction, self.joints_before
+        """Return a joint move, which is slow if it is the first one, because its start is unknown."""
+        limits = self.problem.settings
+        robot = self.task.robot
+        tcp = operation.arm.tool.tcp
+        start = self.joints_before
         if start is None:
             speed = UNKNOWN_START_FRACTION * float(np.min(robot.velocity))
             speed = float(np.floor(1e4 * speed) / 1e4)
         else:
-            speed = joint_speed(robot, start, step.q, tcp, limits.tcp_speed, fraction)
+            speed = joint_speed(robot, start, step.q, tcp, limits.tcp_speed, limits.speed_fraction)
         self.joints_before = step.q
         acceleration = float(np.floor(1e4 * self._acceleration) / 1e4)
         return [syntax.movej(self._joints(step, index), acceleration, speed)]
 
     def _joints(self, step: layout.JointMove, operation: int) -> str:
+        """Return the variable of a joint target; targets with equal text share one."""
         text = syntax.format_joints(self.task.robot.to_controller(step.q))
         if text not in self.joint_names:
             stem = "x_home" if step.role == "home" else f"x_{operation}_{step.role}"
@@ -408,6 +440,7 @@ class _ProgramWriter:
         return self.joint_names[text]
 
     def _tool(self, tool: Tool) -> str:
+        """Return the variable of a tool's TCP; tools with equal name and TCP share one."""
         value = syntax.pose(tool.tcp)
         key = f"{tool.name} {value}"
         if key not in self.tools:
@@ -418,19 +451,20 @@ class _ProgramWriter:
         return self.tools[key]
 
     def _frame(self, operation: layout.OperationProgram) -> str:
-        """Return the name of the frame of an operation's moves, relative to the controller's base."""
+        """Return the variable with the frame of an operation's moves in the controller's base frame."""
         kind = "world" if operation.moves is None else operation.moves.frame
-        seen = inverse(self.base)
+        world_in_base = inverse(self.base)
         if kind == "world":
-            return self._declare("b_world", syntax.pose(seen))
+            return self._declare("b_world", syntax.pose(world_in_base))
         if kind == "stock":
-            stock_frame = seen @ self.plan.stock_poses[operation.setup - 1]
+            stock_frame = world_in_base @ self.plan.stock_poses[operation.setup - 1]
             word = "b_stock" if operation.setup == 1 else f"b_stock_{operation.setup}"
             return self._declare(word, syntax.pose(stock_frame))
         message = f"targets of {self.task.arm.name} are in {kind!r}, for which URScript has no frame"
         raise issue_error("post.frame", message, hint="allowed: stock, world")
 
     def _action(self, action: TargetAction, asks: bool) -> list[str]:
+        """Return the statements of an action of the process; ``asks`` if a question follows."""
         match action.kind:
             case "message":
                 return syntax.message(action.text, before_question=asks)
@@ -458,21 +492,23 @@ class _ProgramWriter:
         return number
 
     def _run(self, run: layout.SegmentRun, operation: layout.OperationProgram) -> list[str]:
-        track, rows = operation.moves, slice(run.first, run.last)
+        """Return the moves of a segment, with the start of a torch's thread and meetings."""
+        track = operation.moves
+        run_slice = slice(run.first, run.last)
         if track is None:
             return []
         radius = syntax.blends(track, operation.stop)
-        lost = np.flatnonzero(np.isnan(radius[rows])) + run.first
-        if len(lost):
-            first_move = f"{operation.segments[lost[0]]}, move {lost[0] + 1}"
+        unblended = np.flatnonzero(np.isnan(radius[run_slice])) + run.first
+        if len(unblended):
+            first_move = f"{operation.segments[unblended[0]]}, move {unblended[0] + 1}"
             message = (
-                f"operation {operation.name}: {len(lost)} moves of arm {self.task.arm.name} would pass "
+                f"operation {operation.name}: {len(unblended)} moves of arm {self.task.arm.name} would pass "
                 f"targets without enough length for a blend, first {first_move}: the tool rotates about its "
                 "TCP, or hardly moves"
             )
             hint = "let the motion stop there, or choose another TCP or cut, so that the tool moves"
             raise issue_error("post.blend", message, arm=self.task.arm.name, target=first_move, hint=hint)
-        seconds = layout.format_short(float(track.duration[rows].sum()), 2)
+        seconds = layout.format_short(float(track.duration[run_slice].sum()), 2)
         out: list[str] = []
         if self.torch is not None and self.lit and not self.guarded:
             out.append(self.torch.start_thread)
@@ -480,12 +516,12 @@ class _ProgramWriter:
         out += comment(
             f"Segment {layout.segment_mark(run.segment)}: {run.last - run.first} moves, {seconds} s."
         )
-        moves = syntax.linear_moves(track, radius, self._frame(operation))[rows]
+        moves = syntax.linear_moves(track, radius, self._frame(operation))[run_slice]
         if self.partner is not None and self.joints_before is not None:
-            rests = np.flatnonzero(self._stationary_moves(operation, track)[rows])
-            for row in rests.tolist():
-                moves[row] = f"{syntax.STAND}({syntax.format_real(float(track.duration[rows][row]), 5)})"
-        for move, meeting in zip(moves, operation.meets[rows].tolist(), strict=True):
+            stationary = np.flatnonzero(self._stationary_moves(operation, track)[run_slice])
+            for i in stationary.tolist():
+                moves[i] = f"{syntax.STAND}({syntax.format_real(float(track.duration[run_slice][i]), 5)})"
+        for move, meeting in zip(moves, operation.meets[run_slice].tolist(), strict=True):
             out.append(move)
             if meeting and self.partner is not None:
                 out += self._meeting(self.partner, meeting, self.partner.handshake.timeout)
@@ -494,13 +530,15 @@ class _ProgramWriter:
         return out
 
     def _stationary_moves(self, operation: layout.OperationProgram, track: layout.MoveTable) -> BoolArray:
-        """Return which moves (M,) have zero length.
+        """Return which moves (M,) of an operation have zero length.
 
         Raises:
-            TandemError: The first move has (``post.blend``). After a joint move a program knows no pose at
-                which to stand.
+            TandemError: The first move has zero length (``post.blend``): a program can only stand still after
+                a straight move.
         """
-        start = next(s.q for s in operation.steps if isinstance(s, layout.JointMove) and s.role == "start")
+        start = next(
+            step.q for step in operation.steps if isinstance(step, layout.JointMove) and step.role == "start"
+        )
         out = syntax.stationary_moves(track, start)
         if out[:1].any():
             message = f"operation {operation.name}: arm {self.task.arm.name} stands still in its first move"
@@ -523,7 +561,7 @@ def no_load(arm: str) -> Issue:
 
 
 def _payload(tool: Tool) -> str:
-    """Return the statement with mass [kg] and centre [m] in the flange's frame.
+    """Return the statement that sets mass [kg] and centre of mass [m] in the flange frame.
 
     Raises:
         TandemError: The tool has no mass (``post.tool``).
@@ -534,12 +572,12 @@ def _payload(tool: Tool) -> str:
 
 def _asks_again(steps: Sequence[layout.TaskStep]) -> bool:
     """Return whether another question comes before the next meeting."""
-    rest = (
+    questions_and_meetings = (
         step
         for step in steps
         if isinstance(step, layout.Meeting | layout.SegmentRun) or layout.is_question(step)
     )
-    return layout.is_question(next(rest, None))
+    return layout.is_question(next(questions_and_meetings, None))
 
 
 def write(
@@ -558,15 +596,15 @@ def write(
     out: dict[str, str] = {}
     for task in tasks:
         stem = name(problem.name, _STEM_LENGTH)
-        main = _ProgramWriter(task, job, plan, problem)
-        data, body = main.lines()
+        writer = _ProgramWriter(task, job, plan, problem)
+        data, body = writer.lines()
         header_sentences = header(task, job, plan, margins, untested=[_UNTESTED])
         head = [line for sentence in header_sentences for line in comment(sentence)]
-        note = "# what this program was planned for; the proof starts from these"
+        comment_on_data = "# what this program was planned for; the proof starts from these"
         digest = f'problem_digest = "{plan.digest}"'
-        rows = [f"def {stem}():", *head, note, digest, *data, *body, "end"]
+        lines = [f"def {stem}():", *head, comment_on_data, digest, *data, *body, "end"]
         path = f"{task.arm.name}/{stem}.script"
-        text = "".join(f"{row}{layout.LINE_END}" for row in rows)
-        layout.require_one_file(path, text, limits, main.moves, "moves")
+        text = "".join(f"{line}{layout.LINE_END}" for line in lines)
+        layout.require_one_file(path, text, limits, writer.moves, "moves")
         out[path] = text
     return WrittenPrograms(out)

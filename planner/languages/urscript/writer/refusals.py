@@ -11,14 +11,14 @@ from planner.targets import Targets
 
 
 def refuse(problem: Problem, targets_of_operations: Sequence[Targets], arms: Sequence[Arm]) -> list[Issue]:
-    """Return why UR arms cannot do a job.
+    """Return the issues that prevent UR arms from doing a job.
 
-    Reasons are torches, inputs or handshakes that URScript is not written for (``post.controller``),
-    signals without a number (``post.signal``), arms that hold the block (``post.load``), and arms that are
-    not UR's (``post.ur_arm``).
+    These are torches, inputs or handshakes that Tandem does not write in URScript (``post.controller``),
+    signals without a number or with one that both controllers use (``post.signal``), arms that hold the block
+    (``post.load``), and arms that are not UR's (``post.ur_arm``).
     """
-    together = len(arms) > 1
-    if together and problem.cell.controller.handshake.kind != "four_phase":
+    several_arms = len(arms) > 1
+    if several_arms and problem.cell.controller.handshake.kind != "four_phase":
         names = " and ".join(f"{arm.name} ({arm.robot})" for arm in arms)
         what = f"{names} cannot work in one job: with a toggle a UR program cannot detect at every second "
         what += "meeting whether the other one was restarted while it asked a question"
@@ -26,18 +26,22 @@ def refuse(problem: Problem, targets_of_operations: Sequence[Targets], arms: Seq
         return [Issue("post.controller", what, hint=hint)]
     issues: list[Issue] = []
     for arm in arms:
-        torches = [o for o in problem.operations if lights_torch(o) and arm.name in o.arms]
-        if torches and together:
+        torches = [
+            operation
+            for operation in problem.operations
+            if lights_torch(operation) and arm.name in operation.arms
+        ]
+        if torches and several_arms:
             issues.append(_no_torch(arm))
         else:
-            known = {getattr(operation, "ok_signal", None) for operation in torches}
+            torch_inputs = {getattr(operation, "ok_signal", None) for operation in torches}
             inputs = (
-                a
-                for t in targets_of_operations
-                for a in t.actions
-                if a.kind == "input" and t.arms[0] == arm.name
+                action
+                for targets in targets_of_operations
+                for action in targets.actions
+                if action.kind == "input" and targets.arms[0] == arm.name
             )
-            inputs = (action for action in inputs if action.signal not in known)
+            inputs = (action for action in inputs if action.signal not in torch_inputs)
             issues += [program.no_input(action, arm.name) for action in itertools.islice(inputs, 1)]
         issues += unnumbered_signals(problem, targets_of_operations, arm, "URScript")
     if len(arms) == 2:
@@ -64,14 +68,15 @@ def _no_torch(arm: Arm) -> Issue:
 
 
 def _exchangeable_programs(problem: Problem, arm: Arm, other: Arm) -> Iterator[Issue]:
-    """Report a UR controller on which the other one's program would run (``post.signal``).
+    """Yield an issue if the program of ``arm`` would also run on the other controller (``post.signal``).
 
-    Only signal numbers distinguish two arms of one model, so the running output of one must not be used at
-    the other one.
+    Only signal numbers distinguish two arms of one model: the number of the running output of one must not
+    belong to an output of the other.
     """
     controller = problem.cell.controller
     running = controller.handshake.of(arm.name).running
-    number, other_signals = controller.signal_number(arm.name, running), controller.handshake.of(other.name)
+    number = controller.signal_number(arm.name, running)
+    other_signals = controller.handshake.of(other.name)
     inputs = {other_signals.input.lower(), other_signals.partner_running.lower()}
     taken = [
         signal

@@ -1,4 +1,4 @@
-"""URScript as text: numbers, poses, straight moves, digital outputs, and popups.
+"""Formats URScript: numbers, poses, straight moves, digital outputs, functions and popups.
 
 Units are metres, seconds, radians. A pose is a position and a rotation vector, ``p[x,y,z,rx,ry,rz]``. A
 blocking popup holds the program until somebody presses Continue at the panel.
@@ -18,7 +18,7 @@ from planner.languages.writing.layout import MoveTable, format_fixed, format_sho
 NAME_LENGTH: Final = 32
 """Maximum length [characters] of a written name."""
 METRE_DECIMALS: Final = 7
-"""Decimals of positions in m: those of the targets, which have 4 of mm."""
+"""Decimals of positions in m; targets have 4 decimals in mm."""
 RADIAN_DECIMALS: Final = 9
 """Decimals of rotation vectors and joints in rad."""
 OUTPUTS: Final = range(16)
@@ -29,32 +29,31 @@ MIN_BLEND_M: Final = 1e-6
 """Minimum blend radius [m]."""
 MAX_BLEND_FRACTION: Final = 0.45
 """Maximum fraction of the shorter of two moves that the blend between them takes.
-Adjacent blends never touch, because a controller skips a waypoint whose blend meets the next one.
+
+It is below 0.5, so that adjacent blends do not touch: a controller skips a waypoint whose blend meets the
+next one.
 """
 TEXT_LENGTH: Final = 255
 """Maximum length [characters] of a popup's text."""
 AWAIT_LINE, AWAIT_RUNNING = "await_line", "await_running"
-"""Functions that wait for the other controller's line, and for the wire that shows that its program
-runs.
-"""
+"""Names of the functions that wait for the other controller's line, and for its running wire."""
 CHECK = "check_partner"
-"""Function that checks both of them at one instant."""
+"""Name of the function that checks line and running wire of the other controller at one instant."""
 STAND = "stand"
-"""Function that replaces a move in which only the other arm moves."""
+"""Name of the function that replaces a move in which only the other arm moves."""
 WATCH, WATCHING = "watch_partner", "watching"
-"""Thread that ends the program when the other one stops, and the variable that holds it."""
+"""Names of the thread that ends the program when the other one stops, and of its variable."""
 WAIT_STEP: Final = 0.01
 """Time [s] between two checks of a wait."""
 SETTLING_TIME_S: Final = 0.1
-"""Time [s] after the rise of the program's running wire, until it is read back correctly."""
+"""Time [s] that a program waits after the rise of its running wire, so that it reads back the new level."""
 START_PAUSE_S: Final = 1.0
-"""Time [s] for which a starting program waits before that wire rises.
-A program that ran with its predecessor has seen by then that it does not run.
+"""Time [s] that a starting program waits before its running wire rises.
+
+Meanwhile the other program notices that this one was stopped, if it still runs.
 """
 TITLE, QUESTION, READ = "Tandem", "Tandem asks", "Tandem tells"
-"""Titles of popups: of texts that are shown meanwhile, of a question, and of a text that is read before
-one.
-"""
+"""Titles of popups: of a text while the program continues, of a question, and of a text before a question."""
 
 _RESERVED_TEXT: Final = """
 and break continue def elif else end false for global halt if in local not or return sec thread true while
@@ -64,9 +63,9 @@ base_frame problem_digest await_line await_running check_partner watch_partner w
 stand seconds arc_lost arc_stood arc_place get_actual_tcp_pose
 """
 RESERVED: Final = frozenset(_RESERVED_TEXT.split())
-"""Words that no name may be."""
+"""Words of the language and of its functions, which no name may be."""
 ARC_NAMES: Final = r"(await|watch|watching)_arc(_\d+)?"
-"""Names of functions, threads and variables of torches, which no other name may be."""
+"""Pattern of the names of functions, threads and variables of torches, which no other name may be."""
 
 
 def name(text: str, length: int = NAME_LENGTH) -> str:
@@ -85,28 +84,28 @@ def name(text: str, length: int = NAME_LENGTH) -> str:
 
 
 def comment(text: str) -> list[str]:
-    """Return comment lines of plain text, wrapped."""
+    """Return text as comment lines, wrapped at 100 characters."""
     return [f"# {line}" for line in textwrap.wrap(to_ascii(text), 100)]
 
 
 def pose(matrix: FloatArray) -> str:
     """Format a pose (4, 4) [m]."""
-    vector = log_rotation(matrix[None, :3, :3])[0]
-    return format_pose(matrix[:3, 3], vector)
+    rotation_vector = log_rotation(matrix[None, :3, :3])[0]
+    return format_pose(matrix[:3, 3], rotation_vector)
 
 
 def format_pose(position: Sequence[float] | FloatArray, vector: Sequence[float] | FloatArray) -> str:
     """Format a pose of a position (3,) [m] and a rotation vector (3,) [rad]."""
     values = [
-        *(format_fixed(v, METRE_DECIMALS) for v in position),
-        *(format_fixed(v, RADIAN_DECIMALS) for v in vector),
+        *(format_fixed(value, METRE_DECIMALS) for value in position),
+        *(format_fixed(value, RADIAN_DECIMALS) for value in vector),
     ]
     return f"p[{','.join(values)}]"
 
 
 def format_joints(q: FloatArray) -> str:
     """Format joints (6,) [rad] as the controller counts them."""
-    return f"[{','.join(format_fixed(v, RADIAN_DECIMALS) for v in q)}]"
+    return f"[{','.join(format_fixed(angle, RADIAN_DECIMALS) for angle in q)}]"
 
 
 def format_real(value: float, decimals: int) -> str:
@@ -116,8 +115,8 @@ def format_real(value: float, decimals: int) -> str:
 
 
 def format_vector(values: FloatArray, decimals: int) -> str:
-    """Format a list of numbers."""
-    return f"[{','.join(format_fixed(v, decimals) for v in values)}]"
+    """Format a list of numbers with at most ``decimals`` decimals."""
+    return f"[{','.join(format_fixed(value, decimals) for value in values)}]"
 
 
 def output(number: int, on: bool) -> str:
@@ -143,23 +142,24 @@ def output_call(number: int) -> str:
 def wait_function(
     word: str, number: int, running: int, off_statements: Sequence[str], text: str
 ) -> list[str]:
-    """Return a function that waits until an input has a level.
+    """Return the lines of a function that waits until an input has a level.
 
-    When the time is over, or the running wire is low, it switches off, shows a text and ends the program.
+    When the time is over, or the running wire is low, it switches outputs off, shows a text and ends the
+    program.
 
     Args:
         word: Name of the function.
         number: Number of the input.
         running: Number of the running wire's output.
-        off_statements: Statements that switch off.
-        text: The text.
+        off_statements: Statements that switch the outputs off.
+        text: Text before the end.
     """
-    back = output_call(running)
+    running_level = output_call(running)
     return [
         f"def {word}(level,limit):",
         "local passed=0.0",
-        f"while {input_call(number)}!=level or {back}==False:",
-        f"if passed>limit or {back}==False:",
+        f"while {input_call(number)}!=level or {running_level}==False:",
+        f"if passed>limit or {running_level}==False:",
         *off_statements,
         *ending(text),
         "end",
@@ -171,19 +171,19 @@ def wait_function(
 
 
 def check_function(line: int, runs: int, running: int, off_statements: Sequence[str], text: str) -> list[str]:
-    """Return a function that ends the program unless the other program is as expected.
+    """Return the lines of a function that ends the program unless the other program is as expected.
 
-    It switches off, shows a text and ends the program unless the input ``line`` has a level, the input
-    ``runs`` is high, and the output ``running`` has a level of its own.
+    It switches outputs off, shows a text and ends the program unless the input ``line`` has the level that a
+    call states, the input ``runs`` is high, and the output ``running`` has the level ``own`` of the call.
     """
-    wrong = f"{input_call(line)}!=level or {input_call(runs)}==False or {output_call(running)}!=own"
-    return [f"def {CHECK}(level,own):", f"if {wrong}:", *off_statements, *ending(text), "end", "end"]
+    unexpected = f"{input_call(line)}!=level or {input_call(runs)}==False or {output_call(running)}!=own"
+    return [f"def {CHECK}(level,own):", f"if {unexpected}:", *off_statements, *ending(text), "end", "end"]
 
 
 def watch_thread(number: int, running: int, off_statements: Sequence[str], text: str) -> list[str]:
-    """Return the thread that checks the input ``number`` and the output ``running`` in every cycle.
+    """Return the lines of the thread that checks the input ``number`` and output ``running`` in each cycle.
 
-    When one falls, it switches off, shows ``text`` without holding the program, and ends it.
+    When one falls, it executes ``off_statements``, shows ``text`` without a wait, and ends the program.
     """
     return [
         f"thread {WATCH}():",
@@ -197,39 +197,41 @@ def watch_thread(number: int, running: int, off_statements: Sequence[str], text:
 
 
 def stand_function() -> list[str]:
-    """Return the function of a move of zero length.
+    """Return the lines of the function that waits in place of a move of zero length.
 
-    No manual states how a controller executes such a movel.
+    No manual states how a controller executes a movel of zero length.
     """
     return [f"def {STAND}(seconds):", "sleep(seconds)", "end"]
 
 
 def stationary_moves(track: MoveTable, start_joints: FloatArray) -> BoolArray:
-    """Return which moves (M,) of a track, as written, have zero length.
+    """Return which moves (M,) of an operation have zero length as they are written.
 
-    ``start_joints`` (6,) [rad] are the joints before them.
+    Args:
+        track: The moves.
+        start_joints: Joints before the first move, (6,) [rad].
     """
-    same = np.all(np.round(np.diff(track.quaternion, axis=0), RADIAN_DECIMALS) == 0.0, axis=1)
-    first = np.abs(track.q[:1] - start_joints).max(axis=1) < 1e-9
-    return np.asarray((track.distance == 0.0) & np.concatenate([first, same]))
+    same_orientation = np.all(np.round(np.diff(track.quaternion, axis=0), RADIAN_DECIMALS) == 0.0, axis=1)
+    at_start = np.abs(track.q[:1] - start_joints).max(axis=1) < 1e-9
+    return np.asarray((track.distance == 0.0) & np.concatenate([at_start, same_orientation]))
 
 
 def low_check(number: int, off_statement: str, text: str) -> list[str]:
     """Return statements that end the program if the output ``number`` is already on.
 
-    They run before the program has switched anything. The output is switched off before the text, because the
-    other program would take this one for a running one.
+    They run before the program has switched anything. The output is switched off before the text is shown: a
+    running wire that is high would tell the other program that this one runs.
     """
     return [f"if {output_call(number)}:", off_statement, *ending(text), "end"]
 
 
 def wait_call(word: str, value: int, seconds: float) -> str:
-    """Return a wait by one of the functions."""
+    """Return a call of the function ``word`` that waits up to ``seconds`` [s] for the level ``value``."""
     return f"{word}({'True' if value else 'False'},{format_real(seconds, 3)})"
 
 
 def partner_check(value: int, running: bool) -> str:
-    """Return a check of the other one's line and both running wires."""
+    """Return a call that checks the other program's line, its running wire, and the own one (``running``)."""
     return f"{CHECK}({'True' if value else 'False'},{running})"
 
 
@@ -241,8 +243,8 @@ def _text(text: str) -> str:
     """
     flat = to_ascii(text)
     if '"' in flat or "\\" in flat or len(flat) > TEXT_LENGTH:
-        got = f"a text of {len(flat)} characters" if len(flat) > TEXT_LENGTH else repr(flat)
-        what = f"a popup of a UR controller cannot show {got}"
+        shown = f"a text of {len(flat)} characters" if len(flat) > TEXT_LENGTH else repr(flat)
+        what = f"a popup of a UR controller cannot show {shown}"
         hint = f"give shorter names, without quotes and backslashes; allowed: {TEXT_LENGTH} characters"
         raise issue_error("post.name", what, hint=hint)
     return f'"{flat}"'
@@ -275,8 +277,8 @@ def kinematics_check(
 
     Args:
         home: Name of the joints at which it is checked.
-        tip: Point (4, 4) of the flange.
-        expected: Expected pose (4, 4) in the controller's base.
+        tip: The point as a pose in the flange frame, (4, 4) [m].
+        expected: Its expected pose in the controller's base frame, (4, 4) [m].
         tolerance: Tolerance [m].
         text: Text that is shown before the program ends.
     """
@@ -288,30 +290,41 @@ def kinematics_check(
 
 
 def movej(target: str, acceleration: float, speed: float) -> str:
-    """Return a joint move to the data ``target``, to an exact stop.
+    """Return a joint move to the joints variable ``target`` that ends in an exact stop.
 
-    The speed [rad/s] is that of the leading axis.
+    Acceleration [rad/s^2] and speed [rad/s] are those of the leading axis.
     """
     return f"movej({target},a={format_real(acceleration, 4)},v={format_real(speed, 4)})"
 
 
 def blends(track: MoveTable, stop: BoolArray) -> FloatArray:
-    """Return blend radii (M,) [m] of moves, 0 at exact stops, rounded down to micrometres.
+    """Return the blend radii of moves, rounded down to micrometres.
 
-    NaN if there is no room for one though the move does not stop: UR's blends are lengths on the path, so a
-    tool that rotates about its TCP has none.
+    Args:
+        track: Moves of one operation, M of them.
+        stop: Whether each move ends in a stop, (M,).
+
+    Returns:
+        Radii (M,) [m]: 0 at a stop, NaN where a move does not stop but leaves no length for a blend. A blend
+        of UR is a length on the path, so that a tool that rotates about its TCP leaves none.
     """
     distance = track.distance
     shorter = np.minimum(distance, np.append(distance[1:], np.inf))
-    room = 1e-3 * np.minimum(track.max_zone, MAX_BLEND_FRACTION * shorter)
-    radius = np.floor(room * 1e6 + 1e-6) * 1e-6
+    max_radius = 1e-3 * np.minimum(track.max_zone, MAX_BLEND_FRACTION * shorter)
+    radius = np.floor(max_radius * 1e6 + 1e-6) * 1e-6
     return np.where(stop, 0.0, np.where(radius < MIN_BLEND_M, np.nan, radius))
 
 
 def linear_moves(track: MoveTable, radius: FloatArray, frame: str) -> list[str]:
-    """Return the text of all moves of a track in ``frame``: target, time, blend."""
+    """Return the statement of each move of an operation: target, time and blend radius.
+
+    Args:
+        track: Moves of the operation, M of them.
+        radius: Blend radii, (M,) [m].
+        frame: Pose variable with the frame of the targets.
+    """
     vectors = log_rotation(from_quaternion(track.quaternion))
-    rows = zip(
+    moves = zip(
         (1e-3 * track.position).tolist(),
         vectors.tolist(),
         track.duration.tolist(),
@@ -319,7 +332,7 @@ def linear_moves(track: MoveTable, radius: FloatArray, frame: str) -> list[str]:
         strict=True,
     )
     return [
-        f"movel(pose_trans({frame},{format_pose(position, turn)}),t={format_real(time, 5)},"
-        f"r={format_real(r, 6)})"
-        for position, turn, time, r in rows
+        f"movel(pose_trans({frame},{format_pose(position, vector)}),t={format_real(time, 5)},"
+        f"r={format_real(blend, 6)})"
+        for position, vector, time, blend in moves
     ]

@@ -23,19 +23,19 @@ from planner.languages.urscript.writer import syntax
 from planner.languages.writing.layout import ActionStep, OperationProgram, TaskProgram
 
 AWAIT_ARC, WATCH_ARC, WATCHING_ARC = "await_arc", "watch_arc", "watching_arc"
-"""Function that waits for a torch to burn, thread that monitors it, and variable that holds the thread.
+"""Names of the function that waits for a torch to burn, of the thread that monitors it, and of its variable.
+
 Those of further torches have a number appended.
 """
 ARC_LOST_TIME_S: Final = 0.2
-"""Time [s] for which the input may be low while the torch cuts, because an arc flickers where it
-crosses its own slot.
-"""
+"""Time [s] for which the input may be low while the torch cuts: an arc flickers where it crosses its slot."""
 MIN_TRAVELS_M: Final = (1.0e-3, 0.5e-3, 0.2e-3)
 """Distances [m] that a torch has to move so that it does not count as standing.
-The largest one is used that its slots allow in the available time.
+
+The largest one is used that the planned motion covers in the available time.
 """
 MAX_STANDING_FRACTION: Final = 0.8
-"""Fraction of that time in which it moves that far by its plan."""
+"""Fraction of the standing time in which the planned motion must cover that distance."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,7 +46,7 @@ class ScriptTorch:
         signal: Output of the torch.
         ok_signal: Input of the torch, None for none.
         timeout: Time [s] for which the program waits for it to burn.
-        max_standing_time: Time [s] for which it may stand then.
+        max_standing_time: Time [s] for which it may stand while it burns.
         min_travel: Distance [m] that it has to move in that time.
         suffix: Suffix of the names of its function and its thread.
     """
@@ -75,23 +75,24 @@ class ScriptTorch:
 
 
 def task_torches(task: TaskProgram) -> dict[int, ScriptTorch]:
-    """Return the torches of a task by the operation's number from 1 on.
+    """Return the torches of a task by the number of their operation, from 1.
 
-    A torch is what is switched on and must not stay at one point.
+    A torch is an output that an action switches on with a limit for the time at one point (``max_dwell``).
+    Operations with equal data share a torch, so that its functions are written once.
     """
-    out: dict[int, ScriptTorch] = {}
-    known: dict[ScriptTorch, ScriptTorch] = {}
+    torches: dict[int, ScriptTorch] = {}
+    named: dict[ScriptTorch, ScriptTorch] = {}  # torches without suffix -> with suffix
     for number, operation in enumerate(task.operations, 1):
         actions = [step.action for step in operation.steps if isinstance(step, ActionStep)]
-        lit = next(
-            (k for k, torch in enumerate(actions) if torch.kind == "on" and torch.max_dwell > 0.0), None
+        lit_index = next(
+            (k for k, action in enumerate(actions) if action.kind == "on" and action.max_dwell > 0.0), None
         )
-        if lit is None:
+        if lit_index is None:
             continue
-        following = actions[lit + 1] if lit + 1 < len(actions) else actions[lit]
-        given = following.signal if following.kind == "input" else None
-        timeout = math.ceil(1e3 * following.seconds) / 1e3 if given is not None else 0.0
-        max_standing_time = math.floor(1e2 * actions[lit].max_dwell) / 1e2
+        following = actions[lit_index + 1] if lit_index + 1 < len(actions) else actions[lit_index]
+        ok_signal = following.signal if following.kind == "input" else None
+        timeout = math.ceil(1e3 * following.seconds) / 1e3 if ok_signal is not None else 0.0
+        max_standing_time = math.floor(1e2 * actions[lit_index].max_dwell) / 1e2
         stays = functools.partial(longest_stay, operation)
         min_travel = next(
             (
@@ -101,42 +102,46 @@ def task_torches(task: TaskProgram) -> dict[int, ScriptTorch]:
             ),
             MIN_TRAVELS_M[-1],
         )
-        torch = ScriptTorch(actions[lit].signal, given, timeout, max_standing_time, min_travel)
-        suffix = f"_{len(known) + 1}" if known else ""
-        out[number] = known.setdefault(torch, dataclasses.replace(torch, suffix=suffix))
-    return out
+        torch = ScriptTorch(actions[lit_index].signal, ok_signal, timeout, max_standing_time, min_travel)
+        suffix = f"_{len(named) + 1}" if named else ""
+        torches[number] = named.setdefault(torch, dataclasses.replace(torch, suffix=suffix))
+    return torches
 
 
 def longest_stay(program: OperationProgram, distance: float) -> float:
-    """Return the maximum time [s] for which a tool stays near a point in the slots of an operation.
+    """Return the longest time [s] in which a tool moves at most ``distance`` [m] in its slots.
 
-    Near is a motion of at most ``distance`` [m]. It is measured from target to target.
+    A stay starts at a target and ends at the first target that is farther away, where the next stay starts.
     """
-    track, worst = program.moves, 0.0
+    track = program.moves
+    longest = 0.0
     if track is None:
-        return worst
-    rows = [k for k, segment in enumerate(program.segments) if segment.works and not segment.phase]
-    for _, run in itertools.groupby(enumerate(rows), lambda item: item[1] - item[0]):
-        slot = [row for _, row in run]
+        return longest
+    cuts = [k for k, segment in enumerate(program.segments) if segment.works and not segment.phase]
+    # a slot is a run of consecutive moves: index minus place in the list is constant
+    for _, run in itertools.groupby(enumerate(cuts), lambda item: item[1] - item[0]):
+        slot = [move for _, move in run]
+        # the target before the slot is its start, if there is one
         positions = 1e-3 * track.position[max(slot[0] - 1, 0) : slot[-1] + 1]
         time = np.append(0.0, np.cumsum(track.duration[slot]))[-len(positions) :]
         start = 0
         while start < len(positions) - 1:
             away = np.linalg.norm(positions[start + 1 :] - positions[start], axis=1) > distance
             step = int(np.argmax(away)) + 1 if away.any() else len(away)
-            worst, start = max(worst, float(time[start + step] - time[start])), start + step
-    return worst
+            longest = max(longest, float(time[start + step] - time[start]))
+            start += step
+    return longest
 
 
 def torch_functions(
     torch: ScriptTorch, output: int, given: int | None, off_statements: Sequence[str]
 ) -> Iterator[str]:
-    """Yield the function that waits for a torch and the thread that monitors it.
+    """Yield the lines of the function that waits for a torch to burn and of the thread that monitors it.
 
     Args:
         torch: The torch.
         output: Number of its output.
-        given: Number of its input, None for none.
+        given: Number of its input, None for none; then there is no function.
         off_statements: Statements that switch off what must be off where the program ends.
     """
     if given is not None and torch.ok_signal is not None:
@@ -155,27 +160,27 @@ def torch_functions(
             "end",
         )
         text = urscript_sentences.ARC_LOST.format(signal=torch.signal, ok_signal=torch.ok_signal)
-        watched, burns = (
-            f" and arc_lost<={ARC_LOST_TIME_S}",
-            [
-                f"arc_lost=arc_lost+{syntax.WAIT_STEP}",
-                f"if {syntax.input_call(given)}:",
-                "arc_lost=0.0",
-                "end",
-            ],
-        )
+        arc_condition = f" and arc_lost<={ARC_LOST_TIME_S}"
+        arc_check = [
+            f"arc_lost=arc_lost+{syntax.WAIT_STEP}",
+            f"if {syntax.input_call(given)}:",
+            "arc_lost=0.0",
+            "end",
+        ]
     else:
-        text, watched, burns = urscript_sentences.TORCH_STOOD.format(signal=torch.signal), "", []
+        text = urscript_sentences.TORCH_STOOD.format(signal=torch.signal)
+        arc_condition = ""
+        arc_check = []
     yield from (
         f"thread {WATCH_ARC}{torch.suffix}():",
-        *(["local arc_lost=0.0"] if burns else []),
+        *(["local arc_lost=0.0"] if arc_check else []),
         "local arc_stood=0.0",
         "local arc_place=get_actual_tcp_pose()",
         f"sleep({syntax.SETTLING_TIME_S})",
-        f"while {syntax.output_call(output)}{watched} and "
+        f"while {syntax.output_call(output)}{arc_condition} and "
         f"arc_stood<={syntax.format_real(torch.max_standing_time, 2)}:",
         f"sleep({syntax.WAIT_STEP})",
-        *burns,
+        *arc_check,
         f"arc_stood=arc_stood+{syntax.WAIT_STEP}",
         f"if point_dist(get_actual_tcp_pose(),arc_place)>{torch.min_travel}:",
         "arc_place=get_actual_tcp_pose()",

@@ -49,8 +49,9 @@ def check(
 ) -> list[Issue]:
     """Return all issues of a job except those of its die.
 
-    Covers metal, passes, forces, the die's holder, supports that do not fulfil their task, and tools that
-    would cut into sheet that is formed already.
+    Covers features, metal, passes, forces, supports that do not fulfil their task, tools that would cut into
+    sheet that is formed already or reach into the clamp, walls too flat for the step-down, and the holder's
+    steps.
     """
     out = [
         *work.tree.issues,
@@ -59,7 +60,8 @@ def check(
         *_clearance_issues(work, paths),
     ]
     out += clamp_reach_issues(work, paths)
-    out += flat_issues(work, paths) if work.operation.level is None else ()
+    if work.operation.level is None:
+        out += flat_issues(work, paths)
     return [*out, *two_point.step_issues(work, paths)]
 
 
@@ -69,17 +71,15 @@ def shift_issues(work: FormingWork) -> Iterator[Issue]:
     Beyond the vertical the support would leave the wall that it supports, so the shift is limited by the wall
     angle.
     """
-    shift, final = (
-        work.operation.shift_deg,
-        {forming_pass.feature: forming_pass for forming_pass in work.passes},
-    )
-    for number, forming_pass in final.items():
+    shift = work.operation.shift_deg
+    last_passes = {forming_pass.feature: forming_pass for forming_pass in work.passes}  # later ones replace
+    for number, forming_pass in last_passes.items():
         wall = wall_angle(forming_pass.vertices, forming_pass.faces) / DEG
         if shift > wall + ANGLE_TOLERANCE_RAD / DEG:
-            what = format_message("forming.shift", feature=number, shift_deg=shift, wall_angle_deg=wall)
+            message = format_message("forming.shift", feature=number, shift_deg=shift, wall_angle_deg=wall)
             hint = "reduce shift_deg; at the wall angle the support is directly below the forming tool"
             yield Issue(
-                "forming.shift", what, field="shift_deg", value=shift, limit=wall, unit="deg", hint=hint
+                "forming.shift", message, field="shift_deg", value=shift, limit=wall, unit="deg", hint=hint
             )
 
 
@@ -92,11 +92,11 @@ def step_issues(work: FormingWork) -> Iterator[Issue]:
     op = work.operation
     depth_mm = max(abs(forming_pass.end - forming_pass.start) for forming_pass in work.passes) / MM
     if op.mode != "adsif" and op.stepdown_mm is not None and op.stepdown_mm > depth_mm:
-        what = f"stepdown_mm is {op.stepdown_mm:g}, allowed is up to {depth_mm:.3g}, the depth of the part"
+        message = f"stepdown_mm is {op.stepdown_mm:g}, allowed is up to {depth_mm:.3g}, the depth of the part"
         hint = f"use a tenth of that, {0.1 * depth_mm:.2g}, or state scallop_mm instead"
         yield Issue(
             "forming.path_options",
-            what,
+            message,
             field="operations.stepdown_mm",
             **measurement(op.stepdown_mm, depth_mm, "mm"),
             hint=hint,
@@ -106,48 +106,52 @@ def step_issues(work: FormingWork) -> Iterator[Issue]:
 def flat_issues(work: FormingWork, paths: Sequence[tuple[FormingPass, FormingToolPath]]) -> Iterator[Issue]:
     """Report walls that are too flat for a constant step-down (forming.path_options).
 
-    Loops at a constant step in height leave more of such a pass between them than its share allows.
+    Between loops at a constant step in height, a larger fraction of such a pass stays unformed than the
+    operation's ``share`` allows.
     """
-    op, max_fraction = work.operation, 1.0 - work.operation.share
+    op = work.operation
+    max_fraction = 1.0 - op.share
     for forming_pass, path in paths if op.stepdown_mm is not None and op.mode != "adsif" else ():
-        mesh, radius = (
-            TriangleMesh(forming_pass.vertices, forming_pass.faces),
-            work.heads[work.forming_arm(forming_pass)].radius,
-        )
+        mesh = TriangleMesh(forming_pass.vertices, forming_pass.faces)
+        radius = work.heads[work.forming_arm(forming_pass)].radius
         height = forming_pass.vertices[forming_pass.faces][:, :, 2]
-        level = [
+        is_level = [
             (np.abs(height - z) < CONTACT_TOLERANCE_M).all(axis=1)
             for z in (forming_pass.start, forming_pass.end)
         ]
-        area = np.where(level[0] | level[1], 0.0, face_areas(mesh))
+        area = np.where(is_level[0] | is_level[1], 0.0, face_areas(mesh))
         angle = np.arccos(np.clip(face_normals(mesh)[:, 2], -1.0, 1.0))
         ridge = scallop_heights(work, forming_pass) + op.gouge_tol_mm * MM
         flat = np.flatnonzero((area > 0.0) & (angle < MIN_WALL_ANGLE_RAD) & (ridge < 0.5 * radius))
         if area[flat].sum() <= max_fraction * area.sum():
             continue
-        parts, owner = bisect_triangles(
+        pieces, owner = bisect_triangles(
             forming_pass.vertices[forming_pass.faces[flat]], FINE_SPACING_FRACTION * radius, _MAX_PIECES
         )
-        size = np.linalg.norm(np.cross(parts[:, 1] - parts[:, 0], parts[:, 2] - parts[:, 0]), axis=1)
+        double_area = np.linalg.norm(
+            np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1
+        )
         arc = arc_length(path.forming_centre)
-        stations = np.linspace(0.0, arc[-1], int(arc[-1] / (FINE_SPACING_FRACTION * radius)) + 2)
-        distance = cKDTree(interpolate_polyline(path.forming_centre, arc, stations)).query(
-            parts.mean(axis=1)
+        samples = np.linspace(0.0, arc[-1], int(arc[-1] / (FINE_SPACING_FRACTION * radius)) + 2)
+        distance = cKDTree(interpolate_polyline(path.forming_centre, arc, samples)).query(
+            pieces.mean(axis=1)
         )[0]
-        uncovered = 0.5 * float(size[distance - radius > ridge[flat][owner]].sum() / area.sum())
+        uncovered = 0.5 * float(double_area[distance - radius > ridge[flat][owner]].sum() / area.sum())
         if uncovered <= max_fraction:
             continue
-        what = (
+        message = (
             f"pass {forming_pass.name}: loops {op.stepdown_mm:g} mm apart in height leave "
             f"{100 * uncovered:.0f} % of "
         )
-        what += (
+        message += (
             f"its walls between them, which are flatter than {MIN_WALL_ANGLE_RAD / DEG:.3g} deg; allowed is "
         )
-        what += f"{100 * max_fraction:.3g} %"
+        message += f"{100 * max_fraction:.3g} %"
         hint = "state scallop_mm: 0.01 instead of stepdown_mm, so that loops are closer where walls are flat"
         field, value, limit = "operations.stepdown_mm", 100 * uncovered, 100 * max_fraction
-        yield Issue("forming.path_options", what, field=field, value=value, limit=limit, unit="%", hint=hint)
+        yield Issue(
+            "forming.path_options", message, field=field, value=value, limit=limit, unit="%", hint=hint
+        )
 
 
 def die_check(work: FormingWork) -> Iterator[Issue]:
@@ -157,29 +161,34 @@ def die_check(work: FormingWork) -> Iterator[Issue]:
     """
     die = work.operation.die
     if die is not None:
-        final = {
-            forming_pass.feature: forming_pass for forming_pass in work.passes
-        }  # intermediate shapes do not touch the die
+        # last pass of each feature: intermediate shapes do not touch the die
+        last_passes = {forming_pass.feature: forming_pass for forming_pass in work.passes}
         tolerance = work.operation.gouge_tol_mm * MM
-        yield from die_issues(tuple(final.values()), die, die_mesh(die), work.thickness, tolerance)
+        yield from die_issues(tuple(last_passes.values()), die, die_mesh(die), work.thickness, tolerance)
 
 
 def forming_force(work: FormingWork, forming_pass: FormingPass, path: FormingToolPath) -> ForceEstimate:
-    """Return the axial force on the forming tool of a pass."""
-    op, radius = work.operation, work.heads[work.forming_arm(forming_pass)].radius
+    """Return the axial force on the forming tool of a pass.
+
+    Without a stated step-down, the step is the one whose ridges have the stated scallop height at the
+    steepest wall. A force that the user states replaces the formula.
+    """
+    op = work.operation
+    radius = work.heads[work.forming_arm(forming_pass)].radius
     walls = path.contact.angle[path.contact.angle > 0.0]
     if op.stepdown_mm is not None:
         step = op.stepdown_mm * MM
-    else:  # the step whose ridges are as high as stated, at the steepest wall
+    else:  # inverse of `sheet_mechanics.scallop_height`
         ridge = (op.scallop_mm or 0.0) * MM
         step = 2.0 * float(np.sin(walls.max())) * float(np.sqrt(2.0 * radius * ridge - ridge**2))
-    given = None if work.stated_forces is None else work.stated_forces.forming_force[forming_pass.name]
-    return estimate_force(work.sheet.metal, work.thickness, 2.0 * radius, step, walls, given)
+    stated_force = None if work.stated_forces is None else work.stated_forces.forming_force[forming_pass.name]
+    return estimate_force(work.sheet.metal, work.thickness, 2.0 * radius, step, walls, stated_force)
 
 
 def _clearance_issues(
     work: FormingWork, paths: Sequence[tuple[FormingPass, FormingToolPath]]
 ) -> Iterator[Issue]:
+    """Report supports that do not fulfil their task, and tools that cut into the sheet around a pass."""
     pass_states = sheet_states(work.tree, work.mesh, work.passes, work.thickness, work.previous_features)
     state_of = {
         forming_pass.name: state for forming_pass, state in zip(work.passes, pass_states, strict=True)
@@ -210,9 +219,10 @@ def clamp_reach_issues(
 
 
 def _metal_issues(work: FormingWork) -> Iterator[Issue]:
-    doubt = untested_thickness_warning(work.sheet.metal, work.thickness)
-    if doubt is not None:
-        yield doubt
+    """Report a thickness that is untested for the metal, and passes that the metal does not bear."""
+    warning = untested_thickness_warning(work.sheet.metal, work.thickness)
+    if warning is not None:
+        yield warning
     yield from pass_issues(work.passes, work.thickness, work.operation, work.sheet.metal)
 
 
@@ -222,19 +232,19 @@ def _force_issues(
     """Compare the largest force on each arm with its payload."""
     largest: dict[str, ForceEstimate] = {}
     for forming_pass, path in paths:
-        estimated = forming_force(work, forming_pass, path)
+        force_estimate = forming_force(work, forming_pass, path)
         for arm in filter(None, (work.forming_arm(forming_pass), work.support_arm(forming_pass))):
             if work.operation.mode == "heat" and arm != work.forming_arm(forming_pass):
                 continue
-            arm_force, support = estimated, work.operation.support_force_n
+            arm_force, support = force_estimate, work.operation.support_force_n
             if arm != work.forming_arm(forming_pass) and support is not None:
-                arm_force = ForceEstimate(support, support, support, estimated.angle, "support_force_n")
+                arm_force = ForceEstimate(support, support, support, force_estimate.angle, "support_force_n")
             if arm not in largest or arm_force.force > largest[arm].force:
                 largest[arm] = arm_force
-    for arm, estimated in largest.items():
+    for arm, force_estimate in largest.items():
         mounted = setup.cell.arm(arm)
         data = mounted.data
-        issue = payload_issue(estimated, f"arm {arm}", data.title, data.payload, mounted.tool.mass)
+        issue = payload_issue(force_estimate, f"arm {arm}", data.title, data.payload, mounted.tool.mass)
         if issue is not None:
             yield issue
 
@@ -253,7 +263,7 @@ CONTACT_TOLERANCE_M: Final = 2e-6
 _WORST_POINTS: Final = 12
 """Number of points farthest from the ball around which corners of the mesh are checked, too."""
 _MAX_NEIGHBOURS: Final = 800
-"""Maximum number of points around those. Larger sets are decimated evenly."""
+"""Maximum number of points near those points. Larger sets are decimated evenly."""
 _MAX_PIECES: Final = 60_000
 """Maximum number of pieces into which the face is divided."""
 _MAX_PLANES: Final = 12
@@ -288,67 +298,67 @@ def find_unreached(forming_pass: FormingPass, radius: float) -> UnreachedRegion 
         forming_pass: Pass whose face is checked.
         radius: Radius [m] of the ball.
     """
+    # a face that is formed from below is mirrored, so that the ball is always above it
     vertices = forming_pass.vertices if forming_pass.side > 0 else forming_pass.vertices * MIRROR
     start, end = forming_pass.side * forming_pass.start, forming_pass.side * forming_pass.end
     box = np.stack([forming_pass.region.min(axis=0), forming_pass.region.max(axis=0)])[:, :2]
     face = ContactFace(TriangleMesh(vertices, forming_pass.faces), radius, box)
     corners = vertices[face.mesh.faces]
-    moved = np.flatnonzero(
-        corners[:, :, 2].min(axis=1) < start - CONTACT_TOLERANCE_M
-    )  # the flat around the feature is always reached
-    corners = corners[moved]
-    parts, owner = bisect_triangles(corners, FINE_SPACING_FRACTION * radius, _MAX_PIECES)
-    area = 0.5 * np.linalg.norm(np.cross(parts[:, 1] - parts[:, 0], parts[:, 2] - parts[:, 0]), axis=1)
+    # the flat around the feature is always reached
+    formed_faces = np.flatnonzero(corners[:, :, 2].min(axis=1) < start - CONTACT_TOLERANCE_M)
+    corners = corners[formed_faces]
+    pieces, owner = bisect_triangles(corners, FINE_SPACING_FRACTION * radius, _MAX_PIECES)
+    area = 0.5 * np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
     corner = corners[owner][:, :, 2]
-    flat = [(np.abs(corner - level) < CONTACT_TOLERANCE_M).all(axis=1) for level in (start, end)]
-    wall = np.asarray(~(flat[0] | flat[1]))
-    points, normal = parts.mean(axis=1), face.normals[moved[owner]]
+    is_level = [(np.abs(corner - level) < CONTACT_TOLERANCE_M).all(axis=1) for level in (start, end)]
+    is_wall = np.asarray(~(is_level[0] | is_level[1]))
+    points, normal = pieces.mean(axis=1), face.normals[formed_faces[owner]]
     # coarse pass: only the surroundings of points that are not reached are refined
-    sampled = _decimate(points, wall, COARSE_SPACING_FRACTION * radius)[0]
-    hit = sampled[face.pushed(points[sampled], normal[sampled]) > REACHED_TOLERANCE_M]
-    if not len(hit):
+    sampled = _decimate(points, is_wall, COARSE_SPACING_FRACTION * radius)[0]
+    unreached = sampled[face.pushed(points[sampled], normal[sampled]) > REACHED_TOLERANCE_M]
+    if not len(unreached):
         return None
-    hit_distance = cKDTree(points[hit]).query(
+    unreached_distance = cKDTree(points[unreached]).query(
         points, distance_upper_bound=2.0 * COARSE_SPACING_FRACTION * radius
     )[0]
-    candidates = np.flatnonzero(np.isfinite(hit_distance))
-    first, cell = _decimate(points[candidates], wall[candidates], FINE_SPACING_FRACTION * radius)
-    total = np.bincount(cell, area[candidates])
-    all_walls = float(area[wall].sum())
-    rows = candidates[first]
-    area[rows] = total
-    back = nearest_centres(face, points[rows], normal[rows]) - points[rows]
-    distance = np.linalg.norm(back, axis=1)
-    use = distance > radius + REACHED_TOLERANCE_M
-    rows, back, distance = rows[use], back[use], distance[use]
-    if not len(rows):
+    candidates = np.flatnonzero(np.isfinite(unreached_distance))
+    first, cell = _decimate(points[candidates], is_wall[candidates], FINE_SPACING_FRACTION * radius)
+    cell_area = np.bincount(cell, area[candidates])
+    all_walls = float(area[is_wall].sum())
+    samples = candidates[first]
+    area[samples] = cell_area
+    to_centre = nearest_centres(face, points[samples], normal[samples]) - points[samples]
+    distance = np.linalg.norm(to_centre, axis=1)
+    is_unreached = distance > radius + REACHED_TOLERANCE_M
+    samples, to_centre, distance = samples[is_unreached], to_centre[is_unreached], distance[is_unreached]
+    if not len(samples):
         return None
     # sector between each point and the ball, as in a straight crease at distance d:
     # dV = (d^2 - R^2) / (2 d) cos(angle) dA
-    along = np.maximum(dots(back, normal[rows]), 0.0) / distance
-    volume = float((0.5 * (distance**2 - radius**2) / distance * along * area[rows]).sum())
-    k = int(np.argmax(distance))
-    point = points[rows[k]] if forming_pass.side > 0 else points[rows[k]] * MIRROR
-    wall_fraction = float(area[rows][wall[rows]].sum() / max(all_walls, 1e-12))
+    along = np.maximum(dots(to_centre, normal[samples]), 0.0) / distance
+    volume = float((0.5 * (distance**2 - radius**2) / distance * along * area[samples]).sum())
+    worst_index = int(np.argmax(distance))
+    point = points[samples[worst_index]] if forming_pass.side > 0 else points[samples[worst_index]] * MIRROR
+    wall_fraction = float(area[samples][is_wall[samples]].sum() / max(all_walls, 1e-12))
     # corners of the mesh near these points are farther from the ball than the points themselves
-    worst = points[rows[np.argsort(distance)[-_WORST_POINTS:]]]
-    around = np.unique(
-        np.concatenate(cKDTree(points).query_ball_point(worst, 2.0 * FINE_SPACING_FRACTION * radius))
+    worst_points = points[samples[np.argsort(distance)[-_WORST_POINTS:]]]
+    nearby = np.unique(
+        np.concatenate(cKDTree(points).query_ball_point(worst_points, 2.0 * FINE_SPACING_FRACTION * radius))
     )
-    around = around[:: -(-len(around) // _MAX_NEIGHBOURS)].astype(np.int64)
-    corner, up = parts[around].reshape(-1, 3), np.repeat(normal[around], 3, axis=0)
-    corner_distance = np.linalg.norm(nearest_centres(face, corner, up) - corner, axis=1)
-    max_distance = max(float(corner_distance.max()), float(distance[k]))
+    nearby = nearby[:: -(-len(nearby) // _MAX_NEIGHBOURS)].astype(np.int64)
+    corner, corner_normal = pieces[nearby].reshape(-1, 3), np.repeat(normal[nearby], 3, axis=0)
+    corner_distance = np.linalg.norm(nearest_centres(face, corner, corner_normal) - corner, axis=1)
+    max_distance = max(float(corner_distance.max()), float(distance[worst_index]))
     return UnreachedRegion(
-        max_distance - radius, point, volume, _region_count(points[rows], radius), wall_fraction
+        max_distance - radius, point, volume, _region_count(points[samples], radius), wall_fraction
     )
 
 
 def _decimate(points: FloatArray, wall: BoolArray, size: float) -> tuple[IntArray, IntArray]:
-    """First of N points in each cell.
+    """Select one of the points (N, 3) in each cell of a cubic grid with cells of ``size`` [m].
 
-    Returns the first point (C,) in each cell of ``size`` [m], walls and others separately, and the cell (N,)
-    of each point.
+    Points on a ``wall`` (N,) and others are selected separately. Returns the index of the first point in each
+    cell (C,), and the cell of each point (N,).
     """
     key = np.column_stack([np.floor(points / size).astype(np.int64), wall])
     _, first, cell = unique_rows(key)
@@ -384,24 +394,24 @@ def nearest_centres(face: ContactFace, points: FloatArray, normal: FloatArray) -
 
 
 def _project_beyond_planes(points: FloatArray, up: FloatArray, level: FloatArray) -> FloatArray:
-    """Nearest positions (N, 3) to ``points`` (N, 3) beyond K planes.
+    """Return the positions (N, 3) [m] nearest to ``points`` (N, 3) that lie beyond K planes each.
 
-    Dykstra's projections onto the half-spaces {x: up_k . x >= level_k} with ``up`` (N, K, 3) and ``level``
-    (N, K); ``push`` is the correction of each plane.
+    Dykstra's alternating projections onto the half-spaces {x: up_k . x >= level_k} with ``up`` (N, K, 3)
+    and ``level`` (N, K) [m]; ``push`` is the correction of each plane.
     """
     position = points.copy()
     push = np.zeros(level.shape)
     for _ in range(_PROJECTION_SWEEPS if level.shape[1] > 1 else 1):
         for k in range(level.shape[1]):
-            free = dots(position, up[:, k]) - push[:, k]
-            fresh = np.maximum(level[:, k] - free, 0.0)
-            position += (fresh - push[:, k])[:, None] * up[:, k]
-            push[:, k] = fresh
+            coordinate = dots(position, up[:, k]) - push[:, k]
+            new_push = np.maximum(level[:, k] - coordinate, 0.0)
+            position += (new_push - push[:, k])[:, None] * up[:, k]
+            push[:, k] = new_push
     return position
 
 
 def _region_count(points: FloatArray, radius: float) -> int:
-    """Number of separate regions that points (N, 3) make up."""
+    """Return the number of clusters of points (N, 3); neighbours in a cluster are at most 0.4 radii apart."""
     neighbours = cKDTree(points).sparse_distance_matrix(
         cKDTree(points), 4.0 * FINE_SPACING_FRACTION * radius, output_type="coo_matrix"
     )
@@ -415,7 +425,8 @@ def unreached_issues(work: FormingWork) -> Iterator[Issue]:
     beyond the user's ``unreached_mm``.
     """
     op = work.operation
-    for forming_pass in {forming_pass.feature: forming_pass for forming_pass in work.passes}.values():
+    last_passes = {forming_pass.feature: forming_pass for forming_pass in work.passes}
+    for forming_pass in last_passes.values():
         radius = work.heads[work.forming_arm(forming_pass)].radius
         region = find_unreached(forming_pass, radius)
         if region is None:
@@ -423,11 +434,11 @@ def unreached_issues(work: FormingWork) -> Iterator[Issue]:
         limit = op.unreached_mm
         distance_mm = region.max_distance / MM
         x, y, z = region.point / MM
-        many = "one region" if region.regions == 1 else f"{region.regions} regions"
-        what = (
+        regions_text = "one region" if region.regions == 1 else f"{region.regions} regions"
+        message = (
             f"pass {forming_pass.name}: a ball of {radius / MM:.2f} mm radius stays up to {distance_mm:.2f} "
             f"mm off the part (at ({x:.1f}, {y:.1f}, {z:.1f}) mm) and leaves fillets of its own radius in "
-            f"{many}, about {region.volume / MM**3:.3g} mm3; it does not reach "
+            f"{regions_text}, about {region.volume / MM**3:.3g} mm3; it does not reach "
             f"{100.0 * region.wall_fraction:.1f} % of the walls"
         )
         severity = Severity.NOTE if region.wall_fraction <= 1.0 - op.share else Severity.WARNING
@@ -436,12 +447,12 @@ def unreached_issues(work: FormingWork) -> Iterator[Issue]:
             hint += "; unreached_mm limits the distance"
         elif distance_mm > limit:
             severity = Severity.ERROR
-            what += f"; unreached_mm allows {limit:g} mm"
+            message += f"; unreached_mm allows {limit:g} mm"
             hint = "use a smaller ball, round the part there by the ball's radius"
             hint += f", or allow {distance_mm + 0.01:.2f} mm"
         yield Issue(
             "forming.unreached",
-            what,
+            message,
             severity,
             field="operations.unreached_mm",
             **measurement(distance_mm, limit, "mm"),

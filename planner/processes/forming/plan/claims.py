@@ -8,7 +8,6 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims import sentences as words
 from planner.claims.claim import Claim
 from planner.claims.dialogue import (
     DialogueStop,
@@ -18,12 +17,13 @@ from planner.claims.dialogue import (
     power_on_steps,
     question_step,
 )
+from planner.claims.sentences import Sentence
 from planner.geometry.arrays import FloatArray
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.units import DEG, MM
 from planner.issues import issue_error
 from planner.problem import Part, Setup, Sheet
-from planner.processes.forming import claims as facts
+from planner.processes.forming import claims as forming_claims
 from planner.processes.forming import sentences
 from planner.processes.forming.plan import two_point
 from planner.processes.forming.plan.contact import FormingPass
@@ -50,27 +50,27 @@ the normal and the vertical. The nozzle follows the smooth face, not its facets.
 
 
 def claims(work: FormingWork) -> tuple[Claim, ...]:
-    """Return the claims of all passes."""
+    """Return the claims of all passes, and those on their order, springback, level and holder."""
     pass_states = sheet_states(work.tree, work.mesh, work.passes, work.thickness, work.previous_features)
     out: list[Claim] = [
-        facts.FormsInOrder(tuple(forming_segment(forming_pass) for forming_pass in work.passes))
+        forming_claims.FormsInOrder(tuple(forming_segment(forming_pass) for forming_pass in work.passes))
     ]
     if work.operation.springback is not None:
         out.append(
-            facts.CompensatesSpringback(
+            forming_claims.CompensatesSpringback(
                 work.operation.name, tuple(forming_segment(forming_pass) for forming_pass in work.passes)
             )
         )
     if work.operation.level is not None:
         level_forming_pass = level_pass(work, work.operation.level)
-        out.append(facts.FormsLevel(work.operation.name, forming_segment(level_forming_pass)))
-    sinking = two_point.holder_claim(work)
-    if sinking is not None:
-        out.append(sinking)
+        out.append(forming_claims.FormsLevel(work.operation.name, forming_segment(level_forming_pass)))
+    holder = two_point.holder_claim(work)
+    if holder is not None:
+        out.append(holder)
     for forming_pass, state in zip(work.passes, pass_states, strict=True):
         out.append(_sheet_state_claim(work, forming_pass, state))
         out.append(
-            facts.FormingFeed(
+            forming_claims.FormingFeed(
                 forming_segment(forming_pass), work.operation.arms, work.operation.feed_mm_s * MM
             )
         )
@@ -86,11 +86,12 @@ def claims(work: FormingWork) -> tuple[Claim, ...]:
 
 
 def _tilt_claims(work: FormingWork, forming_pass: FormingPass) -> list[Claim]:
-    """Claim on the tilt of the tools.
+    """Return the claim on the tilt of the tools.
 
     A heat source tilts with the wall and is not included. In adsif the claim of the table covers the tilt.
     """
-    op, support_arm = work.operation, work.support_arm(forming_pass)
+    op = work.operation
+    support_arm = work.support_arm(forming_pass)
     if op.mode == "adsif":
         return []
     arms = (
@@ -99,17 +100,20 @@ def _tilt_claims(work: FormingWork, forming_pass: FormingPass) -> list[Claim]:
     )
     upper = LEVEL_TILT_RAD + (op.lean_deg + op.cone_deg) * DEG
     return [
-        facts.LimitsToolTilt(
+        forming_claims.LimitsToolTilt(
             forming_segment(forming_pass), arms, tuple(work.above(arm) for arm in arms), upper
         )
     ]
 
 
-def _table_claim(work: FormingWork, forming_pass: FormingPass, support_arm: str) -> facts.FormsByTable:
+def _table_claim(
+    work: FormingWork, forming_pass: FormingPass, support_arm: str
+) -> forming_claims.FormsByTable:
+    """Return the claim of a pass in mode adsif, in which the response table determines both tools."""
     op, adsif = work.operation, work.operation.adsif
     arms = (work.forming_arm(forming_pass), support_arm)
     compliance = 0.0 if adsif.stiffness_n_mm is None else adsif.force_n / adsif.stiffness_n_mm * MM
-    return facts.FormsByTable(
+    return forming_claims.FormsByTable(
         forming_segment(forming_pass),
         arms,
         forming_pass.side,
@@ -133,7 +137,10 @@ def _table_claim(work: FormingWork, forming_pass: FormingPass, support_arm: str)
 
 
 def _chord_deviation(op: Forming, forming_pass: FormingPass) -> float:
-    """Deviation [m] of straight moves from a loop as wide as the part, from the user's chord and tangent."""
+    """Return the deviation [m] of straight moves from a loop as wide as the part.
+
+    It is the chord that the user states, or that of a move over the stated tangent angle if it is smaller.
+    """
     half_width = 0.5 * float(np.ptp(forming_pass.vertices[:, :2], axis=0).max())
     return min(op.chord_mm * MM, half_width * (1.0 - float(np.cos(0.5 * op.tangent_deg * DEG))))
 
@@ -141,9 +148,10 @@ def _chord_deviation(op: Forming, forming_pass: FormingPass) -> float:
 def scallop_heights(work: FormingWork, forming_pass: FormingPass) -> FloatArray:
     """Return the height (F,) [m] of the ridges that the path leaves at the triangles of a pass.
 
-    It is the stated one, or that of the stated step-down.
+    It is the stated scallop height, or that of the ridges that the stated step-down leaves.
     """
-    op, radius = work.operation, work.heads[work.forming_arm(forming_pass)].radius
+    op = work.operation
+    radius = work.heads[work.forming_arm(forming_pass)].radius
     if op.stepdown_mm is None:
         return np.full(len(forming_pass.faces), (op.scallop_mm or 0.0) * MM)
     return level_lines.ridge_heights(
@@ -153,10 +161,11 @@ def scallop_heights(work: FormingWork, forming_pass: FormingPass) -> FloatArray:
 
 def _sheet_state_claim(
     work: FormingWork, forming_pass: FormingPass, state: PassSheetState
-) -> facts.SheetState:
+) -> forming_claims.SheetState:
+    """Return the claim that tools do not cut into the sheet around a pass."""
     arms = tuple(filter(None, (work.forming_arm(forming_pass), work.support_arm(forming_pass))))
     heads = tuple(head_outline(work.heads[arm]) for arm in arms)
-    return facts.SheetState(
+    return forming_claims.SheetState(
         forming_segment(forming_pass),
         arms,
         forming_pass.side,
@@ -169,12 +178,16 @@ def _sheet_state_claim(
 
 
 def _surface_claims(work: FormingWork, forming_pass: FormingPass) -> list[Claim]:
-    op, arm, support_arm = work.operation, work.forming_arm(forming_pass), work.support_arm(forming_pass)
-    radius, gouge = work.heads[arm].radius, op.gouge_tol_mm * MM
+    """Return the claims on the face of a pass and on the other tool, in all modes except adsif."""
+    op = work.operation
+    arm = work.forming_arm(forming_pass)
+    support_arm = work.support_arm(forming_pass)
+    radius = work.heads[arm].radius
+    gouge = op.gouge_tol_mm * MM
     ridge = scallop_heights(work, forming_pass) + gouge
     face = (forming_pass.vertices, forming_pass.faces)
     out: list[Claim] = [
-        facts.FormsSheet(
+        forming_claims.FormsSheet(
             forming_segment(forming_pass),
             arm,
             forming_pass.side,
@@ -191,10 +204,12 @@ def _surface_claims(work: FormingWork, forming_pass: FormingPass) -> list[Claim]
         return out
     if op.mode in GAP_MODES:
         vertices, faces, thickness = face_by_corner(forming_pass, work.thickness)
-        gap, tolerance = op.squeeze * thickness, op.gap_tol_mm * MM
-        radii, step = (radius, work.heads[support_arm].radius), op.handshake_gap_mm * MM
+        gap = op.squeeze * thickness
+        tolerance = op.gap_tol_mm * MM
+        radii = (radius, work.heads[support_arm].radius)
+        handshake_tolerance = op.handshake_gap_mm * MM
         out.append(
-            facts.ToolGap(
+            forming_claims.ToolGap(
                 forming_segment(forming_pass),
                 (arm, support_arm),
                 forming_pass.side,
@@ -204,19 +219,21 @@ def _surface_claims(work: FormingWork, forming_pass: FormingPass) -> list[Claim]
                 gap,
                 tolerance,
                 turn=MAX_FACING_ANGLE_RAD,
-                handshake=step,
+                handshake=handshake_tolerance,
             )
         )
     elif op.mode == "dpif_p":
         border = border_curve(forming_pass, work.heads[support_arm], work.thickness)
         out.append(
-            facts.SupportsBorder(forming_segment(forming_pass), support_arm, border, BORDER_TOLERANCE_M)
+            forming_claims.SupportsBorder(
+                forming_segment(forming_pass), support_arm, border, BORDER_TOLERANCE_M
+            )
         )
     else:
         distance = radius + float(np.median(forming_pass.thickness))
-        tilt = NOZZLE_TILT_RAD + op.cone_deg * DEG
+        max_aim_angle = NOZZLE_TILT_RAD + op.cone_deg * DEG
         out.append(
-            facts.FollowsOpposite(
+            forming_claims.FollowsOpposite(
                 forming_segment(forming_pass),
                 (arm, support_arm),
                 forming_pass.side,
@@ -224,22 +241,23 @@ def _surface_claims(work: FormingWork, forming_pass: FormingPass) -> list[Claim]
                 distance,
                 HEAT_TOLERANCE_M,
                 NOZZLE_TILT_RAD,
-                tilt,
+                max_aim_angle,
             )
         )
     return out
 
 
-def part_claim(operation: Forming, setup: Setup, part: Part | None) -> facts.FormsPart:
-    """Return the claim on the part, with the user's numbers.
+def part_claim(operation: Forming, setup: Setup, part: Part | None) -> forming_claims.FormsPart:
+    """Return the claim on the part, with the values that the problem states.
 
     Raises:
         TandemError: forming.no_sheet if there is no sheet.
     """
-    op, sheet = operation, setup.stock.sheet
+    op = operation
+    sheet = setup.stock.sheet
     if sheet is None or part is None or part.formed is None:
-        what = f"{op.name}: there is no sheet to form; give sheet: and a part of kind sheet_mesh"
-        raise issue_error("forming.no_sheet", what, field="sheet")
+        message = f"{op.name}: there is no sheet to form; give sheet: and a part of kind sheet_mesh"
+        raise issue_error("forming.no_sheet", message, field="sheet")
     tools = [setup.cell.arm(arm).tool for arm in op.arms]
     heads = [tool.head if isinstance(tool, FormingTool) else None for tool in tools]
     thickness = float(setup.stock.size[2])
@@ -249,7 +267,7 @@ def part_claim(operation: Forming, setup: Setup, part: Part | None) -> facts.For
     die = op.die
     sinks = die is not None and die.holder == "sinking"
     step = op.stepdown_mm if die is None or die.step_mm is None else die.step_mm
-    return facts.FormsPart(
+    return forming_claims.FormsPart(
         mode=op.mode,
         arms=op.arms,
         sides=(1, -1) if len(op.arms) == 2 else (1 if op.side == "top" else -1,),
@@ -284,8 +302,8 @@ def part_claim(operation: Forming, setup: Setup, part: Part | None) -> facts.For
     )
 
 
-def operator_prompts(op: Forming, sheet: Sheet | None) -> tuple[words.Sentence, words.Sentence]:
-    """Return what the operator is asked before and after an operation.
+def operator_prompts(op: Forming, sheet: Sheet | None) -> tuple[Sentence, Sentence]:
+    """Return the questions that the operator is asked before and after an operation.
 
     A sheet that other operations have formed or cut is clamped already, and one that others continue with
     stays clamped.
@@ -300,7 +318,7 @@ def operator_prompts(op: Forming, sheet: Sheet | None) -> tuple[words.Sentence, 
 
 
 def dialogue(
-    operation: Forming, setup: Setup, part: facts.FormsPart, sinks: facts.SinksHolder | None
+    operation: Forming, setup: Setup, part: forming_claims.FormsPart, sinks: forming_claims.SinksHolder | None
 ) -> OperatorDialogue:
     """Return the operator dialogue of a forming operation.
 

@@ -63,9 +63,9 @@ class Contact:
         centre: Centres (N, 3) [m] of the ball.
         point: Points (N, 3) [m] where it touches.
         normal: Unit vectors (N, 3) from there to the centre.
-        pushed: Distances (N,) [m] by which the centre had to move aside.
+        pushed: Distances (N,) [m] by which the centre was pushed aside so that the ball does not cut in.
         gap: Distances (N,) [m] from the ball to the required point.
-        clear: Whether (N,) the ball then does not cut into the face.
+        clear: Whether (N,) the ball at its centre does not cut into the face.
     """
 
     centre: FloatArray
@@ -88,17 +88,18 @@ class ContactFace:
 
     def __init__(self, mesh: TriangleMesh, radius: float, box: FloatArray | None = None) -> None:
         if box is not None:
-            flat = mesh.vertices[mesh.faces][:, :, :2]
+            plan_corners = mesh.vertices[mesh.faces][:, :, :2]
             low, high = box[0] - 2.5 * radius, box[1] + 2.5 * radius
-            in_box = ((flat.max(axis=1) >= low) & (flat.min(axis=1) <= high)).all(axis=1)
-            mesh = TriangleMesh(mesh.vertices, mesh.faces[in_box])
+            face_in_box = ((plan_corners.max(axis=1) >= low) & (plan_corners.min(axis=1) <= high)).all(axis=1)
+            mesh = TriangleMesh(mesh.vertices, mesh.faces[face_in_box])
         self.mesh, self.radius = mesh, radius
         self.normals = face_normals(mesh)
         self.smooth = smooth_normals(mesh)
         self._corners = mesh.vertices[mesh.faces]
         self._offset = dots(self._corners[:, 0], self.normals)
         edge = np.linalg.norm(np.roll(self._corners, -1, axis=1) - self._corners, axis=2).max(axis=1)
-        # separate trees for small and large faces, so that large ones do not widen the search for small ones
+        # separate trees of face pieces for small and large faces, so that large ones do not widen the search
+        # for small ones
         self._trees: list[tuple[cKDTree, IntArray, FloatArray]] = []
         rank = np.clip(np.ceil(np.log2(np.maximum(edge / (0.05 * radius), 1e-9))), 0, 4).astype(np.int64)
         for size_class in np.unique(rank):
@@ -108,16 +109,16 @@ class ContactFace:
             )
             if box is not None:
                 low, high = pieces[:, :, :2].min(axis=1), pieces[:, :, :2].max(axis=1)
-                kept = ((high >= box[0] - 2.5 * radius) & (low <= box[1] + 2.5 * radius)).all(axis=1)
-                pieces, owner = pieces[kept], owner[kept]
+                in_box = ((high >= box[0] - 2.5 * radius) & (low <= box[1] + 2.5 * radius)).all(axis=1)
+                pieces, owner = pieces[in_box], owner[in_box]
             if not len(pieces):
                 continue
-            middle = pieces.mean(axis=1)
-            size = np.linalg.norm(pieces - middle[:, None], axis=2).max(axis=1)
-            self._trees.append((cKDTree(middle), members[owner], size))
+            centroid = pieces.mean(axis=1)
+            piece_radius = np.linalg.norm(pieces - centroid[:, None], axis=2).max(axis=1)
+            self._trees.append((cKDTree(centroid), members[owner], piece_radius))
 
     def normal_at(self, face: IntArray, weights: FloatArray) -> FloatArray:
-        """Return unit normals (N, 3), smooth over the facets.
+        """Return unit normals (N, 3) at points of the face, interpolated so that they are smooth over facets.
 
         Args:
             face: Face of each point (N,).
@@ -135,23 +136,24 @@ class ContactFace:
         Returns:
             Nearest points (N, 3) [m], their faces (N,) and their barycentric weights (N, 3).
         """
-        row, face, weights, foot, _ = self.touched(points, 0.0)
-        first = np.searchsorted(row, np.arange(len(points)))
+        index, face, weights, foot, _ = self.touched(points, 0.0)
+        first = np.searchsorted(index, np.arange(len(points)))
         return foot[first], face[first], weights[first]
 
     def touched(
         self, points: FloatArray, within: float
     ) -> tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray]:
-        """Return the faces that are as near to some points as the nearest one, or almost.
+        """Return, for each point, all faces that are at most ``within`` farther from it than the nearest one.
 
         Args:
             points: Points (N, 3) [m].
-            within: Additional distance [m].
+            within: Additional distance [m] beyond that of the nearest face.
 
         Returns:
             M pairs, ordered by point and then by distance: point (M,), face (M,), barycentric weights (M, 3)
             and position (M, 3) [m] of the nearest point of that face, and distance (M,) [m].
         """
+        # upper bound of the distances that count: that of the face of the nearest piece, plus ``within``
         bound = np.full(len(points), np.inf)
         for tree, owner, _ in self._trees:
             f = owner[tree.query(points)[1]]
@@ -162,16 +164,16 @@ class ContactFace:
         nearest = bound.copy()
         kept = [(np.zeros(0, np.int64), np.zeros(0, np.int64), *np.zeros((2, 0, 3)), np.zeros(0))]
         for start in range(0, len(points), 4000):
-            rows = order[start : start + 4000]
-            chunk = points[rows]
-            for i, f in self._pairs(chunk, bound[rows]):
+            indices = order[start : start + 4000]
+            chunk = points[indices]
+            for i, f in self._pairs(chunk, bound[indices]):
                 # a face is never nearer than its plane: |n . p - d| <= distance (1e-9 covers rounding)
-                beyond = np.abs(dots(chunk[i], self.normals[f]) - self._offset[f]) > bound[rows[i]] + 1e-9
+                beyond = np.abs(dots(chunk[i], self.normals[f]) - self._offset[f]) > bound[indices[i]] + 1e-9
                 i, f = i[~beyond], f[~beyond]
                 weights = closest_weights(chunk[i], *self._face_corners(f))
                 foot = np.einsum("nk,nkd->nd", weights, self._corners[f])
                 distance = np.linalg.norm(chunk[i] - foot, axis=1)
-                i = rows[i]
+                i = indices[i]
                 np.minimum.at(nearest, i, distance)
                 use = distance <= np.minimum(nearest[i] + within, bound[i])
                 kept.append((i[use], f[use], weights[use], foot[use], distance[use]))
@@ -190,19 +192,21 @@ class ContactFace:
         return self._deepest(centres, None)[0]
 
     def pushed(self, required: FloatArray, normal: FloatArray, beyond: float = 0.0) -> FloatArray:
-        """Return how far a ball at a required point is pushed aside at once.
+        """Return by how much a ball that is placed at a required point cuts into the face.
+
+        That is the distance by which it would first be pushed aside.
 
         Args:
             required: Required contact points (N, 3) [m].
-            normal: Unit normals (N, 3).
+            normal: Unit normals (N, 3) along which the ball is placed.
             beyond: Only pushes at more than this angle [rad] to the normal count; 0 for all.
 
         Returns:
-            Distances (N,) [m]; less than 1 um is nothing.
+            Distances (N,) [m], 0 where the push does not count; values below 1 um are within the tolerance.
         """
         distance, _, away = self._deepest(required + self.radius * normal, None)
-        counts = dots(away, normal) <= np.cos(beyond)
-        return np.where(counts | (beyond == 0.0), np.maximum(self.radius - distance, 0.0), 0.0)
+        is_counted = dots(away, normal) <= np.cos(beyond)
+        return np.where(is_counted | (beyond == 0.0), np.maximum(self.radius - distance, 0.0), 0.0)
 
     def deepest(self, centres: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the nearest points of the face for ball centres.
@@ -222,12 +226,13 @@ class ContactFace:
         Args:
             required: Required contact points (N, 3) [m].
             normal: Unit normals (N, 3) along which the ball is placed.
-            rounds: Maximum number of rounds.
+            rounds: Maximum number of rounds. ``clear`` is False for balls that still cut in after the last.
         """
         radius = self.radius
         initial = required + radius * normal
         centre = initial.copy()
-        active, clear = np.arange(len(centre)), np.ones(len(centre), dtype=np.bool_)
+        active = np.arange(len(centre))
+        clear = np.ones(len(centre), dtype=np.bool_)
         for _ in range(rounds):
             distance, _, away = self._deepest(centre[active], None)
             deep = distance < radius - CONTACT_TOLERANCE_M
@@ -242,25 +247,25 @@ class ContactFace:
         offset = centre - required
         offset_length = np.linalg.norm(offset, axis=1)
         clear &= dots(offset, normal) > 0.0
-        along = np.where(
+        direction = np.where(
             offset_length[:, None] > 0.0, offset / np.maximum(offset_length, 1e-300)[:, None], normal
         )
         point = required.copy()
         moved = np.flatnonzero((centre != initial).any(axis=1))
         if len(moved):
-            _, nearest, _ = self._deepest(centre[moved], along[moved])
+            _, nearest, _ = self._deepest(centre[moved], direction[moved])
             # Facets are chords: the ball touches the smooth face at the foot of the smooth normal,
             # c - R n, if that is on the mesh within ON_FACE_TOLERANCE_M. A foot on the facets themselves
             # would jump from one to the next.
-            foot = centre[moved] - radius * along[moved]
-            good = np.linalg.norm(self.nearest(foot)[0] - foot, axis=1) <= ON_FACE_TOLERANCE_M
-            point[moved] = np.where(good[:, None], foot, nearest)
-        back = centre - point
-        length = np.linalg.norm(back, axis=1, keepdims=True)
+            foot = centre[moved] - radius * direction[moved]
+            is_on_mesh = np.linalg.norm(self.nearest(foot)[0] - foot, axis=1) <= ON_FACE_TOLERANCE_M
+            point[moved] = np.where(is_on_mesh[:, None], foot, nearest)
+        to_centre = centre - point
+        length = np.linalg.norm(to_centre, axis=1, keepdims=True)
         return Contact(
             centre,
             point,
-            np.asarray(back / np.maximum(length, 1e-300)),
+            np.asarray(to_centre / np.maximum(length, 1e-300)),
             np.linalg.norm(centre - initial, axis=1),
             np.maximum(offset_length - radius, 0.0),
             clear,
@@ -269,9 +274,10 @@ class ContactFace:
     def _deepest(
         self, centres: FloatArray, reference: FloatArray | None
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Signed distances, nearest points and directions as in `deepest`.
+        """Return signed distances, nearest points and directions as `deepest` does.
 
-        Of points that are equally near, the one whose direction is closest to ``reference`` (N, 3) is taken.
+        Of points that are equally near, the one whose direction is closest to ``reference`` (N, 3) is taken,
+        or any of them if that is None.
         """
         reach = self.radius + 20.0 * CONTACT_TOLERANCE_M
         best = np.full(len(centres), np.inf)
@@ -279,32 +285,32 @@ class ContactFace:
         for start in range(0, len(centres), 4000):
             chunk = centres[start : start + 4000]
             kept = []
-            for i, f in self._pairs(chunk, np.full(len(chunk), reach)):
+            for i, f in self._pairs(chunk, np.full(len(chunk), reach)):  # indices of points and of faces
                 height = dots(chunk[i], self.normals[f]) - self._offset[f]
                 in_reach = np.abs(height) < reach  # the plane is a lower bound of the distance
                 i, f, height = i[in_reach], f[in_reach], height[in_reach]
                 weights = closest_weights(chunk[i], *self._face_corners(f))
                 foot = np.einsum("nk,nkd->nd", weights, self._corners[f])
-                back = chunk[i] - foot
-                distance = np.linalg.norm(back, axis=1)
+                to_centre = chunk[i] - foot
+                distance = np.linalg.norm(to_centre, axis=1)
                 is_below = (height < 0.0) & (weights.min(axis=1) > 0.0)
                 distance = np.where(is_below, -distance, distance)
-                use = distance < reach
-                kept.append((i[use], distance[use], foot[use], back[use], f[use]))
+                near = distance < reach
+                kept.append((i[near], distance[near], foot[near], to_centre[near], f[near]))
             if not kept:
                 continue
-            i, distance, foot, back, f = (np.concatenate(part) for part in zip(*kept, strict=True))
+            i, distance, foot, to_centre, f = (np.concatenate(part) for part in zip(*kept, strict=True))
             near_zero = np.abs(distance) < 1e-9
             direction = np.where(
-                near_zero[:, None], self.normals[f], back / np.where(near_zero, 1.0, distance)[:, None]
+                near_zero[:, None], self.normals[f], to_centre / np.where(near_zero, 1.0, distance)[:, None]
             )
-            first = _first_minimum(i, distance)
-            best[start + i[first]] = distance[first]
+            best_pair = _first_minimum(i, distance)
+            best[start + i[best_pair]] = distance[best_pair]
             if reference is not None:
                 tie = distance <= best[start + i] + CONTACT_TOLERANCE_M
-                i, distance, foot, direction = i[tie], distance[tie], foot[tie], direction[tie]
-                first = _first_minimum(i, -dots(direction, reference[start + i]))
-            nearest[start + i[first]], away[start + i[first]] = foot[first], direction[first]
+                i, distance, foot, direction = (i[tie], distance[tie], foot[tie], direction[tie])
+                best_pair = _first_minimum(i, -dots(direction, reference[start + i]))
+            nearest[start + i[best_pair]], away[start + i[best_pair]] = foot[best_pair], direction[best_pair]
         return best, nearest, away
 
     def _face_corners(self, face: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -312,7 +318,7 @@ class ContactFace:
         return corners[:, 0], corners[:, 1], corners[:, 2]
 
     def _pairs(self, points: FloatArray, reach: FloatArray) -> Iterator[tuple[IntArray, IntArray]]:
-        """Indices of points and of faces that may be within ``reach`` (N,) of each other, in chunks."""
+        """Yield chunks of pairs: indices of points and of faces that may be within ``reach`` (N,) [m]."""
         max_distances = [float(reach.max()) + float(size.max()) for _, _, size in self._trees]
         own_tree = cKDTree(points)
         if self._has_too_many_pairs(points, own_tree, max_distances) and len(points) > 1:  # bounds memory
@@ -329,7 +335,7 @@ class ContactFace:
                 yield part["i"], owner[part["j"]]
 
     def _has_too_many_pairs(self, points: FloatArray, own_tree: cKDTree, max_distances: list[float]) -> bool:
-        """Whether points (N, 3) and nearby pieces form too many pairs.
+        """Return whether points (N, 3) and the pieces of the face near them form too many pairs.
 
         Pieces are near within ``max_distances`` [m], one for each tree. The limit is ``_MAX_PAIRS``.
         ``own_tree`` is the tree of the points. Pairs are counted only if a sample of the points indicates
@@ -349,7 +355,7 @@ class ContactFace:
 
 
 def _first_minimum(group: IntArray, value: FloatArray) -> IntArray:
-    """Index of the minimum ``value`` of each group."""
+    """Return the index of the minimum ``value`` (N,) among elements of equal ``group`` (N,), by group."""
     order = np.lexsort((value, group))
     ordered = group[order]
     is_first = np.ones(len(order), dtype=np.bool_)
@@ -390,7 +396,7 @@ class FormingPass:
 
 
 def level_depths(forming_pass: FormingPass, step: float, number: int) -> tuple[float, float]:
-    """Return the depths [m] below the surrounding flat at which a level starts and ends.
+    """Return the depths [m] at which a level starts and ends, from the flat around the feature.
 
     Args:
         forming_pass: Pass.
@@ -447,8 +453,8 @@ class FormingToolPath:
         support_axis: Unit vectors (N, 3) from the other tool to the sheet.
         gap: Required gap (N,) [m] between the tools' surfaces, NaN where none is stated.
         contact: Path of the contact at the same targets.
-        unresolved: Whether (N,) further targets before this one were needed but did not help; None if
-            nowhere.
+        unresolved: Whether (N,) further targets between this one and the previous one were needed but did
+            not help; None if there is no such target.
     """
 
     forming_centre: FloatArray

@@ -97,19 +97,19 @@ def tool_freedoms(arms: tuple[str, ...], cone: float, count: int) -> tuple[Screw
         cone: Half angle [rad] of the cone.
         count: Number of targets.
     """
-    out = []
+    freedoms = []
     tilt_range = np.full(count, cone / np.sqrt(2.0))
     spin_range = np.full(count, np.pi)
     for arm in arms:
         if cone > 0.0:
-            for name, k in (("tilt_x", 0), ("tilt_y", 1)):
-                twist = np.zeros(6)
-                twist[k] = 1.0
-                out.append(ScrewFreedom(f"{name}_{arm}", {arm: twist}, -tilt_range, tilt_range))
+            for name, component in (("tilt_x", 0), ("tilt_y", 1)):
+                twist = np.zeros(6)  # angular part first
+                twist[component] = 1.0
+                freedoms.append(ScrewFreedom(f"{name}_{arm}", {arm: twist}, -tilt_range, tilt_range))
         twist = np.zeros(6)
         twist[2] = 1.0
-        out.append(ScrewFreedom(f"spin_{arm}", {arm: twist}, -spin_range, spin_range, None, True))
-    return tuple(out)
+        freedoms.append(ScrewFreedom(f"spin_{arm}", {arm: twist}, -spin_range, spin_range, periodic=True))
+    return tuple(freedoms)
 
 
 PlannedPaths = Sequence[tuple[FormingPass, FormingToolPath]]
@@ -143,10 +143,9 @@ def make_exhibits(work: FormingWork, paths: PlannedPaths) -> dict[str, Any]:
 
 
 def _setup_exhibit(work: FormingWork, paths: PlannedPaths) -> dict[str, Any]:
-    op, thinnest = (
-        work.operation,
-        thinnest_point(work.formed_mesh.vertices, work.formed_mesh.faces, work.thickness),
-    )
+    """Return the setup sheet: sheet, mode, tools, feed, thinnest point and largest force."""
+    op = work.operation
+    thinnest = thinnest_point(work.formed_mesh.vertices, work.formed_mesh.faces, work.thickness)
     largest = max(
         (forming_force(work, forming_pass, path) for forming_pass, path in paths),
         key=lambda force_estimate: force_estimate.force,
@@ -170,6 +169,7 @@ def _tool_text(work: FormingWork, arm: str) -> str:
 
 
 def _feature_exhibit(work: FormingWork) -> dict[str, Any]:
+    """Return the tree of the features, with the flat sheet as its root."""
     names, parents = ["sheet"], [-1]
     for feature in work.tree.features:
         direction = "down" if feature.kind == "concave" else "up"
@@ -182,6 +182,7 @@ def _feature_exhibit(work: FormingWork) -> dict[str, Any]:
 
 
 def _pass_exhibit(work: FormingWork, paths: PlannedPaths) -> dict[str, Any]:
+    """Return the table of the passes in the order of forming."""
     rows = []
     for number, (forming_pass, path) in enumerate(paths, 1):
         contact, ridge = path.contact, scallop_heights(work, forming_pass) / MM
@@ -218,6 +219,7 @@ def _pass_exhibit(work: FormingWork, paths: PlannedPaths) -> dict[str, Any]:
 
 
 def _heatmap(work: FormingWork, title: str, value: FloatArray, unit: str) -> dict[str, Any]:
+    """Return a map of values (V,) at the vertices of the sheet as the operation leaves it."""
     return {
         "kind": "heatmap",
         "title": title,
@@ -228,7 +230,7 @@ def _heatmap(work: FormingWork, title: str, value: FloatArray, unit: str) -> dic
 
 
 def _path_exhibit(paths: PlannedPaths) -> dict[str, Any]:
-    """Path of the contact, some loops of each pass."""
+    """Return the path of the contact, with some loops of each pass."""
     curves = []
     for _, path in paths:
         ends = np.flatnonzero(np.diff(path.contact.loop) != 0) + 1
@@ -239,6 +241,7 @@ def _path_exhibit(paths: PlannedPaths) -> dict[str, Any]:
 
 
 def _gap_exhibit(work: FormingWork, paths: PlannedPaths) -> dict[str, Any]:
+    """Return the curves of the required and the planned gap over the targets of all passes."""
     gap = np.concatenate([path.gap for _, path in paths])
     planned = []
     for forming_pass, path in paths:
@@ -272,7 +275,7 @@ MEAN_FEED_FRACTION_FROM_REST: Final = 0.5
 At its other end it is up to twice as fast.
 """
 AIR_PATH_CLEARANCE_M: Final = 0.010
-"""Distance [m] of tools from the sheet between passes, to which the route adds AIR_CLEARANCE."""
+"""Distance [m] of tools from the sheet between passes, to which the route adds AIR_CLEARANCE_M."""
 MODULE_MOVES_FRACTION: Final = 0.8
 """Fraction of a module's maximum number of moves after which tools stop, so that a program can be split
 there.
@@ -293,19 +296,22 @@ class FormingJob(Job[Forming]):
         return read_only(prepare_work(self.operation, self.setup, self.part))
 
     def targets(self) -> Targets:
-        """Return the targets of the operation.
+        """Return the targets of the operation, with springback compensation if the operation names a file.
+
+        Without a file, springback is estimated. A quick check gets a coarse path.
 
         Raises:
             TandemError: codes ``forming.*``.
         """
         work, setup = self.planned, self.setup
-        applied = self.read_compensation()
+        shifts_file = self.read_compensation()
         steps = list(step_issues(work))
         if steps:
             raise TandemError(steps)
         if self.is_brief and (coarse := self._coarse_targets(work)) is not None:
             return coarse
-        unreached, die_problems = list(unreached_issues(work)), list(die_check(work))
+        unreached = list(unreached_issues(work))
+        die_problems = list(die_check(work))
         early_errors = (issue for issue in (*die_problems, *unreached) if has_errors([issue]))
         errors = [*two_point.holder_issues(work), *shift_issues(work), *early_errors]
         if errors:
@@ -316,43 +322,43 @@ class FormingJob(Job[Forming]):
         except TandemError as error:
             raise TandemError(_with_unreached_hint(work, error.issues, unreached)) from None
         if level is not None and level.file is not None:
-            applied = self._level_compensation(level, level.file, paths)
+            shifts_file = self._level_compensation(level, level.file, paths)
         issues = [*_hole_issues(work, paths), *unreached, *die_problems, *check(work, setup, paths)]
         if has_errors(issues):
             raise TandemError(aggregate(issues))
-        if applied is None:
+        if shifts_file is None:
             estimate = forecast.estimate_springback(work, paths) if level is None and work.flat else None
             issues += [] if work.flat else [forecast.no_forecast_note(work)]
-            released_exhibit = {}
+            extra_exhibits = {}
             if estimate is not None:
                 issues += forecast.estimate_issues(work, paths, estimate)
-                released_exhibit = (
+                extra_exhibits = (
                     {"released": released_part.estimated_exhibit(work, paths, estimate)}
                     if estimate.rows
                     else {}
                 )
             targets = _targets(work, setup, paths, issues, self.claims())
-            return dataclasses.replace(targets, exhibits={**make_exhibits(work, paths), **released_exhibit})
-        shifted_paths = compensation.apply_shifts(paths, applied.paths)
+            return dataclasses.replace(targets, exhibits={**make_exhibits(work, paths), **extra_exhibits})
+        shifted_paths = compensation.apply_shifts(paths, shifts_file.paths)
         issues += [
-            *compensation.steepening_issues(work, paths, applied.paths, applied.slope, level),
+            *compensation.steepening_issues(work, paths, shifts_file.paths, shifts_file.slope, level),
             compensation.compensated_note(
-                applied.paths, applied.file, None if level is None else level.number, applied.scan
+                shifts_file.paths, shifts_file.file, None if level is None else level.number, shifts_file.scan
             ),
         ]
         issues += clamp_reach_issues(work, shifted_paths)
         if has_errors(issues):
             raise TandemError(aggregate(issues))
         targets = _targets(work, setup, shifted_paths, issues, self.claims())
-        released_exhibit = {"compensation": compensation.compensation_exhibit(applied.paths)}
-        if level is None and applied.scan is None:
-            released_exhibit["released"] = released_part.compensated_exhibit(work, paths, applied)
-        return dataclasses.replace(targets, exhibits={**make_exhibits(work, paths), **released_exhibit})
+        extra_exhibits = {"compensation": compensation.compensation_exhibit(shifts_file.paths)}
+        if level is None and shifts_file.scan is None:
+            extra_exhibits["released"] = released_part.compensated_exhibit(work, paths, shifts_file)
+        return dataclasses.replace(targets, exhibits={**make_exhibits(work, paths), **extra_exhibits})
 
     def _coarse_targets(self, work: FormingWork) -> Targets | None:
-        """Targets of a quick check: some loops and points.
+        """Return the targets of a quick check, with some loops and points of the path.
 
-        None for paths that are always computed in full.
+        None if the path is always computed in full, or if the coarse path is refused.
         """
         if self.operation.level is not None or self.operation.springback is not None:
             return None
@@ -379,12 +385,14 @@ class FormingJob(Job[Forming]):
         return compensation_file.read_springback_file(springback.file, self.operation, identity)
 
     def _level_path(self, level: Level) -> tuple[FormingPass, FormingToolPath]:
+        """Return the pass of a level, and the path of the level alone."""
         forming_pass = one_level.level_pass(self.planned, level)
         return forming_pass, one_level.make_level_path(self.planned, forming_pass, level)
 
     def _level_compensation(
         self, level: Level, file: Path, paths: PlannedPaths
     ) -> compensation_file.SpringbackFile:
+        """Return the file of the shifts of a level, checked against this job."""
         identity = compensation_file.job_identity(self.planned, self.setup.stock, self.part)
         return level_file.read_level_file(file, level, paths[0][0].name, identity)
 
@@ -397,13 +405,13 @@ class FormingJob(Job[Forming]):
 
 
 def _hole_issues(work: FormingWork, paths: PlannedPaths) -> list[Issue]:
-    """Holes that an operation comes too near to."""
+    """Report holes that tools or formed areas come too near to, and modes that need a sheet without holes."""
     mode = work.operation.mode
     if mode in WHOLE_SHEET_MODES and work.sheet.holes:
-        what = f"the sheet was cut along {work.sheet.holes[0].name} before; in {mode} "
-        what += "tools press all of it" if mode == "adsif" else "all of it moves against the die"
+        message = f"the sheet was cut along {work.sheet.holes[0].name} before; in {mode} "
+        message += "tools press all of it" if mode == "adsif" else "all of it moves against the die"
         hint = "form it before it is cut, or use another mode"
-        return [Issue("forming.holes", what, field="operations.mode", hint=hint)]
+        return [Issue("forming.holes", message, field="operations.mode", hint=hint)]
     radii = []
     for forming_pass, _ in paths:
         support_arm = work.support_arm(forming_pass)
@@ -414,13 +422,14 @@ def _hole_issues(work: FormingWork, paths: PlannedPaths) -> list[Issue]:
             )
         )
     op = work.operation
-    slack = PLAN_DEVIATION_FRACTION * op.gouge_tol_mm * MM
-    return list(hole_issues(work.sheet.holes, op.hole_margin_mm * MM, paths, radii, slack))
+    deviation = PLAN_DEVIATION_FRACTION * op.gouge_tol_mm * MM
+    return list(hole_issues(work.sheet.holes, op.hole_margin_mm * MM, paths, radii, deviation))
 
 
 def _route(
     work: FormingWork, setup: Setup, paths: Sequence[tuple[FormingPass, FormingToolPath]]
 ) -> ToolRoute:
+    """Return the route of the tools, with stops at which a program can be split."""
     max_targets = int(min(MODULE_MOVES_FRACTION * setup.cell.controller.max_moves, MAX_MOVES_TO_STOP))
     return join_paths(work, paths, AIR_PATH_CLEARANCE_M, max_targets)
 
@@ -436,22 +445,25 @@ def _targets(
     issues: list[Issue],
     claims: tuple[Claim, ...],
 ) -> Targets:
-    """Targets of tool paths, as they were computed or compensated for springback; without exhibits."""
+    """Return the targets of tool paths, as computed or with springback compensation, without exhibits."""
     op, route = work.operation, _route(work, setup, paths)
     count = len(route.segment)
-    forming = np.array([segment.works for segment in route.segment])
-    tool_poses = _poses(work, route)
+    is_forming = np.array([segment.works for segment in route.segment])
+    poses = _poses(work, route)
     actions = _actions(work, setup, route, paths)
     steps = [np.linalg.norm(np.diff(route.centre[arm], axis=0), axis=1) for arm in op.arms]
     travel = np.concatenate([[0.0], np.max(steps, axis=0)])
     stop = _stops(route, actions)
-    rest = np.append(False, stop[:-1]) | stop
+    # moves from or to a stop, whose mean speed is lower
+    is_at_stop = np.append(False, stop[:-1]) | stop
     feed = np.where(
-        forming, np.where(rest, MEAN_FEED_FRACTION_FROM_REST, 1.0) * op.feed_mm_s * MM, MAX_AIR_SPEED_M_S
+        is_forming,
+        np.where(is_at_stop, MEAN_FEED_FRACTION_FROM_REST, 1.0) * op.feed_mm_s * MM,
+        MAX_AIR_SPEED_M_S,
     )
     return Targets(
         arms=op.arms,
-        pose=tool_poses,
+        pose=poses,
         frame=dict.fromkeys(op.arms, "stock"),
         freedoms=tool_freedoms(op.arms, op.cone_deg * DEG, count),
         feed=np.where(travel > 0.0, np.minimum(feed, travel / MIN_MOVE_TIME_S), feed),
@@ -490,26 +502,29 @@ def corner_rounding(claims: Sequence[Claim]) -> CornerRounding:
     return CornerRounding(radius, radius, radius)
 
 
-def _with_unreached_hint(work: FormingWork, narrow: Sequence[Issue], corners: Sequence[Issue]) -> list[Issue]:
-    """Issues of a path, with a hint to allow a ball to stay off hollows that are too narrow.
+def _with_unreached_hint(
+    work: FormingWork, path_issues: Sequence[Issue], unreached: Sequence[Issue]
+) -> list[Issue]:
+    """Return the issues of a path, with a hint to allow the ball to stay off hollows that are too narrow.
 
-    The hint is given only if no other tool has to be opposite the ball.
+    The hint is given only if no other tool has to be opposite the ball. The values of the issues
+    ``unreached`` are distances [mm] from the part.
     """
-    largest = max((issue.value for issue in corners if issue.value is not None), default=None)
+    max_distance = max((issue.value for issue in unreached if issue.value is not None), default=None)
     is_single_tool = work.operation.mode in ("spif", "tpif")
-    if largest is None or not is_single_tool or work.operation.unreached_mm is not None:
-        return list(narrow)
-    hint = f"or allow the ball to stay off there: unreached_mm: {largest + 0.01:.2f}"
+    if max_distance is None or not is_single_tool or work.operation.unreached_mm is not None:
+        return list(path_issues)
+    hint = f"or allow the ball to stay off there: unreached_mm: {max_distance + 0.01:.2f}"
     return [
-        dataclasses.replace(narrow_issue, hint=hint)
-        if narrow_issue.code == TOO_NARROW_CODE and narrow_issue.hint is None
-        else narrow_issue
-        for narrow_issue in narrow
+        dataclasses.replace(path_issue, hint=hint)
+        if path_issue.code == TOO_NARROW_CODE and path_issue.hint is None
+        else path_issue
+        for path_issue in path_issues
     ]
 
 
 def _max_lead_change(work: FormingWork) -> float:
-    """Change of the gap [m] that a single move may cause while one controller is ahead."""
+    """Return the change of the gap [m] that a single move may cause while one controller is ahead."""
     op = work.operation
     return (
         DRIFT_GAP_FRACTION * op.handshake_gap_mm * MM / work.sync_interval
@@ -519,7 +534,7 @@ def _max_lead_change(work: FormingWork) -> float:
 
 
 def _stops(route: ToolRoute, actions: Sequence[TargetAction]) -> BoolArray:
-    """Where tools stop: at stops of the route and at actions.
+    """Return whether (N,) tools stop at each target: at stops of the route and at actions.
 
     While a holder sinks, programs are split at its pulses, so stops of the route between pulses are removed.
     """
@@ -534,23 +549,23 @@ def _stops(route: ToolRoute, actions: Sequence[TargetAction]) -> BoolArray:
 def _actions(
     work: FormingWork, setup: Setup, route: ToolRoute, paths: Sequence[tuple[FormingPass, FormingToolPath]]
 ) -> tuple[TargetAction, ...]:
-    """Messages and questions to the operator, and the signal of a blank holder that sinks."""
+    """Return messages and questions to the operator, and the pulses of a blank holder that sinks."""
     size = setup.stock.size / MM
     metal = work.sheet.metal.name
     sheet = forming_sentences.SHEET.format(x_mm=size[0], y_mm=size[1], z_mm=size[2], metal=metal)
-    out = [TargetAction(0, "message", sheet)]
+    actions = [TargetAction(0, "message", sheet)]
     forming_pass, path = paths[0]
     if two_point.holder_sinks(work):
-        high = abs(forming_pass.start - forming_pass.end) / MM
-        out.append(TargetAction(0, "confirm", forming_sentences.RIM.format(high_mm=high)))
+        height_mm = abs(forming_pass.start - forming_pass.end) / MM
+        actions.append(TargetAction(0, "confirm", forming_sentences.RIM.format(high_mm=height_mm)))
     level = work.operation.level
     if level is not None:
         level_prompt = forming_sentences.LEVEL.format(
             number=level.number, name=level.pass_name or forming_sentences.FIRST_PASS
         )
-        out.append(TargetAction(0, "confirm", level_prompt))
+        actions.append(TargetAction(0, "confirm", level_prompt))
     ready_prompt, done_prompt = forming_claims.operator_prompts(work.operation, work.sheet)
-    out.append(TargetAction(0, "confirm", ready_prompt.format()))
-    first = route.segment.index(forming_segment(forming_pass).at("in"))
-    out += two_point.holder_actions(work, forming_pass, path, first)
-    return (*out, TargetAction(len(route.segment) - 1, "confirm", done_prompt.format()))
+    actions.append(TargetAction(0, "confirm", ready_prompt.format()))
+    first_target = route.segment.index(forming_segment(forming_pass).at("in"))
+    actions += two_point.holder_actions(work, forming_pass, path, first_target)
+    return (*actions, TargetAction(len(route.segment) - 1, "confirm", done_prompt.format()))

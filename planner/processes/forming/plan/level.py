@@ -32,20 +32,25 @@ ON_FACE_TOLERANCE_M: Final = 0.1 * MM
 
 
 def first_loops(forming_pass: FormingPass, contact: ContactPath) -> list[int]:
-    """Return the number of the loop with which each level of a pass starts."""
-    out, last = [], 0.0
+    """Return the number of the loop with which each level of a pass starts.
+
+    A loop starts a level if it has at least three points and if its mean height is deeper than the previous
+    level by at least `MIN_LEVEL_STEP_M`.
+    """
+    out = []
+    last_depth = 0.0
     for number in np.unique(contact.loop).tolist():
         height = contact.point[contact.loop == number, 2]
         depth = abs(float(height.mean()) - forming_pass.start)
-        if len(height) < 3 or depth - last < MIN_LEVEL_STEP_M:
+        if len(height) < 3 or depth - last_depth < MIN_LEVEL_STEP_M:
             continue
-        last = depth
+        last_depth = depth
         out.append(int(number))
     return out
 
 
 def level_pass(work: FormingWork, level: Level) -> FormingPass:
-    """Return the pass of a level.
+    """Return the pass to which a level belongs: the one that the level names, else the first pass.
 
     Raises:
         TandemError: forming.path_options if no pass has the level's name.
@@ -68,22 +73,25 @@ def make_level_path(work: FormingWork, forming_pass: FormingPass, level: Level) 
     """
 
     def select_level(contact: ContactPath) -> ContactPath:
+        """Return the part of the contact path that forms the level."""
         loops = first_loops(forming_pass, contact)
         if level.number >= len(loops):
-            what = f"got level {level.number}, {forming_pass.name} has 0 to {len(loops) - 1}"
-            raise _option_error(what, "number", "after the last level the pass is done")
+            message = f"got level {level.number}, {forming_pass.name} has 0 to {len(loops) - 1}"
+            raise _option_error(message, "number", "after the last level the pass is done")
         start = 0 if level.number == 0 else loops[level.number]
         end = loops[level.number + 1] if level.number + 1 < len(loops) else int(contact.loop.max()) + 1
-        rows = np.flatnonzero((contact.loop >= start) & (contact.loop < end))
-        if work.operation.path == "helical" and contact.working[rows[0]]:
-            rows = np.append(rows[0] - 1, rows)  # the seam, at which the previous loop ends
-        distance = lengths(contact.centre[rows] - contact.point[rows])
+        indices = np.flatnonzero((contact.loop >= start) & (contact.loop < end))
+        if work.operation.path == "helical" and contact.working[indices[0]]:
+            indices = np.append(indices[0] - 1, indices)  # the seam, at which the previous loop ends
+        distance = lengths(contact.centre[indices] - contact.point[indices])
         is_near = distance < work.heads[work.forming_arm(forming_pass)].radius + max(
             ON_FACE_TOLERANCE_M, _allowed_standoff(work)
         )
-        rows = rows[int(np.argmax(is_near)) :]  # the approach covers the move through the air
-        _require_height(work, forming_pass, contact.point[rows, 2], level)
-        kept = {f.name: getattr(contact, f.name)[rows].copy() for f in dataclasses.fields(contact)}
+        indices = indices[int(np.argmax(is_near)) :]  # the approach covers the move through the air
+        _require_height(work, forming_pass, contact.point[indices, 2], level)
+        kept = {
+            field.name: getattr(contact, field.name)[indices].copy() for field in dataclasses.fields(contact)
+        }
         kept["loop"] = np.maximum(kept["loop"], start) - start
         kept["working"][0] = False
         return ContactPath(**kept)
@@ -97,12 +105,13 @@ def _allowed_standoff(work: FormingWork) -> float:
 
 
 def _require_height(work: FormingWork, forming_pass: FormingPass, height: FloatArray, level: Level) -> None:
+    """Raise ``TandemError`` if contact heights (N,) [m] do not fit the whole step-downs of a level."""
     step = (work.operation.stepdown_mm or 0.0) * MM
     top, bottom = level_depths(forming_pass, step, level.number)
     depth = forming_pass.side * (forming_pass.start - height)
     tolerance = LEVEL_HEIGHT_TOLERANCE_FRACTION * step
     if depth.min() < top - tolerance or abs(depth.max() - bottom) > tolerance:
-        what = (
+        message = (
             f"level {level.number} of {forming_pass.name} is {depth.min() / MM:.2f} to "
             f"{depth.max() / MM:.2f} mm deep, expected {top / MM:.2f} to {bottom / MM:.2f} mm from whole "
             f"steps of {step / MM:g} mm"
@@ -111,8 +120,8 @@ def _require_height(work: FormingWork, forming_pass: FormingPass, height: FloatA
             "end with the previous level, or form the pass as a whole, because steps differ where balls do "
             "not reach the floor"
         )
-        raise _option_error(what, "number", hint)
+        raise _option_error(message, "number", hint)
 
 
-def _option_error(what: str, field: str, hint: str) -> TandemError:
-    return issue_error("forming.path_options", what, field=f"level.{field}", hint=hint)
+def _option_error(message: str, field: str, hint: str) -> TandemError:
+    return issue_error("forming.path_options", message, field=f"level.{field}", hint=hint)

@@ -74,7 +74,7 @@ def with_die(die: "Die", side: int, stock: Stock, part: Part | None) -> Stock:
 
 
 def _extruded(shape: Shape, height: float) -> Shape:
-    """A box whose last side is along z, extruded by ``along`` [m] in z; other shapes are unchanged."""
+    """Return a box, whose last side is along z, extruded by ``height`` [m] in z; other shapes unchanged."""
     if shape.kind != "box":
         return shape
     x, y, z = shape.size
@@ -93,7 +93,7 @@ Newton = Annotated[float, Field(ge=0, le=100_000)]
 
 
 def _relative_to_problem_file(value: Path | None, info: ValidationInfo) -> Path | None:
-    """File name, relative to the folder of the problem file."""
+    """Return a file name that is relative to the folder of the problem file as a path."""
     return None if value is None else (info.context or {}).get("folder", Path()) / value
 
 
@@ -190,7 +190,7 @@ class ForceBy(Strict):
             row = int(np.flatnonzero(step * step[0] <= 0.0)[0]) + 2
             z = 0.0 if self.table is None else self.table[row - 1][0]
             raise ValueError(f"table: row {row} is at z {z:g} mm; z must ascend or descend throughout")
-        if self.table is not None and not any(n > 0.0 for _, n in self.table):
+        if self.table is not None and not any(force > 0.0 for _, force in self.table):
             raise ValueError("table: all forces are 0")
         return self
 
@@ -337,8 +337,10 @@ class Forming(Strict):
             raise ValueError("arms: name each arm once")
         is_single_arm = self.mode in ("spif", "tpif")
         if is_single_arm != (len(self.arms) == 1):
-            need = "one arm" if is_single_arm else "two arms, the first above the sheet and the second below"
-            raise ValueError(f"mode {self.mode} needs {need}")
+            required_arms = (
+                "one arm" if is_single_arm else "two arms, the first above the sheet and the second below"
+            )
+            raise ValueError(f"mode {self.mode} needs {required_arms}")
         if (self.die is not None) != (self.mode == "tpif"):
             raise ValueError("a die is required in mode tpif and not allowed in other modes")
         sinking = self.die is not None and self.die.holder == "sinking"
@@ -358,6 +360,7 @@ class Forming(Strict):
         return self
 
     def _some_features(self) -> None:
+        """Check the numbers of the features that the operation forms."""
         if self.features is None:
             return
         if len(set(self.features)) != len(self.features) or min(self.features) < 1:
@@ -388,21 +391,24 @@ class Forming(Strict):
             return
         if self.mode not in SUPPORT_MODES:
             allowed = " and ".join(sorted(SUPPORT_MODES))
-            what = f"support_force_n belongs to the modes {allowed}; in {self.mode} no second tool presses "
-            raise ValueError(what + "the sheet against the forming tool")
+            message = (
+                f"support_force_n belongs to the modes {allowed}; in {self.mode} no second tool presses "
+            )
+            raise ValueError(message + "the sheet against the forming tool")
         if force_by is not None and force_by.file is not None:
             raise ValueError("support_force_n: the file of force_by already has the force of both tools")
         if self.force_n is None and force_by is None:
-            what = "support_force_n: the formula has no support; state the force of the forming tool in "
-            raise ValueError(what + "force_n or in a table of force_by")
+            message = "support_force_n: the formula has no support; state the force of the forming tool in "
+            raise ValueError(message + "force_n or in a table of force_by")
         forming_forces = (
-            [n for _, n in force_by.table or ()] if force_by is not None else [self.force_n or 0.0]
+            [force for _, force in force_by.table or ()] if force_by is not None else [self.force_n or 0.0]
         )
         if min(forming_forces) < support or max(forming_forces) <= support:
-            what = f"support_force_n: {support:g} N exceeds the forming tool's {min(forming_forces):g} N; "
-            raise ValueError(what + "the total force must point in the direction of the forming tool")
+            message = f"support_force_n: {support:g} N exceeds the forming tool's {min(forming_forces):g} N; "
+            raise ValueError(message + "the total force must point in the direction of the forming tool")
 
     def _one_level(self) -> None:
+        """Check the level that is formed alone."""
         if self.level is None:
             return
         if self.mode not in LEVEL_MODES:
@@ -444,15 +450,18 @@ class Forming(Strict):
         if self.strategy != "virgin" or part is None or part.formed is None:
             return stock
         done = [
-            k
+            number
             for op in previous_operations
             if isinstance(op, FormingOperation) and op.process == FORMING
-            for k in op.features or ()
+            for number in op.features or ()
         ]
-        mesh, noise = part.formed.mesh, max(MIN_BUMP_HEIGHT_M, part.formed.tolerance)
+        mesh = part.formed.mesh
+        noise = max(MIN_BUMP_HEIGHT_M, part.formed.tolerance)
         try:
             tree = build_feature_tree(mesh, self.feature_step_mm * MM, noise)
-            order = forming_order(tree, True, self.order, self.features, done)
+            order = forming_order(tree, virgin=True, given=self.order, selected=self.features, previous=done)
         except TandemError:
             return stock  # the job itself says what is wrong
-        return with_states(stock, mesh, tree, order, [k for k in done if k <= len(tree.features)])
+        return with_states(
+            stock, mesh, tree, order, [number for number in done if number <= len(tree.features)]
+        )

@@ -183,12 +183,14 @@ def trial_warning(family: str, thickness: float, angle: float, depth: float, mod
 
 
 def _is_thickness_similar(trial: FormingTrial, thickness: float) -> bool:
+    """Return whether a sheet of a thickness [m] would hardly fare better than the failed trial."""
     if trial.cause == "force":  # thicker sheet takes more force
         return thickness >= trial.thickness / THICKNESS_SLACK_FACTOR
     return thickness <= trial.thickness * THICKNESS_SLACK_FACTOR  # thinner sheet tears sooner
 
 
 def _trial_distance(trial: FormingTrial, thickness: float, angle: float, depth: float) -> float:
+    """Return a dimensionless distance between a part and a trial: log-ratios, and angles over 15 degrees."""
     return math.hypot(
         math.log(thickness / trial.thickness),
         (angle - trial.angle) / (15.0 * DEG),
@@ -197,6 +199,7 @@ def _trial_distance(trial: FormingTrial, thickness: float, angle: float, depth: 
 
 
 def _trial(entry: dict[str, Any]) -> FormingTrial:
+    """Return the trial that an entry of the file describes, in m, rad and s."""
     second = entry.get("second_depth_mm")
     return FormingTrial(
         name=entry["name"],
@@ -254,28 +257,28 @@ def make_passes(
         TandemError: forming.wall_angle for upright walls.
     """
     out: list[FormingPass] = []
-    wrong: list[Issue] = []
+    issues: list[Issue] = []
     for step in order:
-        male = operation.die is not None and operation.die.kind == "male"
-        final = _final_pass(tree, step, mesh, thickness, male)
-        angle = wall_angle(final.vertices, final.faces)
+        is_male_die = operation.die is not None and operation.die.kind == "male"
+        final_pass = _final_pass(tree, step, mesh, thickness, is_male_die)
+        angle = wall_angle(final_pass.vertices, final_pass.faces)
         if angle >= UPRIGHT_WALL_ANGLE_RAD:
-            wrong.append(_upright_issue(step.feature, angle))
+            issues.append(_upright_issue(step.feature, angle))
             continue
-        shapes = _intermediate_passes(final, pass_angles(angle, operation, metal)[:-1], thickness)
+        shapes = _intermediate_passes(final_pass, pass_angles(angle, operation, metal)[:-1], thickness)
         repeated = [shape for shape in shapes for _ in range(operation.repeats)]
         for number, shape in enumerate(repeated, start=1):
             name = f"f{step.feature}" + (f"_p{number}" if len(repeated) > 1 else "")
             out.append(dataclasses.replace(shape, name=name, number=number))
-    if wrong:
-        raise TandemError(wrong)
+    if issues:
+        raise TandemError(issues)
     return tuple(out)
 
 
 def pass_angles(angle: float, operation: Forming, metal: SheetMetal) -> tuple[float, ...]:
     """Return the wall angles [rad] of the passes over a feature; the last one is its own wall angle.
 
-    If the user gives none, angles increase by the operation's step from an angle that one pass may have. In
+    If the user states none, angles increase by the operation's step from an angle that one pass may have. In
     ADSIF the sheet is formed once, and over a male die nothing holds an intermediate shape, so there is one
     pass.
 
@@ -287,7 +290,7 @@ def pass_angles(angle: float, operation: Forming, metal: SheetMetal) -> tuple[fl
     if operation.mode == "adsif" or (operation.die is not None and operation.die.kind == "male"):
         return (angle,)
     if operation.passes != "auto":
-        return (*(a * DEG for a in operation.passes if a * DEG < angle - ANGLE_TOLERANCE_RAD), angle)
+        return (*(deg * DEG for deg in operation.passes if deg * DEG < angle - ANGLE_TOLERANCE_RAD), angle)
     step = operation.angle_step_deg * DEG
     limit = metal.wall_angle_limit(operation.mode in SUPPORTED_MODES)
     count = max(math.ceil((angle - limit - ANGLE_TOLERANCE_RAD) / step), 0)
@@ -297,7 +300,7 @@ def pass_angles(angle: float, operation: Forming, metal: SheetMetal) -> tuple[fl
 def pass_issues(
     passes: Sequence[FormingPass], thickness: float, operation: Forming, metal: SheetMetal
 ) -> tuple[Issue, ...]:
-    """Return warnings about passes: walls that may tear in one pass, and similar failed trials."""
+    """Return warnings about passes: walls that may tear in one pass, and similar trials that failed."""
     issues: list[Issue] = []
     limit = metal.wall_angle_limit(operation.mode in SUPPORTED_MODES)
     for feature in dict.fromkeys(forming_pass.feature for forming_pass in passes):
@@ -306,8 +309,10 @@ def pass_issues(
         previous = 0.0
         for forming_pass, angle in zip(feature_passes, angles, strict=True):
             if angle > max_wall_angle(previous, operation, metal):
-                auto = pass_angles(angles[-1], operation.model_copy(update={"passes": "auto"}), metal)
-                issues.append(_tear_issue(forming_pass, angle, previous, limit, auto))
+                automatic_angles = pass_angles(
+                    angles[-1], operation.model_copy(update={"passes": "auto"}), metal
+                )
+                issues.append(_tear_issue(forming_pass, angle, previous, limit, automatic_angles))
             previous = max(previous, angle)
         depth = abs(feature_passes[-1].end - feature_passes[-1].start)
         trial = trial_warning(metal.family, thickness, angles[-1], depth, operation.mode)
@@ -332,7 +337,7 @@ def max_wall_angle(previous: float, operation: Forming, metal: SheetMetal) -> fl
 
 @memoized
 def _final_pass(tree: FeatureTree, step: OrderStep, mesh: Mesh, thickness: float, male: bool) -> FormingPass:
-    """Last pass over a feature.
+    """Return the last pass over a feature, whose face is that of the part.
 
     Over a ``male`` die the tool is on the side to which the feature protrudes. It moves from the feature's
     end, where the sheet first lies on the die, outward to its start while the clamp sinks.
@@ -357,7 +362,7 @@ def _final_pass(tree: FeatureTree, step: OrderStep, mesh: Mesh, thickness: float
 
 
 def _intermediate_passes(final: FormingPass, angles: Sequence[float], thickness: float) -> list[FormingPass]:
-    """Shapes of at most ``angles`` [rad] in turn, then the final one, each with its thickness."""
+    """Return the passes through shapes of at most ``angles`` [rad], in turn, and then the final pass."""
     if not angles:
         return [final]
     face = Mesh(final.vertices, final.faces)
@@ -384,11 +389,12 @@ def _intermediate_passes(final: FormingPass, angles: Sequence[float], thickness:
 def _min_thickness(
     face: Mesh, final: FormingPass, earlier: Sequence[AngleLimitedShape], thickness: float
 ) -> FloatArray:
+    """Return the thickness (V,) [m] of a face by the sine law, and at most what earlier shapes have left."""
     minimum = thickness_map(face.vertices, face.faces, thickness)
     depth = final.side * (final.start - face.vertices[:, 2])
     for shape in earlier:
-        held = shape.limits_depth(face.vertices[:, :2], depth)
-        minimum = np.where(held, np.minimum(minimum, thickness * math.cos(shape.angle)), minimum)
+        is_limited = shape.limits_depth(face.vertices[:, :2], depth)
+        minimum = np.where(is_limited, np.minimum(minimum, thickness * math.cos(shape.angle)), minimum)
     return np.asarray(minimum)
 
 
@@ -405,16 +411,16 @@ def _upright_issue(feature: int, angle: float) -> Issue:
 
 
 def _tear_issue(
-    forming_pass: FormingPass, angle: float, previous: float, limit: float, auto: Sequence[float]
+    forming_pass: FormingPass, angle: float, previous: float, limit: float, automatic_angles: Sequence[float]
 ) -> Issue:
-    shapes = " and ".join(f"{a / DEG:.1f}" for a in auto)
+    shapes = " and ".join(f"{pass_angle / DEG:.1f}" for pass_angle in automatic_angles)
     hint = f"use passes: auto, which forms walls of {shapes} deg one after the other, or give such angles"
-    if len(auto) == 1:
+    if len(automatic_angles) == 1:
         hint = "make the wall less steep: in this mode it is formed in one pass"
-    how = "in one pass" if previous == 0.0 else f"in one pass from a shape of {previous / DEG:.1f} deg"
+    pass_text = "in one pass" if previous == 0.0 else f"in one pass from a shape of {previous / DEG:.1f} deg"
     return Issue(
         "forming.wall_angle",
-        f"pass {forming_pass.name}: a wall of {angle / DEG:.1f} deg {how}; the metal allows "
+        f"pass {forming_pass.name}: a wall of {angle / DEG:.1f} deg {pass_text}; the metal allows "
         f"{limit / DEG:.1f} deg in one pass and about {MAX_ANGLE_STEP_RAD / DEG:.0f} deg more with each "
         "further pass",
         Severity.WARNING,

@@ -136,8 +136,8 @@ class FormingWork:
         allowed = op.gouge_tol_mm * MM
         if op.mode == "adsif":
             depth = op.adsif.projection_mm * MM
-            radii = 2.0 * next(iter(self.heads.values())).radius
-            return allowed + depth, allowed + max(depth, support_press_depth(op, radii, self.thickness))
+            radius_sum = 2.0 * next(iter(self.heads.values())).radius  # both balls have the same radius
+            return allowed + depth, allowed + max(depth, support_press_depth(op, radius_sum, self.thickness))
         if op.mode in ("dsif", "dpif_l"):
             allowed += max(1.0 - op.squeeze, 0.0) * self.thickness
         return allowed, allowed
@@ -177,10 +177,11 @@ def prepare_work(operation: Forming, setup: Setup, part: Part | None) -> Forming
     Raises:
         TandemError: codes ``forming.*``.
     """
-    sheet, mesh = setup.stock.sheet, None if part is None or part.formed is None else part.formed.mesh
+    sheet = setup.stock.sheet
+    mesh = None if part is None or part.formed is None else part.formed.mesh
     if sheet is None or mesh is None:
-        what = f"{operation.name}: there is no sheet to form; give sheet: and a part of kind sheet_mesh"
-        raise issue_error("forming.no_sheet", what, field="sheet")
+        message = f"{operation.name}: there is no sheet to form; give sheet: and a part of kind sheet_mesh"
+        raise issue_error("forming.no_sheet", message, field="sheet")
     heads = _heads(operation, setup)
     tolerance = part.formed.tolerance if part is not None and part.formed is not None else 0.0
     tree = feature_tree.build_feature_tree(
@@ -215,53 +216,57 @@ def prepare_work(operation: Forming, setup: Setup, part: Part | None) -> Forming
     return prepared
 
 
-def _heads(op: Forming, setup: Setup) -> dict[str, FormingHead]:
-    out: dict[str, FormingHead] = {}
+def _heads(operation: Forming, setup: Setup) -> dict[str, FormingHead]:
+    """Return the working ends of the tools, by arm; raises ``TandemError`` if one does not suit the mode."""
+    heads: dict[str, FormingHead] = {}
     issues = []
-    for position, arm in enumerate(op.arms):
+    for position, arm in enumerate(operation.arms):
         tool = setup.cell.arm(arm).tool
-        required = "heat_tool" if op.mode == "heat" and position == 1 else "ball_tool"
+        required = "heat_tool" if operation.mode == "heat" and position == 1 else "ball_tool"
         allowed_kinds = {"heat"} if required == "heat_tool" else {"ball"}
-        if op.mode == "dpif_p" and position == 1:
+        if operation.mode == "dpif_p" and position == 1:
             allowed_kinds.add("disk")
         if not isinstance(tool, FormingTool) or tool.head.kind not in allowed_kinds:
-            other = " or a disk_tool" if op.mode == "dpif_p" and position == 1 else ""
-            what = format_message(
+            alternative_tool = " or a disk_tool" if operation.mode == "dpif_p" and position == 1 else ""
+            message = format_message(
                 "forming.tool",
-                operation=op.name,
+                operation=operation.name,
                 arm=arm,
                 tool=tool.name,
-                mode=op.mode,
-                required_tools=required + other,
+                mode=operation.mode,
+                required_tools=required + alternative_tool,
             )
-            issues.append(Issue("forming.tool", what, field="cell.arms.tool", arm=arm))
+            issues.append(Issue("forming.tool", message, field="cell.arms.tool", arm=arm))
         else:
-            out[arm] = tool.head
+            heads[arm] = tool.head
     if issues:
         raise TandemError(issues)
-    return out
+    return heads
 
 
 def _require_sides(op: Forming, planned_passes: tuple[FormingPass, ...]) -> None:
+    """Raise ``TandemError`` (forming.side) if a pass needs a ball tool on a side that has none."""
     ball_sides = {"top"} if len(op.arms) == 2 and op.mode == "heat" else {"top", "bottom"}
     ball_sides = {op.side} if len(op.arms) == 1 else ball_sides
     unsupported = [
-        is_single
-        for is_single in planned_passes
-        if ("top" if is_single.side > 0 else "bottom") not in ball_sides
+        forming_pass
+        for forming_pass in planned_passes
+        if ("top" if forming_pass.side > 0 else "bottom") not in ball_sides
     ]
     if unsupported:
-        is_single = len({is_single.feature for is_single in unsupported}) == 1
+        is_single = len({forming_pass.feature for forming_pass in unsupported}) == 1
         direction = f"down and need{'s' * is_single} a ball tool above"
         if unsupported[0].side < 0:
             direction = f"up and need{'s' * is_single} a ball tool below"
-        names = _feature_list(sorted({is_single.feature for is_single in unsupported}))
-        what = format_message("forming.side", operation=op.name, features=names, direction=direction)
-        raise issue_error("forming.side", what, field="operations.mode")
+        features_text = _feature_list(sorted({forming_pass.feature for forming_pass in unsupported}))
+        message = format_message(
+            "forming.side", operation=op.name, features=features_text, direction=direction
+        )
+        raise issue_error("forming.side", message, field="operations.mode")
 
 
 def _feature_list(features: list[int]) -> str:
-    """Features as a message names them, the first few of many."""
+    """Return subject and verb of a message about features, such as "feature 3 goes"; long lists are cut."""
     if len(features) == 1:
         return f"feature {features[0]} goes"
     shown = ", ".join(str(number) for number in features[:MAX_LISTED_FEATURES])
@@ -294,7 +299,7 @@ def coarse_work(work: FormingWork) -> FormingWork:
     """Return the same work with fewer loops and targets, for a quick check.
 
     All loops and targets of the coarse path also occur in the full path; what lies between them is not
-    checked. The work is returned unchanged in mode adsif, whose turns depend on one another.
+    checked. The work is returned unchanged in mode adsif, whose loops depend on one another.
     """
     op = work.operation
     if op.mode == "adsif":
@@ -348,7 +353,8 @@ def make_tool_path(
     Raises:
         TandemError: codes ``forming.*``.
     """
-    op, support_arm = work.operation, work.support_arm(forming_pass)
+    op = work.operation
+    support_arm = work.support_arm(forming_pass)
     forming_head = work.heads[work.forming_arm(forming_pass)]
     if op.mode == "adsif" and support_arm is not None:
         return adsif_tool_path(
@@ -358,6 +364,7 @@ def make_tool_path(
     if work.refine_between and (op.mode in GAP_MODES or op.mode == "heat"):
         options = dataclasses.replace(options, spare=_spare_radius(work, forming_pass))
     contact = make_contact_path(forming_pass, forming_head.radius, options)
+    # a feature that rises toward the forming tool is pressed over a male die
     if work.tree.feature(forming_pass.feature).sign == forming_pass.side:
         contact = _trim_die_top(contact, MIN_MOVE_TIME_S * op.feed_mm_s * MM)
     contact = contact if part is None else part(contact)
@@ -377,6 +384,9 @@ def _spare_radius(work: FormingWork, forming_pass: FormingPass) -> float:
 
     In a fillet that is hardly larger than the ball, the ball touches the floor instead of the wall beside it.
     The gap between the tools then differs, and so does the place to heat.
+
+    The second bound: in a fillet whose radius exceeds the ball's by e, at the wall angle a, the ball stays up
+    to e (1 - cos a) off the floor.
     """
     required = (
         SPARE_RADIUS_TOLERANCE_M * work.operation.squeeze * work.thickness / (work.operation.gap_tol_mm * MM)
@@ -389,18 +399,18 @@ def _spare_radius(work: FormingWork, forming_pass: FormingPass) -> float:
 
 
 def _trim_die_top(path: ContactPath, min_length: float) -> ContactPath:
-    """Return a path over a male die without its beginning.
+    """Return a path over a male die without the tiny loops at its beginning.
 
-    At the beginning, loops about the die's top, on which the sheet already lies flat, have moves shorter than
-    ``shortest`` [m].
+    They go around the die's top, on which the sheet already lies flat. The path is cut after the last move
+    there that is shorter than ``min_length`` [m].
     """
     distance = np.linalg.norm(path.centre - path.centre[0], axis=1)
-    short = np.linalg.norm(np.diff(path.centre, axis=0), axis=1) < min_length
-    rows = np.flatnonzero(short & (np.maximum.accumulate(distance)[1:] <= MAX_DIE_TOP_WIDTH_M))
-    if not len(rows):
+    is_short = np.linalg.norm(np.diff(path.centre, axis=0), axis=1) < min_length
+    short_moves = np.flatnonzero(is_short & (np.maximum.accumulate(distance)[1:] <= MAX_DIE_TOP_WIDTH_M))
+    if not len(short_moves):
         return path
-    first = int(rows[-1]) + 1
-    kept = {field.name: getattr(path, field.name)[first:].copy() for field in dataclasses.fields(path)}
+    start = int(short_moves[-1]) + 1
+    kept = {field.name: getattr(path, field.name)[start:].copy() for field in dataclasses.fields(path)}
     kept["loop"] -= kept["loop"][0]
     kept["working"][0] = False
     return ContactPath(**kept)
@@ -413,7 +423,7 @@ SHARP_TURN_RAD: Final = 15.0 * DEG
 to target. A corner that is rounded at full feed costs two tools some of their gap.
 """
 MIN_MOVE_M: Final = 1e-6
-"""Moves shorter than this [m] have no direction."""
+"""Moves shorter than this [m] are ignored where the direction of the path is needed."""
 RETRACT_DISTANCE_M: Final = 0.06
 """Distance [m] by which tools retract before and after the job, so that arms reach them in free space."""
 
@@ -459,34 +469,38 @@ def join_paths(
     axis: dict[str, list[FloatArray]] = {arm: [] for arm in arms}
     segments: list[Segment] = []
     stops: list[BoolArray] = []
-    sharp = max(SHARP_TURN_RAD, 1.1 * work.operation.tangent_deg * DEG)
+    sharp_angle = max(SHARP_TURN_RAD, 1.1 * work.operation.tangent_deg * DEG)
     for number, (forming_pass, path) in enumerate(paths):
         arm_paths = _by_arm(work, forming_pass, path)
-        count, formed = len(path.forming_centre), forming_segment(forming_pass)
-        first, last = number == 0, number == len(paths) - 1
+        count = len(path.forming_centre)
+        forming = forming_segment(forming_pass)
+        is_first = number == 0
+        is_last = number == len(paths) - 1
         for arm in arms:
             points, axes = arm_paths[arm]
             rise = np.array([0.0, 0.0, 1.0 if work.above(arm) else -1.0])
+            # points at the safe height above the first and the last point of the pass
             start, end = (np.where([0, 0, 1], safe_height[arm], points[k]) for k in (0, -1))
-            row = (
-                [start, start, *points, end]
-                if not first
+            route = (
+                [start, start, *points, end]  # the duplicate is dropped in the next statement
+                if not is_first
                 else [start + RETRACT_DISTANCE_M * rise, start, *points, end]
             )
-            row = row[0 if first else 1 :]
-            turns = [axes[:1]] * (2 if first else 1) + [axes, axes[-1:]]
-            if last:
-                row.append(end + RETRACT_DISTANCE_M * rise)
-                turns.append(axes[-1:])
-            centre[arm].append(np.array(row))
-            axis[arm].append(np.concatenate(turns))
-        segments += [Segment("approach"), Segment("approach")] if first else [Segment("link")]
-        segments += [formed.at("in"), *[formed] * (count - 1), formed.at("out")]
-        segments += [Segment("retreat")] if last else []
-        head, tail = (2 if first else 1), (2 if last else 1)
+            route = route[0 if is_first else 1 :]
+            route_axes = [axes[:1]] * (2 if is_first else 1) + [axes, axes[-1:]]
+            if is_last:
+                route.append(end + RETRACT_DISTANCE_M * rise)
+                route_axes.append(axes[-1:])
+            centre[arm].append(np.array(route))
+            axis[arm].append(np.concatenate(route_axes))
+        segments += [Segment("approach"), Segment("approach")] if is_first else [Segment("link")]
+        segments += [forming.at("in"), *[forming] * (count - 1), forming.at("out")]
+        segments += [Segment("retreat")] if is_last else []
+        head = 2 if is_first else 1
+        tail = 2 if is_last else 1
         stop_in_pass = _loop_ends(path.contact.loop, max_targets)
         for points, _ in arm_paths.values():
-            stop_in_pass |= _corners(points, sharp)
+            stop_in_pass |= _corners(points, sharp_angle)
         stop_in_pass[[0, -1]] = True
         stops.append(np.concatenate([np.ones(head, bool), stop_in_pass, np.ones(tail, bool)]))
     return ToolRoute(
@@ -500,6 +514,7 @@ def join_paths(
 def _by_arm(
     work: FormingWork, forming_pass: FormingPass, path: FormingToolPath
 ) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Return ball centres (N, 3) [m] and tool axes (N, 3) of a tool path, by arm."""
     out = {work.forming_arm(forming_pass): (path.forming_centre, path.axis)}
     support_arm = work.support_arm(forming_pass)
     if support_arm is not None and path.support_centre is not None and path.support_axis is not None:
@@ -508,7 +523,7 @@ def _by_arm(
 
 
 def _safe_height(work: FormingWork, arm: str, clearance: float) -> float:
-    """Height z [m] at which a tool's TCP is clear of the whole sheet, whatever is formed already."""
+    """Return the z [m] at which a tool's TCP is clear of the whole sheet before, during and after forming."""
     head = work.heads[arm]
     previous_height = formed_sheet(work.mesh, work.tree, work.previous_features).vertices[:, 2]
     heights = np.concatenate([work.mesh.vertices[:, 2], previous_height])
@@ -521,25 +536,28 @@ def _safe_height(work: FormingWork, arm: str, clearance: float) -> float:
 
 
 def _corners(points: FloatArray, angle: float) -> BoolArray:
-    """(N,): where the path through ``points`` (N, 3) turns by more than ``angle`` [rad]."""
+    """Return whether (N,) the path turns by more than ``angle`` [rad] at each of its ``points`` (N, 3)."""
     step = np.diff(points, axis=0)
     length = np.linalg.norm(step, axis=1)
     moving = np.flatnonzero(length > MIN_MOVE_M)
     out = np.zeros(len(points), dtype=bool)
     if len(moving) > 1:
         direction = step[moving] / length[moving, None]
-        sharp = dots(direction[1:], direction[:-1]) < np.cos(angle)
-        out[moving[1:][sharp]] = True
+        is_sharp = dots(direction[1:], direction[:-1]) < np.cos(angle)
+        out[moving[1:][is_sharp]] = True
     return out
 
 
 def _loop_ends(loop: IntArray, max_targets: int) -> BoolArray:
-    """(N,): where to stop, at the last possible end of a loop before ``max_targets`` targets have passed."""
+    """Return whether (N,) tools stop at each target so that at most ``max_targets`` lie between two stops.
+
+    The stop is at the last end of a ``loop`` (N,) within that number, or at that number if no loop ends.
+    """
     ends = np.flatnonzero(np.diff(loop) != 0)
     out = np.zeros(len(loop), dtype=bool)
-    last = 0
-    while len(loop) - 1 - last > max_targets:
-        candidates = ends[(ends > last) & (ends <= last + max_targets)]
-        last = int(candidates[-1]) if len(candidates) else last + max_targets
-        out[last] = True
+    last_stop = 0
+    while len(loop) - 1 - last_stop > max_targets:
+        candidates = ends[(ends > last_stop) & (ends <= last_stop + max_targets)]
+        last_stop = int(candidates[-1]) if len(candidates) else last_stop + max_targets
+        out[last_stop] = True
     return out

@@ -83,7 +83,7 @@ def face_by_corner(surface: FormingPass, thickness: float) -> tuple[FloatArray, 
     """Return the face of a pass with separate corners for each facet, and its thickness there.
 
     Thickness jumps across a crease, which values at shared vertices cannot represent. Over smooth faces it is
-    as smooth as their normals.
+    as smooth as their normals. Thinning by earlier passes is included.
 
     Args:
         surface: Pass.
@@ -95,10 +95,11 @@ def face_by_corner(surface: FormingPass, thickness: float) -> tuple[FloatArray, 
     mesh = TriangleMesh(surface.vertices, surface.faces)
     up = np.clip(smooth_normals(mesh)[:, :, 2], 0.0, 1.0)
     single_pass = thickness * _vertex_minimum(surface.vertices, surface.faces, up)
-    earlier = np.where(single_pass > 0.0, surface.thickness / np.maximum(single_pass, 1e-12), 1.0)
-    value = thickness * up * np.minimum(earlier, 1.0)[surface.faces]
+    # ratio (V,) of the thickness after all passes to that after a single pass
+    thinning = np.where(single_pass > 0.0, surface.thickness / np.maximum(single_pass, 1e-12), 1.0)
+    corner_thickness = thickness * up * np.minimum(thinning, 1.0)[surface.faces]
     corners = surface.vertices[surface.faces].reshape(-1, 3)
-    return corners, np.arange(len(corners), dtype=np.int64).reshape(-1, 3), value.reshape(-1)
+    return corners, np.arange(len(corners), dtype=np.int64).reshape(-1, 3), corner_thickness.reshape(-1)
 
 
 def _min_normal_z(vertices: FloatArray, faces: IntArray) -> FloatArray:
@@ -124,7 +125,7 @@ THICKNESS_EXPONENT, DIAMETER_EXPONENT, SCALLOP_EXPONENT = 1.57, 0.41, 0.09
 PASCALS_PER_MEGAPASCAL: Final = 1e6
 """One megapascal in pascals."""
 MAX_FORCE_FACTOR: Final = 2.0
-"""Forces above this multiple of the payload that is left must be accepted in the problem file.
+"""Forces above this multiple of the weight that the payload leaves must be accepted in the problem file.
 
 Arms that push slowly bear more than they can swing about, but not any force. Chosen: the factor is assumed.
 """
@@ -189,7 +190,7 @@ def axial_force(
 
     Source: Aerens, Eyckens, Van Bael and Duflou, "Force prediction for single point incremental forming
     deduced from experimental and FEM observations", Int. J. Adv. Manuf. Technol. 46 (2010) 969, the general
-    form for all of their metals. The figures are quoted from general knowledge; the paper itself was not at
+    form for all of their metals. The values are quoted from general knowledge; the paper itself was not at
     hand.
     """
     t, h, a = (np.asarray(value, dtype=np.float64) for value in (thickness, scallop, angle))
@@ -217,7 +218,7 @@ def estimate_force(
     angles: ArrayLike,
     stated_force: float | None = None,
 ) -> ForceEstimate:
-    """Return the largest axial force over a part's walls, or the figure that the user gives.
+    """Return the largest axial force over a part's walls, or the force that the user states.
 
     Args:
         metal: Sheet metal.
@@ -243,10 +244,10 @@ def estimate_force(
     _require_positive("stepdown", stepdown / MM, "mm")
     scallop = scallop_height(0.5 * diameter, stepdown, walls)
     force = axial_force(metal.tensile_stress, thickness, diameter, scallop, walls)
-    worst = int(np.argmax(force))
-    low, high = (float(force[worst]) * bound / metal.tensile_stress for bound in metal.tensile_range)
+    worst_index = int(np.argmax(force))
+    low, high = (float(force[worst_index]) * bound / metal.tensile_stress for bound in metal.tensile_range)
     source = "formula of Aerens et al. for one tool, from general knowledge; one pass, no support"
-    return ForceEstimate(float(force[worst]), low, high, float(walls[worst]), source)
+    return ForceEstimate(float(force[worst_index]), low, high, float(walls[worst_index]), source)
 
 
 def payload_issue(
@@ -264,8 +265,8 @@ def payload_issue(
         payload: Payload [kg] of the robot.
         carried: Mass [kg] of what the arm carries.
     """
-    free = max(payload - carried, 0.0) * GRAVITY
-    if estimated.force <= free:
+    free_force = max(payload - carried, 0.0) * GRAVITY
+    if estimated.force <= free_force:
         return None
     spread = "" if estimated.low == estimated.high else f" ({estimated.low:.0f} to {estimated.high:.0f} N)"
     return Issue(
@@ -277,24 +278,26 @@ def payload_issue(
             range_clause=spread,
             source=estimated.source,
             robot=robot,
-            free_force_n=free,
+            free_force_n=free_force,
         ),
         Severity.WARNING,
         arm=arm,
-        **measurement(estimated.force, free, "N"),
+        **measurement(estimated.force, free_force, "N"),
         hint="use thinner or softer sheet, a smaller tool or a larger robot, or state a measured force",
-        accepted=False if estimated.force > MAX_FORCE_FACTOR * free else None,
+        accepted=False if estimated.force > MAX_FORCE_FACTOR * free_force else None,
     )
 
 
-def _require_positive(what: str, value: ArrayLike, unit: str) -> None:
+def _require_positive(quantity: str, value: ArrayLike, unit: str) -> None:
     values = np.asarray(value, dtype=np.float64)
     if not (np.all(np.isfinite(values)) and np.all(values > 0.0)):
-        raise _input_error(f"{what}: got {_worst_value(values):g} {unit}, allowed a number above 0 {unit}")
+        raise _input_error(
+            f"{quantity}: got {_worst_value(values):g} {unit}, allowed a number above 0 {unit}"
+        )
 
 
 def _worst_value(values: FloatArray) -> float:
-    """First value that is not finite, else the minimum if it is not positive, else the maximum."""
+    """Return the first value that is not finite, else the minimum if it is not positive, else the maximum."""
     flat = values.reshape(-1)
     bad = flat[~np.isfinite(flat)]
     if bad.size:

@@ -75,8 +75,9 @@ def sheet_states(
         if previous_pass is not None and previous_pass.feature != forming_pass.feature:
             done.append(previous_pass.feature)
             previous_pass = None
-        sunk = 0.0 if previous_pass is None else previous_pass.end - previous_pass.start
-        out.append(_sheet_state(tree, mesh, forming_pass, done, sunk, thickness))
+        # an earlier pass over the same feature has moved its floor along z
+        floor_shift = 0.0 if previous_pass is None else previous_pass.end - previous_pass.start
+        out.append(_sheet_state(tree, mesh, forming_pass, done, floor_shift, thickness))
         previous_pass = forming_pass
     return tuple(out)
 
@@ -96,35 +97,38 @@ def _sheet_state(
     mesh: Mesh,
     forming_pass: FormingPass,
     done: Sequence[int],
-    sunk: float,
+    floor_shift: float,
     thickness: float,
 ) -> PassSheetState:
+    """Return the state of the sheet at the start of a pass, once the features ``done`` are formed.
+
+    Earlier passes over the same feature have moved its floor by ``floor_shift`` [m] along z.
+    """
     inside = shapely.Polygon(forming_pass.region[:, :2]).buffer(0.0)
-    if (
-        tree.feature(forming_pass.feature).sign == forming_pass.side
-    ):  # over a male die the surrounding flat sinks with the tool
+    # over a male die the surrounding flat sinks with the tool
+    if tree.feature(forming_pass.feature).sign == forming_pass.side:
         flat = _grid_points(
             inside.buffer(RIM_WIDTH_M), forming_pass.start - (thickness if forming_pass.side > 0 else 0.0)
         )
-        return _uniform_state(_both_faces(flat + np.array([0.0, 0.0, sunk]), thickness), sunk != 0.0)
-    low, high = (
-        forming_pass.region[:, :2].min(axis=0) - TOOL_REACH_M,
-        forming_pass.region[:, :2].max(axis=0) + TOOL_REACH_M,
-    )
+        return _uniform_state(
+            _both_faces(flat + np.array([0.0, 0.0, floor_shift]), thickness), floor_shift != 0.0
+        )
+    low = forming_pass.region[:, :2].min(axis=0) - TOOL_REACH_M
+    high = forming_pass.region[:, :2].max(axis=0) + TOOL_REACH_M
     inner = set(descendants(tree, forming_pass.feature))
-    others = [number for number in done if number not in inner]
-    formed = [number for number in done if number in inner]
+    other_features = [number for number in done if number not in inner]
+    inner_features = [number for number in done if number in inner]
     fixed = [_flat_around(tree, forming_pass, done, inside)]
-    if others:
-        height, moved = _formed_height(tree, done, others)
+    if other_features:
+        height, moved = _formed_height(tree, done, other_features)
         points = _points_on_moved_faces(mesh, height, moved, low, high)
         fixed.append(points[~shapely.contains_xy(inside, points[:, 0], points[:, 1])])
     carried = np.zeros((0, 3))
-    if formed:
-        height, moved = _formed_height(tree, done, formed)
+    if inner_features:
+        height, moved = _formed_height(tree, done, inner_features)
         carried = _points_on_moved_faces(mesh, height, moved, low, high)
-    if sunk != 0.0:  # an earlier pass has moved them down already
-        fixed.append(carried + np.array([0.0, 0.0, sunk]))
+    if floor_shift != 0.0:  # an earlier pass has moved them down already
+        fixed.append(carried + np.array([0.0, 0.0, floor_shift]))
         carried = carried[:0]
     return PassSheetState(_both_faces(np.concatenate(fixed), thickness), _both_faces(carried, thickness))
 
@@ -132,13 +136,13 @@ def _sheet_state(
 def _formed_height(
     tree: FeatureTree, done: Sequence[int], which: Sequence[int]
 ) -> tuple[FloatArray, np.ndarray[Any, np.dtype[np.bool_]]]:
-    """Height (V,) [m] of the lower face once ``done`` are formed.
+    """Return the heights (V,) [m] of the lower face once the features ``done`` are formed.
 
-    Also returns the vertices that ``which`` have moved.
+    Also returns whether (V,) at least one of the features ``which`` has moved each vertex.
     """
-    rows = np.array(done, dtype=np.int64) - 1
+    indices = np.array(done, dtype=np.int64) - 1
     moved = (np.abs(tree.displacement[np.array(which, dtype=np.int64) - 1]) > _MIN_DISPLACEMENT_M).any(axis=0)
-    return tree.level + tree.displacement[rows].sum(axis=0), np.asarray(moved, dtype=np.bool_)
+    return tree.level + tree.displacement[indices].sum(axis=0), np.asarray(moved, dtype=np.bool_)
 
 
 def _points_on_moved_faces(
@@ -148,18 +152,18 @@ def _points_on_moved_faces(
     low: FloatArray,
     high: FloatArray,
 ) -> FloatArray:
-    """Points (P, 3) [m] on faces that have a ``moved`` (V,) vertex.
+    """Return points (P, 3) [m] on the faces of which at least one vertex is ``moved`` (V,).
 
-    They are between ``low`` and ``high`` (2,) in plan.
+    The points are spaced by `FORMED_SPACING_M` and lie between ``low`` and ``high`` (2,) [m] in plan.
     """
     plan = mesh.vertices[:, :2][mesh.faces]
     in_range = ((plan.max(axis=1) >= low) & (plan.min(axis=1) <= high)).all(axis=1)
-    chosen: IntArray = mesh.faces[moved[mesh.faces].any(axis=1) & in_range]
-    if not len(chosen):
+    chosen_faces: IntArray = mesh.faces[moved[mesh.faces].any(axis=1) & in_range]
+    if not len(chosen_faces):
         return np.zeros((0, 3))
     vertices = np.column_stack([mesh.vertices[:, :2], height])
-    pieces, _ = bisect_triangles(vertices[chosen], FORMED_SPACING_M, _MAX_PIECES)
-    points = np.concatenate([pieces.mean(axis=1), vertices[np.unique(chosen)]])
+    pieces, _ = bisect_triangles(vertices[chosen_faces], FORMED_SPACING_M, _MAX_PIECES)
+    points = np.concatenate([pieces.mean(axis=1), vertices[np.unique(chosen_faces)]])
     cell = np.floor(points / (0.75 * FORMED_SPACING_M)).astype(np.int64)
     points = points[np.sort(np.unique(cell, axis=0, return_index=True)[1])]
     return np.asarray(points[((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1)])
@@ -168,7 +172,10 @@ def _points_on_moved_faces(
 def _flat_around(
     tree: FeatureTree, forming_pass: FormingPass, done: Sequence[int], inside: Any
 ) -> FloatArray:
-    """Points of the flat around a feature that starts on the flat sheet, outside of formed features."""
+    """Return points (P, 3) [m] of the flat sheet around a feature, outside of formed features.
+
+    There are none if the feature is inside one that is formed, because it does not start on the flat sheet.
+    """
     around = inside.buffer(RIM_WIDTH_M).difference(inside)
     occupied = [shapely.Polygon(tree.feature(number).region).buffer(0.0) for number in done]
     parent = tree.feature(forming_pass.feature).parent
@@ -181,7 +188,7 @@ def _flat_around(
 
 
 def _grid_points(area: Any, level: float) -> FloatArray:
-    """Points (P, 3) [m] of the flat at ``level`` over an area in plan."""
+    """Return a grid of points (P, 3) [m] at z = ``level`` over an area in plan."""
     low_x, low_y, high_x, high_y = area.bounds
     x, y = np.meshgrid(np.arange(low_x, high_x, FLAT_SPACING_M), np.arange(low_y, high_y, FLAT_SPACING_M))
     points = np.column_stack([x.ravel(), y.ravel()])
@@ -190,12 +197,12 @@ def _grid_points(area: Any, level: float) -> FloatArray:
 
 
 def _uniform_state(points: FloatArray, is_fixed: bool) -> PassSheetState:
-    """State of points that are all fixed or all move with the tool."""
+    """Return the state of a sheet whose points are all fixed, or all move along z with the floor."""
     return PassSheetState(points, points[:0]) if is_fixed else PassSheetState(points[:0], points)
 
 
 def _both_faces(points: FloatArray, thickness: float) -> FloatArray:
-    """Points of the lower face and the points of the top face above them."""
+    """Return points (2 P, 3) [m]: those of the lower face, and above them those of the top face."""
     return np.concatenate([points, points + np.array([0.0, 0.0, thickness])])
 
 
@@ -245,31 +252,34 @@ def clearance_issues(
     tools = [(path.forming_centre, path.axis)]
     if path.support_centre is not None and path.support_axis is not None:
         tools.append((path.support_centre, path.support_axis))
-    radius = -float(profiles[0][0, 0])
-    tip = forming_pass.side * (path.forming_centre[:, 2] - forming_pass.side * radius)
-    sunk = forming_pass.side * np.minimum(
-        np.minimum.accumulate(tip) - forming_pass.side * forming_pass.start, 0.0
+    radius = -float(profiles[0][0, 0])  # the outline starts at the ball's tip, one radius ahead of the TCP
+    tip_height = forming_pass.side * (path.forming_centre[:, 2] - forming_pass.side * radius)
+    floor_shift = forming_pass.side * np.minimum(
+        np.minimum.accumulate(tip_height) - forming_pass.side * forming_pass.start, 0.0
     )
-    issues, up = [], np.array([0.0, 0.0, 1.0])
+    issues = []
+    up = np.array([0.0, 0.0, 1.0])
     for (centres, axis), arm, profile, allowed in zip(tools, arms, profiles, tolerances, strict=False):
-
-        def worst(
+        # default values bind the tool of this iteration
+        def deepest_cut(
             outline: FloatArray,
             centres: FloatArray = centres,
             axis: FloatArray = axis,
             allowed: float = allowed,
         ) -> ToolPenetration | None:
+            """Return the deepest cut of a tool with a given outline if it is deeper than allowed, or None."""
             candidates = [
                 deepest_penetration(centres, axis, outline, state.fixed),
-                deepest_penetration(centres - up * sunk[:, None], axis, outline, state.carried),
+                # carried points move by the floor's shift; the tool is moved by the opposite instead
+                deepest_penetration(centres - up * floor_shift[:, None], axis, outline, state.carried),
             ]
             cuts = [cut for cut in candidates if cut is not None and cut.depth > allowed]
             return max(cuts, key=lambda cut: cut.depth, default=None)
 
-        cut = worst(profile)
+        cut = deepest_cut(profile)
         if cut is not None:
             issues.append(
-                _clearance_issue(forming_pass, arm, cut, allowed, _max_shaft_radius(profile, worst))
+                _clearance_issue(forming_pass, arm, cut, allowed, _max_shaft_radius(profile, deepest_cut))
             )
     return tuple(issues)
 
@@ -281,7 +291,7 @@ def deepest_penetration(
 
     Args:
         centres: Positions (N, 3) [m] of its TCP.
-        axis: Unit vectors (N, 3) that point out of the tool.
+        axis: Unit vectors (N, 3) along its axis, from the tool to the sheet.
         profile: Outline (K, 2) [m]: distance behind the TCP, radius.
         points: Points (P, 3) [m].
 
@@ -290,24 +300,28 @@ def deepest_penetration(
     """
     if not len(points) or not len(centres):
         return None
-    wide, back = float(profile[:, 1].max()), profile[:, 0]
+    max_radius = float(profile[:, 1].max())
+    behind = profile[:, 0]
     # bounding spheres along the axis, to find the points near the tool
-    along = np.linspace(back[0], back[-1], max(int(np.ceil((back[-1] - back[0]) / wide)), 1) + 1)
-    reach = float(np.hypot(wide, 0.5 * (along[1] - along[0])))
+    along = np.linspace(
+        behind[0], behind[-1], max(int(np.ceil((behind[-1] - behind[0]) / max_radius)), 1) + 1
+    )
+    reach = float(np.hypot(max_radius, 0.5 * (along[1] - along[0])))
+    # sagitta of a chord of length L on radius R: L^2 / (8 R)
     target, centre, direction = _sample_moves(
-        centres, axis, float(np.sqrt(8.0 * wide * SAMPLING_DEPTH_TOLERANCE_M))
+        centres, axis, float(np.sqrt(8.0 * max_radius * SAMPLING_DEPTH_TOLERANCE_M))
     )
     # discard points outside the bounding box of all spheres
-    box = (points >= (centre.min(axis=0) - back[-1] - wide)) & (
-        points <= centre.max(axis=0) + back[-1] + wide
+    box = (points >= (centre.min(axis=0) - behind[-1] - max_radius)) & (
+        points <= centre.max(axis=0) + behind[-1] + max_radius
     )
     points = points[box.all(axis=1)]
     if not len(points):
         return None
     tree = cKDTree(points)
     best: ToolPenetration | None = None
-    rows = _rows_near_points(tree, centre, direction, along, reach)
-    target, centre, direction = target[rows], centre[rows], direction[rows]
+    candidates = _indices_near_points(tree, centre, direction, along, reach)
+    target, centre, direction = target[candidates], centre[candidates], direction[candidates]
     chunk = min(max(_PAIRS_AT_ONCE // len(points), 20), 2000)
     for start in range(0, len(centre), chunk):
         centre_chunk, axis_chunk = centre[start : start + chunk], direction[start : start + chunk]
@@ -325,27 +339,30 @@ def deepest_penetration(
     return best
 
 
-def _rows_near_points(
+def _indices_near_points(
     tree: cKDTree, centre: FloatArray, axis: FloatArray, along: FloatArray, reach: float
 ) -> IntArray:
-    """Rows of positions in the runs of consecutive positions that points may be near.
+    """Return the indices of the tool positions that may be near a point of ``tree``.
 
-    Spheres of radius ``reach`` [m], ``along`` (S,) behind the positions ``centre`` (N, 3), are grown so that
-    they contain those of their whole run.
+    Runs of consecutive positions are tested as one: spheres of radius ``reach`` [m], ``along`` (S,) [m]
+    behind the positions ``centre`` (N, 3), are grown so that they contain those of their whole run.
     """
     first = np.arange(0, len(centre), _RUN_LENGTH)
     count = np.diff(np.append(first, len(centre)))
 
     def spread(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return mean and maximum deviation of the values (N, 3) of each run."""
         mean = np.add.reduceat(values, first) / count[:, None]
         deviation = np.linalg.norm(values - np.repeat(mean, count, axis=0), axis=1)
         return mean, np.maximum.reduceat(deviation, first)
 
-    (middle, centre_deviation), (mean_axis, axis_deviation) = spread(centre), spread(axis)
+    (mean_centre, centre_deviation), (mean_axis, axis_deviation) = spread(centre), spread(axis)
     is_near = np.zeros(len(first), dtype=np.bool_)
     for distance_behind in along:
         grown = reach + centre_deviation + abs(distance_behind) * axis_deviation
-        nearest = tree.query(middle - distance_behind * mean_axis, distance_upper_bound=float(grown.max()))[0]
+        nearest = tree.query(
+            mean_centre - distance_behind * mean_axis, distance_upper_bound=float(grown.max())
+        )[0]
         is_near |= nearest <= grown
     return np.flatnonzero(np.repeat(is_near, count))
 
@@ -353,33 +370,41 @@ def _rows_near_points(
 def _sample_moves(
     centres: FloatArray, axis: FloatArray, spacing: float
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Target index, position and axis at targets and between them, ``spacing`` [m] apart."""
+    """Sample the tool at targets and on the straight moves between them, at most ``spacing`` [m] apart.
+
+    Moves are sampled twice as densely. Then samples are left out until the tool has moved by half the spacing
+    or rotated by 0.02 rad. Returns the index of the target at or before each sample (M,), positions (M, 3)
+    [m] and axes (M, 3).
+    """
     length = np.linalg.norm(np.diff(centres, axis=0), axis=1)
     count = np.maximum(np.ceil(2.0 * length / spacing), 1).astype(np.int64)
-    row = np.repeat(np.arange(len(count)), count)
-    fraction = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)) / count[row]
-    row, fraction = np.append(row, len(centres) - 1), np.append(fraction, 0.0)
-    next_row = np.minimum(row + 1, len(centres) - 1)
-    centre = centres[row] + fraction[:, None] * (centres[next_row] - centres[row])
-    direction = axis[row] + fraction[:, None] * (axis[next_row] - axis[row])
+    target = np.repeat(np.arange(len(count)), count)
+    fraction = (np.arange(len(target)) - np.repeat(np.cumsum(count) - count, count)) / count[target]
+    target, fraction = np.append(target, len(centres) - 1), np.append(fraction, 0.0)
+    next_target = np.minimum(target + 1, len(centres) - 1)
+    centre = centres[target] + fraction[:, None] * (centres[next_target] - centres[target])
+    direction = axis[target] + fraction[:, None] * (axis[next_target] - axis[target])
     direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(centre, axis=0), axis=1))])
     rotation = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(direction, axis=0), axis=1))])
     step = np.floor(2.0 * arc / spacing + rotation / 0.02)
     kept = np.concatenate([[True], step[1:] != step[:-1]])
-    return row[kept], centre[kept], direction[kept]
+    return target[kept], centre[kept], direction[kept]
 
 
 def _tool_depth(offset: FloatArray, axis: FloatArray, profile: FloatArray) -> FloatArray:
-    """Depth (M,) [m] inside the tool of points at ``offset`` (M, 3) from the TCP; negative outside."""
+    """Return the depths (M,) [m] of points in the tool, 0 or less outside of it.
+
+    The points are at ``offset`` (M, 3) [m] from the TCP. Inside, the depth is the distance to the outline.
+    """
     distance_behind = -dots(offset, axis)
     radius = np.linalg.norm(offset + distance_behind[:, None] * axis, axis=1)
-    allowed = np.interp(distance_behind, profile[:, 0], profile[:, 1], left=-1.0, right=-1.0)
-    depth = np.minimum(allowed - radius, 1.0)
-    rows = np.flatnonzero(depth > 0.0)
-    if len(rows):
-        profile_point = np.column_stack([distance_behind[rows], radius[rows]])
-        nearest = np.full(len(rows), np.inf)
+    outline_radius = np.interp(distance_behind, profile[:, 0], profile[:, 1], left=-1.0, right=-1.0)
+    depth = np.minimum(outline_radius - radius, 1.0)
+    inside = np.flatnonzero(depth > 0.0)
+    if len(inside):
+        profile_point = np.column_stack([distance_behind[inside], radius[inside]])
+        nearest = np.full(len(inside), np.inf)
         outline = np.concatenate([[[profile[0, 0], 0.0]], profile])  # adds the line of a flat end face
         for line_start, line_end in itertools.pairwise(outline):
             edge = line_end - line_start
@@ -387,40 +412,46 @@ def _tool_depth(offset: FloatArray, axis: FloatArray, profile: FloatArray) -> Fl
             nearest = np.minimum(
                 nearest, np.linalg.norm(profile_point - line_start - fraction[:, None] * edge, axis=1)
             )
-        depth[rows] = nearest
+        depth[inside] = nearest
     return np.asarray(depth)
 
 
 def _max_shaft_radius(
-    profile: FloatArray, worst: Callable[[FloatArray], ToolPenetration | None]
+    profile: FloatArray, deepest_cut: Callable[[FloatArray], ToolPenetration | None]
 ) -> float | None:
-    """Largest shaft radius [m] at which a tool of that ``profile`` is clear, in steps of ``RADIUS_STEP_M``.
+    """Return the largest shaft radius [m] at which the tool is clear, in steps of ``RADIUS_STEP_M``.
 
-    None if its ball is not clear, or if it has no ball.
+    The ``profile`` is cut off at that radius. None if the tool has no ball or no shaft wider than its ball,
+    or if the ball itself is not clear. ``deepest_cut`` returns the cut of a tool with a given outline.
     """
 
     def is_clear(max_radius: float) -> bool:
-        return worst(np.column_stack([profile[:, 0], np.minimum(profile[:, 1], max_radius)])) is None
+        return deepest_cut(np.column_stack([profile[:, 0], np.minimum(profile[:, 1], max_radius)])) is None
 
     low, high = -float(profile[0, 0]), float(profile[:, 1].max())
     if not 0.0 < low < high - 1e-6 or not is_clear(low):
         return None
-    ball = low
+    ball_radius = low
     while high - low > RADIUS_STEP_M:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if is_clear(middle) else (low, middle)
-    return max(ball, float(np.floor(low / RADIUS_STEP_M)) * RADIUS_STEP_M)
+    return max(ball_radius, float(np.floor(low / RADIUS_STEP_M)) * RADIUS_STEP_M)
 
 
 def _clearance_issue(
-    forming_pass: FormingPass, arm: str, cut: ToolPenetration, tolerance: float, slim: float | None
+    forming_pass: FormingPass,
+    arm: str,
+    cut: ToolPenetration,
+    tolerance: float,
+    max_shaft_radius: float | None,
 ) -> Issue:
+    """Return the issue of a cut; ``max_shaft_radius`` [m] is that of a tool that is clear, if any."""
     # a cut by the ball itself does not depend on the shaft
     hint = "use smaller steps, another order or strategy of forming, or round the part there"
-    if slim is not None:
+    if max_shaft_radius is not None:
         hint = (
-            f"use a slimmer tool (shaft_radius_mm: {slim / MM:g}), a longer neck_mm, or another order or "
-            "strategy of forming"
+            f"use a slimmer tool (shaft_radius_mm: {max_shaft_radius / MM:g}), a longer neck_mm, or another "
+            "order or strategy of forming"
         )
     x, y, z = (float(value) / MM for value in cut.point)
     return Issue(

@@ -1,8 +1,8 @@
 """Forming in stages: features that an operation forms, the sheet as other operations leave it, and its holes.
 
 A part may be formed by several operations, each of which names its features. Between them the sheet may be
-cut. Displacements of features add up, so a sheet with some features is the flat plus their shares of the
-part.
+cut. Displacements of features add up, so the height of a sheet with some features is that of the flat plus
+the displacements by these features.
 
 A hole yields under a tool that comes near it, and a hole in sheet that is formed later is moved and
 stretched. Neither effect is modelled. Therefore both the tools and everything that an operation forms keep a
@@ -59,21 +59,21 @@ def own_features(
         named = all_features if numbers is None else set(numbers)
         repeated = sorted(named & owner.keys())
         if repeated:
-            what = f"{operation}: {_feature_phrase(repeated)} already formed by {owner[repeated[0]]}"
+            message = f"{operation}: {_feature_phrase(repeated)} already formed by {owner[repeated[0]]}"
             hint = "name other features, or form all of them in one operation; repeats runs each pass again"
-            issues.append(_features_issue(what, hint))
+            issues.append(_features_issue(message, hint))
         unknown = sorted(named - all_features)
         if unknown:
-            what = (
+            message = (
                 f"{operation}: {_feature_phrase(unknown)} not in the part, which has 1 to {len(all_features)}"
             )
-            issues.append(_features_issue(what, "list them with: tandem features PART"))
+            issues.append(_features_issue(message, "list them with: tandem features PART"))
         owner.update(dict.fromkeys(named, operation))
     unformed = sorted(all_features - owner.keys())
     if unformed and not issues:
-        what = f"{name}: {_feature_phrase(unformed)} formed by no operation"
+        message = f"{name}: {_feature_phrase(unformed)} formed by no operation"
         issues.append(
-            _features_issue(what, "name them in one of the operations, or remove them from the part")
+            _features_issue(message, "name them in one of the operations, or remove them from the part")
         )
     if issues:
         raise TandemError(issues)
@@ -82,12 +82,13 @@ def own_features(
 
 
 def _feature_phrase(numbers: Sequence[int]) -> str:
+    """Return the subject and verb of a message, such as "features 2, 3 are"."""
     text = ", ".join(map(str, numbers))
     return f"feature {text} is" if len(numbers) == 1 else f"features {text} are"
 
 
-def _features_issue(what: str, hint: str) -> Issue:
-    return Issue("forming.features", what, field="operations.features", hint=hint)
+def _features_issue(message: str, hint: str) -> Issue:
+    return Issue("forming.features", message, field="operations.features", hint=hint)
 
 
 def formed_sheet(mesh: Mesh, tree: FeatureTree, done: Sequence[int]) -> Mesh:
@@ -141,7 +142,7 @@ def forming_order(
 def with_states(
     stock: Stock, mesh: Mesh, tree: FeatureTree, order: Sequence[OrderStep], previous: Sequence[int]
 ) -> Stock:
-    """Add solids for what protrudes from the sheet before the part is finished.
+    """Return the stock with solids added for what protrudes from the sheet before the part is finished.
 
     There is one state after each step of the order. What is formed on the virgin sheet stands higher, or
     lower, than in the part until the feature around it takes it along, straight along z, through the solids
@@ -166,19 +167,20 @@ def with_states(
 def _protruding_solids(
     mesh: Mesh, tree: FeatureTree, states: list[list[int]], thickness: float, known: tuple[Shape, ...]
 ) -> list[Shape]:
-    """Hulls, besides those ``known``, of what protrudes from the sheet in each state."""
+    """Return convex hulls of what protrudes from the sheet in each state and is not in a ``known`` solid."""
     solids = list(known)
     for done in states:
         solids += _protruding_pieces(formed_sheet(mesh, tree, done), tree.level, thickness, solids)
     return solids[len(known) :]
 
 
-def _protruding_pieces(mesh: Mesh, level: float, thickness: float, known: Sequence[Shape]) -> list[Shape]:
-    """Hulls of the connected pieces of sheet that protrude from the flat.
+def _protruding_pieces(mesh: Mesh, level: float, thickness: float, existing: Sequence[Shape]) -> list[Shape]:
+    """Return the convex hulls of the connected pieces of sheet that protrude from the flat.
 
-    Each piece is off the flat ``level`` [m] and outside the ``known`` solids.
+    Pieces above and below the flat sheet at ``level`` [m] are separate. Pieces inside the ``existing`` solids
+    are left out.
     """
-    planes = [_planes(solid) for solid in known]
+    planes = [_planes(solid) for solid in existing]
     rise = np.array([0.0, 0.0, thickness])
     out = []
     for side in (-1.0, 1.0):
@@ -202,34 +204,34 @@ def _protruding_pieces(mesh: Mesh, level: float, thickness: float, known: Sequen
 
 
 def _is_inside_solids(points: FloatArray, planes: Sequence[tuple[FloatArray, FloatArray]]) -> bool:
-    """Whether all ``points`` (P, 3) are in one of the solids.
+    """Return whether each of the ``points`` (P, 3) is in at least one of the solids.
 
-    They may be outside by at most :data:`PROTRUSION_TOLERANCE_M`.
+    A point may be outside by at most :data:`PROTRUSION_TOLERANCE_M`.
     """
     outside = points
-    for normal, reach in planes:
+    for normal, offset in planes:
         if not len(outside):
             return True
         signed_distance = np.full(len(outside), -np.inf if len(normal) else np.inf)
-        for n, r in zip(normal, reach, strict=True):
-            np.maximum(signed_distance, outside @ n - r, out=signed_distance)
+        for facet_normal, facet_offset in zip(normal, offset, strict=True):
+            np.maximum(signed_distance, outside @ facet_normal - facet_offset, out=signed_distance)
         outside = outside[signed_distance > PROTRUSION_TOLERANCE_M]
     return not len(outside)
 
 
 def _planes(solid: Shape) -> tuple[FloatArray, FloatArray]:
-    """Planes of a convex solid: outward normals (K, 3) and offsets (K,)."""
+    """Return the planes of a convex solid: outward normals (K, 3) and offsets (K,) [m] from the origin."""
     if solid.vertices is None or solid.faces is None:
         return np.zeros((0, 3)), np.zeros(0)
     vertices = transform(solid.pose, solid.vertices)
     corners = vertices[solid.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    size = np.linalg.norm(normal, axis=1)
-    good = size > 1e-3 * size.max()
-    normal = normal[good] / size[good, None]
-    reach = np.einsum("kd,kd->k", normal, corners[good, 0])
-    inward = np.sign(normal @ vertices.mean(axis=0) - reach) > 0.0
-    return np.where(inward[:, None], -normal, normal), np.where(inward, -reach, reach)
+    length = np.linalg.norm(normal, axis=1)
+    is_valid = length > 1e-3 * length.max()  # the normals of slivers are inaccurate
+    normal = normal[is_valid] / length[is_valid, None]
+    offset = np.einsum("kd,kd->k", normal, corners[is_valid, 0])
+    is_inward = np.sign(normal @ vertices.mean(axis=0) - offset) > 0.0
+    return np.where(is_inward[:, None], -normal, normal), np.where(is_inward, -offset, offset)
 
 
 MAX_DRAWN_PIECE_M: Final = 0.8 * MM
@@ -255,8 +257,8 @@ def sheet_exhibit(mesh: Mesh, holes: Sequence[SheetHole], operation_name: str) -
             corners = corners if hole.inside else corners[:0]
             continue
         pieces = bisect_triangles(corners[affected], MAX_DRAWN_PIECE_M, MAX_DRAWN_TRIANGLES)[0]
-        middle = pieces.mean(axis=1)
-        kept = shapely.contains_xy(area, middle[:, 0], middle[:, 1]) != hole.inside
+        centroid = pieces.mean(axis=1)
+        kept = shapely.contains_xy(area, centroid[:, 0], centroid[:, 1]) != hole.inside
         corners = np.concatenate([corners[~affected] if hole.inside else corners[:0], pieces[kept]])
     if not 0 < len(corners) <= MAX_DRAWN_TRIANGLES:
         return {}
@@ -281,7 +283,7 @@ def hole_issues(
 ) -> Iterator[Issue]:
     """Report holes that are too near to what passes form or to their tools (forming.holes).
 
-    Also reports curves if the whole sheet outside of them has dropped.
+    Also reports curves along which the sheet was cut off its clamp.
 
     Args:
         holes: Curves along which the sheet was cut before.
@@ -293,8 +295,10 @@ def hole_issues(
     for hole in holes:
         ring = shapely.Polygon(hole.ring).buffer(0.0)
         if not hole.inside:
-            what = f"the sheet was cut along {hole.name} and drops outside of it, so the clamp holds nothing"
-            yield _hole_issue(what, None, margin, "put this operation before the one that cuts it off")
+            message = (
+                f"the sheet was cut along {hole.name} and drops outside of it, so the clamp holds nothing"
+            )
+            yield _hole_issue(message, None, margin, "put this operation before the one that cuts it off")
             continue
         feature_distances = [
             (shapely.distance(ring, _plan_region(forming_pass)), forming_pass.name)
@@ -303,36 +307,39 @@ def hole_issues(
         distance, name = min(feature_distances, key=lambda pair: pair[0])
         clearance = max(distance - hole.face_offset, 0.0)
         if clearance < margin:
-            what = f"{hole.name}, which was cut before, is {distance / MM:.1f} mm away from what {name} forms"
-            what += f", its other edge down to {clearance / MM:.1f} mm" if hole.face_offset > 0.0 else ""
+            message = (
+                f"{hole.name}, which was cut before, is {distance / MM:.1f} mm away from what {name} forms"
+            )
+            message += f", its other edge down to {clearance / MM:.1f} mm" if hole.face_offset > 0.0 else ""
             if distance == 0.0:
-                what = f"{hole.name}, which was cut before, lies in what {name} forms, and would be moved"
+                message = f"{hole.name}, which was cut before, lies in what {name} forms, and would be moved"
             hint = "form that feature before the sheet is cut, or move the curve away from it"
-            yield _hole_issue(what, clearance, margin, hint)
+            yield _hole_issue(message, clearance, margin, hint)
             continue
-        tools = [
+        tool_clearances = [
             (
                 shapely.distance(ring, _plan_curve(centres)) - radius - hole.face_offset - slack,
                 forming_pass.name,
             )
-            for (forming_pass, path), both in zip(paths, radii, strict=True)
-            for centres, radius in zip((path.forming_centre, path.support_centre), both, strict=True)
+            for (forming_pass, path), pass_radii in zip(paths, radii, strict=True)
+            for centres, radius in zip((path.forming_centre, path.support_centre), pass_radii, strict=True)
             if centres is not None
         ]
-        clearance, name = min(tools, key=lambda pair: pair[0])
+        clearance, name = min(tool_clearances, key=lambda pair: pair[0])
         if clearance < margin:
             proximity = f"comes within {clearance / MM:.1f} mm of" if clearance > 0.0 else "goes over"
-            what = f"in {name} a tool {proximity} the edges of {hole.name}, which was cut before"
+            message = f"in {name} a tool {proximity} the edges of {hole.name}, which was cut before"
             hint = "form that feature before the sheet is cut, move the curve away, or use a smaller tool"
-            yield _hole_issue(what, max(clearance, 0.0), margin, hint)
+            yield _hole_issue(message, max(clearance, 0.0), margin, hint)
 
 
-def _hole_issue(what: str, value: float | None, margin: float, hint: str) -> Issue:
-    what += "" if value is None else f", allowed at least {margin / MM:g} mm (hole_margin_mm)"
+def _hole_issue(message: str, value: float | None, margin: float, hint: str) -> Issue:
+    """Return the issue; ``value`` [m] is the distance that is below ``margin`` [m], None if none applies."""
+    message += "" if value is None else f", allowed at least {margin / MM:g} mm (hole_margin_mm)"
     got = None if value is None else float(value) / MM
     limit = None if value is None else margin / MM
     return Issue(
-        "forming.holes", what, field="operations.features", value=got, limit=limit, unit="mm", hint=hint
+        "forming.holes", message, field="operations.features", value=got, limit=limit, unit="mm", hint=hint
     )
 
 

@@ -1,4 +1,4 @@
-"""Forces on the sheet as the user states them, at points of a pass: one figure, by depth, or as measured.
+"""Forces on the sheet as the user states them, at points of a pass: one value, by depth, or as measured.
 
 The sheet bends under the total force along z of all tools. A support presses the other way, so what counts is
 the force of the forming tool minus that of the support: a dissertation on double-sided forming (equation 2-6)
@@ -6,8 +6,8 @@ has the former as the sum of the support's force and what the sheet takes. Force
 while forming already are of both tools together.
 
 On each measured level the force is interpolated linearly from point to point, along straight lines in plan.
-Between levels, and between the rows of a table, it is interpolated in z. Beyond the first and last row it is
-constant. A level of a spiral counts at its middle, any other level at its end.
+Between levels, and between the entries of a table, it is interpolated in z. Beyond the first and the last
+entry it is constant. A level of a spiral counts at its middle, any other level at its end.
 """
 
 import dataclasses
@@ -45,7 +45,7 @@ class ForceLevel:
 
     Attributes:
         height: Height z [m].
-        force: Forces (P,) [N] in their order around; a single force holds for the whole height.
+        force: Forces (P,) [N], in the order of the closed loop; a single force holds for the whole height.
         points: Positions (P, 2) [m] of the forces in plan.
     """
 
@@ -88,16 +88,16 @@ class StatedForces:
             name: Name of the pass.
             points: Contact points (N, 3) [m].
         """
-        rows = self.levels[name]
-        level_forces = np.stack([row.force_at(points[:, :2]) for row in rows])
-        if len(rows) == 1:
+        levels = self.levels[name]
+        level_forces = np.stack([level.force_at(points[:, :2]) for level in levels])
+        if len(levels) == 1:
             return np.asarray(level_forces[0])
-        height = np.array([row.height for row in rows])
-        above = np.clip(np.searchsorted(height, points[:, 2]), 1, len(rows) - 1)
-        weight = np.clip((points[:, 2] - height[above - 1]) / (height[above] - height[above - 1]), 0.0, 1.0)
+        height = np.array([level.height for level in levels])
+        upper = np.clip(np.searchsorted(height, points[:, 2]), 1, len(levels) - 1)
+        weight = np.clip((points[:, 2] - height[upper - 1]) / (height[upper] - height[upper - 1]), 0.0, 1.0)
         index = np.arange(len(points))
         return np.asarray(
-            (1.0 - weight) * level_forces[above - 1, index] + weight * level_forces[above, index]
+            (1.0 - weight) * level_forces[upper - 1, index] + weight * level_forces[upper, index]
         )
 
 
@@ -118,14 +118,14 @@ def stated_forces(
         radius: Radius [m] of the forming ball, by the names of passes.
 
     Raises:
-        TandemError: forming.force_input if a table does not cover all passes or has another unit;
+        TandemError: forming.force_input if a table does not cover all passes or seems to be in another unit;
             forming.loop_forces for errors in a file of measured forces.
     """
     names = [forming_pass.name for forming_pass in passes]
     support = op.support_force_n or 0.0
     if op.force_n is not None:
-        forming_pass = (_uniform_level(0.0, op.force_n - support),)
-        return StatedForces(dict.fromkeys(names, forming_pass), dict.fromkeys(names, op.force_n))
+        levels: tuple[ForceLevel, ...] = (_uniform_level(0.0, op.force_n - support),)
+        return StatedForces(dict.fromkeys(names, levels), dict.fromkeys(names, op.force_n))
     if op.force_by is None:
         return None
     expected = {
@@ -134,9 +134,9 @@ def stated_forces(
     }
     if op.force_by.table is not None:
         _require_table(op.force_by.table, passes, thickness, max(expected.values()))
-        rows = tuple(_uniform_level(z * MM, n - support) for z, n in sorted(op.force_by.table))
+        levels = tuple(_uniform_level(z * MM, force - support) for z, force in sorted(op.force_by.table))
         return StatedForces(
-            dict.fromkeys(names, rows), dict.fromkeys(names, max(n for _, n in op.force_by.table))
+            dict.fromkeys(names, levels), dict.fromkeys(names, max(force for _, force in op.force_by.table))
         )
     return _forces_from_file(op, op.force_by, passes, expected)
 
@@ -148,39 +148,43 @@ def _uniform_level(height: float, force: float) -> ForceLevel:
 def _forces_from_file(
     op: Forming, force_by: ForceBy, passes: Sequence[FormingPass], expected: Mapping[str, float]
 ) -> StatedForces | None:
+    """Return the forces that a file states by pass, level and point, or None if no file is named."""
     if force_by.file is None:
         return None
     step = (op.stepdown_mm or 0.0) * MM
     requests = []
     for forming_pass in passes:
-        needed = max(
+        required_count = max(
             int(np.ceil(abs(forming_pass.end - forming_pass.start) / step - WHOLE_STEP_TOLERANCE)), 1
         )
-        count = needed + (op.path == "helical")  # the last loop is flat along the end
-        largest = np.full(count, expected[forming_pass.name])
-        requests.append(ExpectedLevels(forming_pass.name, (None,) * count, largest, largest, needed))
-    rows, forming_force = {}, {}
+        count = required_count + (op.path == "helical")  # the last loop is flat along the end
+        expected_force = np.full(count, expected[forming_pass.name])
+        requests.append(
+            ExpectedLevels(forming_pass.name, (None,) * count, expected_force, expected_force, required_count)
+        )
+    levels, forming_force = {}, {}
     for forming_pass, measured in zip(passes, read_forces(force_by.file, requests), strict=True):
-        rows[forming_pass.name] = _measured_levels(op, forming_pass, measured, step)
+        levels[forming_pass.name] = _measured_levels(op, forming_pass, measured, step)
         forming_force[forming_pass.name] = max(float(force.max()) for force in measured.force)
-    return StatedForces(rows, forming_force)
+    return StatedForces(levels, forming_force)
 
 
 def _measured_levels(
     op: Forming, forming_pass: FormingPass, measured: MeasuredForces, step: float
 ) -> tuple[ForceLevel, ...]:
+    """Return the levels of one pass, ascending in z, with the forces that were measured on each."""
     out = []
     for number, (force, points) in enumerate(zip(measured.force, measured.position, strict=True)):
         start, end = level_depths(forming_pass, step, number)
         depth = 0.5 * (start + end) if op.path == "helical" else end
         out.append(ForceLevel(forming_pass.start - forming_pass.side * depth, force, points))
-    return tuple(sorted(out, key=lambda row: row.height))
+    return tuple(sorted(out, key=lambda level: level.height))
 
 
 def _largest_force(
     op: Forming, forming_pass: FormingPass, metal: SheetMetal, thickness: float, radius: float
 ) -> float:
-    """Largest force [N] of a pass by the formula, to detect forces in another unit."""
+    """Return the largest force [N] of a pass by the formula, to detect stated forces in another unit."""
     angle = min(wall_angle(forming_pass.vertices, forming_pass.faces), MAX_FORCE_ANGLE_RAD)
     if op.stepdown_mm is None:
         ridge = (op.scallop_mm or 0.0) * MM
@@ -197,21 +201,25 @@ def _require_table(
     Raises ``TandemError`` (forming.force_input) if the table ends more than the sheet's thickness before the
     passes do, or if its forces seem to be in another unit.
     """
-    z = [MM * row[0] for row in table]
-    largest = max(row[1] for row in table)
-    ends = [end for forming_pass in passes for end in (forming_pass.start, forming_pass.end)]
+    z = [MM * height for height, _ in table]
+    max_force = max(force for _, force in table)
+    levels = [level for forming_pass in passes for level in (forming_pass.start, forming_pass.end)]
     issues = []
-    if min(z) > min(ends) + thickness or max(z) < max(ends) - thickness:
-        what = f"force_by: the table goes from z {min(z) / MM:g} to {max(z) / MM:g} mm, the passes from "
-        what += f"{min(ends) / MM:.2f} to {max(ends) / MM:.2f} mm; it may end at most {thickness / MM:g} mm "
-        issues.append(_table_issue(what + "before them", "give the forces over the whole depth"))
-    if not MIN_FORCE_RATIO * expected <= largest <= MAX_FORCE_RATIO * expected:
-        what = f"force_by: the table's largest force is {largest:g} N, about {expected:.0f} N are expected; "
-        what += f"allowed {MIN_FORCE_RATIO * expected:.0f} to {MAX_FORCE_RATIO * expected:.0f} N"
-        issues.append(_table_issue(what, "give newtons, along z"))
+    if min(z) > min(levels) + thickness or max(z) < max(levels) - thickness:
+        message = f"force_by: the table goes from z {min(z) / MM:g} to {max(z) / MM:g} mm, the passes from "
+        message += (
+            f"{min(levels) / MM:.2f} to {max(levels) / MM:.2f} mm; it may end at most {thickness / MM:g} mm "
+        )
+        issues.append(_table_issue(message + "before them", "give the forces over the whole depth"))
+    if not MIN_FORCE_RATIO * expected <= max_force <= MAX_FORCE_RATIO * expected:
+        message = (
+            f"force_by: the table's largest force is {max_force:g} N, about {expected:.0f} N are expected; "
+        )
+        message += f"allowed {MIN_FORCE_RATIO * expected:.0f} to {MAX_FORCE_RATIO * expected:.0f} N"
+        issues.append(_table_issue(message, "give newtons, along z"))
     if issues:
         raise TandemError(issues)
 
 
-def _table_issue(what: str, hint: str) -> Issue:
-    return Issue("forming.force_input", what, field="operations.force_by.table", hint=hint)
+def _table_issue(message: str, hint: str) -> Issue:
+    return Issue("forming.force_input", message, field="operations.force_by.table", hint=hint)

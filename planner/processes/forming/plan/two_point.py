@@ -79,6 +79,7 @@ def die_issues(
 def _gouge_issues(
     forming_pass: FormingPass, far_face: TriangleMesh, points: FloatArray, tolerance: float
 ) -> Iterator[Issue]:
+    """Report where the die (``points`` (P, 3) [m]) protrudes most into the far face of a pass."""
     inside = shapely.Polygon(forming_pass.region[:, :2]).buffer(DIE_SPACING_M)
     points = points[shapely.contains_xy(inside, points[:, 0], points[:, 1])]
     if not len(points):
@@ -87,37 +88,40 @@ def _gouge_issues(
     if depth.max() <= MAX_DIE_PROTRUSION_M:
         distance, face = MeshDistance(far_face, DIE_SPACING_M).distance(points)
         normals = face_normals(far_face)[face]
-        ahead = forming_pass.side * dots(points - far_face.vertices[far_face.faces[face, 0]], normals)
-        depth = np.where(ahead > 0.0, distance, 0.0)
+        above_face = forming_pass.side * dots(points - far_face.vertices[far_face.faces[face, 0]], normals)
+        depth = np.where(above_face > 0.0, distance, 0.0)
     k = int(np.argmax(depth))
     if depth[k] <= tolerance:
         return
     x, y, z = (float(value) / MM for value in points[k])
-    what = (
-        f"feature {forming_pass.feature}: the die protrudes {depth[k] / MM:.2f} mm into the part at "
-        f"({x:.1f}, "
+    message = (
+        f"feature {forming_pass.feature}: the die protrudes {depth[k] / MM:.2f} mm into the part "
+        f"at ({x:.1f}, "
     )
-    what += f"{y:.1f}, {z:.1f}) mm, allowed is {tolerance / MM:.2f} mm; check its unit, or lower it by that "
-    what += "distance to leave space for the sheet's thickness"
+    message += (
+        f"{y:.1f}, {z:.1f}) mm, allowed is {tolerance / MM:.2f} mm; check its unit, or lower it by that "
+    )
+    message += "distance to leave space for the sheet's thickness"
     yield Issue(
-        "forming.die_gouge", what, field="die", **measurement(float(depth[k]) / MM, tolerance / MM, "mm")
+        "forming.die_gouge", message, field="die", **measurement(float(depth[k]) / MM, tolerance / MM, "mm")
     )
 
 
 def _distance_issues(
     forming_pass: FormingPass, far_face: TriangleMesh, mesh: TriangleMesh
 ) -> Iterator[Issue]:
+    """Warn of walls that a full die does not support, by their fraction of the area of all walls."""
     normals = face_normals(far_face)
-    wall = np.arccos(np.clip(normals[:, 2], -1.0, 1.0)) > _MIN_WALL_ANGLE_RAD
-    pieces, _ = bisect_triangles(far_face.vertices[far_face.faces[wall]], DIE_SPACING_M, _MAX_PIECES)
+    is_wall = np.arccos(np.clip(normals[:, 2], -1.0, 1.0)) > _MIN_WALL_ANGLE_RAD
+    pieces, _ = bisect_triangles(far_face.vertices[far_face.faces[is_wall]], DIE_SPACING_M, _MAX_PIECES)
     points = pieces.mean(axis=1)
-    area = np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
+    double_area = np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
     distance, _ = MeshDistance(mesh, DIE_SPACING_M).distance(points)
-    fraction = float(area[distance > MAX_SUPPORT_DISTANCE_M].sum() / area.sum())
+    fraction = float(double_area[distance > MAX_SUPPORT_DISTANCE_M].sum() / double_area.sum())
     if fraction <= MAX_UNSUPPORTED_FRACTION:
         return
-    k = int(np.argmax(distance))
-    x, y, z = (float(value) / MM for value in points[k])
+    worst_index = int(np.argmax(distance))
+    x, y, z = (float(value) / MM for value in points[worst_index])
     yield Issue(
         "forming.die_far",
         format_message(
@@ -125,14 +129,14 @@ def _distance_issues(
             feature=forming_pass.feature,
             max_distance_mm=MAX_SUPPORT_DISTANCE_M / MM,
             unsupported_percent=100 * fraction,
-            distance_mm=distance[k] / MM,
+            distance_mm=distance[worst_index] / MM,
             x_mm=x,
             y_mm=y,
             z_mm=z,
         ),
         Severity.WARNING,
         field="die",
-        **measurement(float(distance[k]) / MM, MAX_SUPPORT_DISTANCE_M / MM, "mm"),
+        **measurement(float(distance[worst_index]) / MM, MAX_SUPPORT_DISTANCE_M / MM, "mm"),
         accepted=False,
     )
 
@@ -149,14 +153,14 @@ def holder_sinks(work: FormingWork) -> bool:
 
 
 def holder_step(work: FormingWork) -> float:
-    """Return the distance [m] by which a pulse lowers the clamp."""
+    """Return the distance [m] by which a pulse lowers the clamp: the holder's step, else the step-down."""
     op = work.operation
     step_mm = None if op.die is None else op.die.step_mm
     return (step_mm if step_mm is not None else op.stepdown_mm or 0.0) * MM
 
 
 def holder_claim(work: FormingWork) -> SinksHolder | None:
-    """Return the requirement on the signal in the first pass, in which alone the clamp sinks."""
+    """Return the claim on the holder's signal in the first pass, or None if the clamp does not sink."""
     die = work.operation.die
     if die is None or not holder_sinks(work):
         return None
@@ -188,16 +192,15 @@ def pulse_counts(forming_pass: FormingPass, path: FormingToolPath, radius: float
         radius: Radius [m] of the ball.
         step: Distance [m] by which a pulse lowers the clamp.
     """
-    sunk = _depth_reached(forming_pass, path, radius)
-    next_sunk = np.append(sunk[1:], sunk[-1])
-    ideal = np.floor(0.5 * (sunk + next_sunk) / step + 0.5)
-    minimum, maximum = (
-        np.ceil((next_sunk - LEVEL_TOLERANCE_M) / step - 1.0),
-        np.floor((sunk + LEVEL_TOLERANCE_M) / step + 1.0),
-    )
-    total = np.clip(np.clip(ideal, minimum, maximum), 0.0, _whole_steps(forming_pass, step))
-    total[-1] = _whole_steps(forming_pass, step)
-    return np.diff(np.maximum.accumulate(total), prepend=0.0).astype(np.int64)
+    depth = _depth_reached(forming_pass, path, radius)
+    next_depth = np.append(depth[1:], depth[-1])
+    ideal = np.floor(0.5 * (depth + next_depth) / step + 0.5)
+    # the clamp is at most a step above the tip after the move, and at most a step below it before the move
+    minimum = np.ceil((next_depth - LEVEL_TOLERANCE_M) / step - 1.0)
+    maximum = np.floor((depth + LEVEL_TOLERANCE_M) / step + 1.0)
+    pulses = np.clip(np.clip(ideal, minimum, maximum), 0.0, _whole_steps(forming_pass, step))
+    pulses[-1] = _whole_steps(forming_pass, step)
+    return np.diff(np.maximum.accumulate(pulses), prepend=0.0).astype(np.int64)
 
 
 def holder_issues(work: FormingWork) -> Iterator[Issue]:
@@ -206,52 +209,54 @@ def holder_issues(work: FormingWork) -> Iterator[Issue]:
     if die is None:
         return
     if die.kind == "male" and die.holder == "fixed":
-        what = "a male die penetrates the flat sheet, whose clamp is fixed at the level of the part's rim"
+        message = "a male die penetrates the flat sheet, whose clamp is fixed at the level of the part's rim"
         hint = "state holder: sinking, so that the clamp starts at the die's top"
-        yield Issue("forming.holder", what, field="die.holder", hint=hint)
+        yield Issue("forming.holder", message, field="die.holder", hint=hint)
     if die.kind == "female" and die.holder == "sinking":
-        what = "the sheet's rim lies on a female die; a clamp that sinks would bend it over the die's edge"
-        yield Issue("forming.holder", what, field="die.holder", hint="state holder: fixed")
+        message = "the sheet's rim lies on a female die; a clamp that sinks would bend it over the die's edge"
+        yield Issue("forming.holder", message, field="die.holder", hint="state holder: fixed")
     features = sorted({forming_pass.feature for forming_pass in work.passes})
     if holder_sinks(work) and len(features) > 1:
-        what = (
+        message = (
             f"the part has {len(features)} features, allowed is 1, because all of them would have to be "
             "formed level by level while the clamp sinks"
         )
         hint = "form one feature over a male die, and the others in a separate job"
-        yield Issue("forming.holder", what, field="die", value=len(features), limit=1, hint=hint)
+        yield Issue("forming.holder", message, field="die", value=len(features), limit=1, hint=hint)
 
 
 def step_issues(work: FormingWork, paths: Sequence[tuple[FormingPass, FormingToolPath]]) -> Iterator[Issue]:
     """Report where the clamp cannot stay within a step of the tool, or does not reach the rim's level."""
     if not holder_sinks(work):
         return
-    (forming_pass, path), step = paths[0], holder_step(work)
-    sunk = _depth_reached(forming_pass, path, work.heads[work.forming_arm(forming_pass)].radius)
-    total = step * np.cumsum(
+    forming_pass, path = paths[0]
+    step = holder_step(work)
+    depth = _depth_reached(forming_pass, path, work.heads[work.forming_arm(forming_pass)].radius)
+    clamp_depth = step * np.cumsum(
         pulse_counts(forming_pass, path, work.heads[work.forming_arm(forming_pass)].radius, step)
     )
-    next_sunk = np.append(sunk[1:], sunk[-1])
-    distance = np.maximum(np.abs(sunk - total), np.abs(next_sunk - total))
-    k = int(np.argmax(distance))
-    if distance[k] > step + 2.0 * LEVEL_TOLERANCE_M:
-        what = (
+    next_depth = np.append(depth[1:], depth[-1])
+    distance = np.maximum(np.abs(depth - clamp_depth), np.abs(next_depth - clamp_depth))
+    worst_index = int(np.argmax(distance))
+    if distance[worst_index] > step + 2.0 * LEVEL_TOLERANCE_M:
+        message = (
             f"pass {forming_pass.name}: at z = "
-            f"{(forming_pass.start - forming_pass.side * sunk[k]) / MM:.2f} mm the tool goes "
-            f"{(next_sunk[k] - sunk[k]) / MM:.2f} mm down in one move, so that the clamp is "
-            f"{distance[k] / MM:.2f} mm away from it, allowed is one of its steps, {step / MM:g} mm"
+            f"{(forming_pass.start - forming_pass.side * depth[worst_index]) / MM:.2f} mm the tool goes "
+            f"{(next_depth[worst_index] - depth[worst_index]) / MM:.2f} mm down in one move, so that the "
+            f"clamp is {distance[worst_index] / MM:.2f} mm away from it, allowed is one of its steps, "
+            f"{step / MM:g} mm"
         )
         hint = "use path: helical, or larger steps of the holder (die.step_mm)"
-        yield Issue("forming.holder_step", what, field="die.step_mm", index=k, hint=hint)
+        yield Issue("forming.holder_step", message, field="die.step_mm", index=worst_index, hint=hint)
     remainder = abs(forming_pass.start - forming_pass.end) - step * _whole_steps(forming_pass, step)
     if remainder > 0.02 * MM:
-        what = (
+        message = (
             f"pass {forming_pass.name}: the depth of {abs(forming_pass.start - forming_pass.end) / MM:.2f} "
             f"mm is not a whole number of steps of {step / MM:g} mm, so the clamp ends {remainder / MM:.2f} "
             "mm higher than the part's rim"
         )
         hint = "choose a step of the holder (die.step_mm) that divides the depth"
-        yield Issue("forming.holder_step", what, Severity.WARNING, field="die.step_mm", hint=hint)
+        yield Issue("forming.holder_step", message, Severity.WARNING, field="die.step_mm", hint=hint)
 
 
 def holder_actions(
@@ -271,19 +276,20 @@ def holder_actions(
     count = pulse_counts(
         forming_pass, path, work.heads[work.forming_arm(forming_pass)].radius, holder_step(work)
     )
-    for row in np.flatnonzero(count):
-        for _ in range(count[row]):
-            yield TargetAction(first + int(row), "on", signal=die.signal, switches_power=False)
-            yield TargetAction(first + int(row), "wait", seconds=PULSE_TIME_S)
-            yield TargetAction(first + int(row), "off", signal=die.signal, switches_power=False)
-            yield TargetAction(first + int(row), "wait", seconds=PULSE_TIME_S)
+    for target in np.flatnonzero(count):
+        for _ in range(count[target]):
+            yield TargetAction(first + int(target), "on", signal=die.signal, switches_power=False)
+            yield TargetAction(first + int(target), "wait", seconds=PULSE_TIME_S)
+            yield TargetAction(first + int(target), "off", signal=die.signal, switches_power=False)
+            yield TargetAction(first + int(target), "wait", seconds=PULSE_TIME_S)
 
 
 def _depth_reached(forming_pass: FormingPass, path: FormingToolPath, radius: float) -> FloatArray:
-    """Depth (N,) [m] of the tip below the pass's start, the maximum up to each target."""
+    """Return the maximum depth (N,) [m] of the tip from the pass's start, up to each target; 0 or more."""
     tip = forming_pass.side * (forming_pass.start - path.forming_centre[:, 2]) + radius
     return np.asarray(np.maximum(np.maximum.accumulate(tip), 0.0))
 
 
 def _whole_steps(forming_pass: FormingPass, step: float) -> int:
+    """Return the number of whole steps in the depth of a pass; 0.001 of a step covers rounding."""
     return int(np.floor(abs(forming_pass.start - forming_pass.end) / step + 1e-3))

@@ -46,11 +46,13 @@ class TableSolution:
     def support_positions(self, thickness: float, radii: float, give: float) -> FloatArray:
         """Return the required position (W, 2) [m] of the support relative to the forming ball.
 
-        Components: across, away from the inside of the feature, and down through the sheet.
+        It is that of the ball centres, one row for each tabulated wall angle. The first component is
+        horizontal and points away from the inside of the feature, the second one points down through the
+        sheet.
 
         Args:
             thickness: Thickness [m] of the sheet.
-            radii: Sum [m] of both radii.
+            radii: Sum [m] of the radii of both balls.
             give: Deflection [m] of the tools in the sheet's plane under load.
         """
         sine = np.sin(self.position)
@@ -60,25 +62,26 @@ class TableSolution:
     def distance_from_curve(
         self, wall: FloatArray, actual: FloatArray, curve: FloatArray, uncertainty: float
     ) -> FloatArray:
-        """Return the distance (N,) [m] of positions from the curve of required ones.
+        """Return the distance (N,) [m] of support positions from the curve of required ones.
 
-        Where the required position jumps, tools that move straight may be anywhere on the straight line
-        between. Infinite for walls that are not in the table.
+        Each position is compared with the piece of the curve within ``uncertainty`` of its wall angle. Where
+        the required position jumps, tools that move straight may be anywhere on the straight line between.
+        The result is infinite for wall angles outside the table.
 
         Args:
             wall: Wall angles (N,) [rad].
-            actual: Positions (N, 2).
-            curve: Required positions (W, 2).
+            actual: Positions (N, 2) [m], as in :meth:`support_positions`.
+            curve: Required positions (W, 2) [m], the result of :meth:`support_positions`.
             uncertainty: Uncertainty [rad] of the wall angles.
         """
         count = len(self.wall)
         table_position = (wall - self.wall[0]) / WALL_ANGLE_STEP_RAD
         first = np.floor(table_position - uncertainty / WALL_ANGLE_STEP_RAD).astype(np.int64)
         last = np.ceil(table_position + uncertainty / WALL_ANGLE_STEP_RAD).astype(np.int64)
-        known = (last >= 0) & (first < count)
+        in_table = (last >= 0) & (first < count)
         first, last = np.clip(first, 0, count - 1), np.clip(last, 0, count - 1)
         out = np.full(len(wall), np.inf)
-        for step in range(int((last - first)[known].max(initial=0))):
+        for step in range(int((last - first)[in_table].max(initial=0))):
             index = np.minimum(first + step, last)
             next_index = np.minimum(index + 1, last)
             line = curve[next_index] - curve[index]
@@ -86,7 +89,7 @@ class TableSolution:
                 (line * line).sum(axis=1), 1e-30
             )
             rest = actual - curve[index] - np.clip(fraction, 0.0, 1.0)[:, None] * line
-            out = np.where(known, np.minimum(out, np.hypot(rest[:, 0], rest[:, 1])), out)
+            out = np.where(in_table, np.minimum(out, np.hypot(rest[:, 0], rest[:, 1])), out)
         return out
 
 
@@ -96,8 +99,12 @@ def solve_table(text: str, prefer: str) -> TableSolution:
     Of all solutions it takes the one with the smallest position angle ("angle") or the largest gap ("gap");
     the other one decides ties.
 
+    Args:
+        text: CSV text as described at the top of this module.
+        prefer: "angle" or "gap".
+
     Raises:
-        ValueError: for a text that is no such table.
+        ValueError: If fewer than two cells are stable, or no two neighbouring ones.
     """
     conditions: dict[str, str] = {}
     rows: list[tuple[float, float, float]] = []
@@ -140,6 +147,10 @@ def _stable_edges(cells: FloatArray) -> FloatArray:
 
 
 def _choose_solutions(edges: FloatArray, wall: FloatArray, prefer: str) -> tuple[FloatArray, FloatArray]:
+    """Return the preferred position angles (W,) [rad] and gaps (W,) for wall angles (W,) [rad].
+
+    Every edge (E, 2, 3) on which a wall angle occurs gives one solution, linear along the edge.
+    """
     start, end = edges[:, 0], edges[:, 1]
     rise = end[:, 2] - start[:, 2]
     fraction = (wall[:, None] - start[:, 2]) / np.where(np.abs(rise) < 1e-12, np.inf, rise)
@@ -155,8 +166,8 @@ def _choose_solutions(edges: FloatArray, wall: FloatArray, prefer: str) -> tuple
     first = np.where(fits | is_flat, first, np.inf)
     equal = first <= first.min(axis=1, keepdims=True) + CONDITION_TOLERANCE
     choice = np.where(equal, second, np.inf).argmin(axis=1)
-    rows = np.arange(len(wall))
-    return position[rows, choice], gap[rows, choice]
+    wall_index = np.arange(len(wall))
+    return position[wall_index, choice], gap[wall_index, choice]
 
 
 MAX_CHECK_STEP_M = 0.5e-3
@@ -164,7 +175,7 @@ MAX_CHECK_STEP_M = 0.5e-3
 CHECK_CHORD_FRACTION = 0.1
 """Maximum deviation of the straight pieces between checks from the path, as a fraction of the tolerance."""
 MIN_WALL_ANGLE_RAD = np.deg2rad(1.0)
-"""Triangles with a smaller angle [rad] are no walls."""
+"""Triangles with a smaller wall angle [rad] count as flat."""
 WALL_ANGLE_ERROR_RAD = np.deg2rad(0.1)
 """Uncertainty [rad] of the wall angle: faces consist of facets."""
 EDGE_CONTACT_TOLERANCE_M = 5e-5
@@ -172,18 +183,19 @@ EDGE_CONTACT_TOLERANCE_M = 5e-5
 _NEIGHBOURS = 16
 """Number of path pieces, by the distance of their middles from a point, among which the nearest is sought."""
 _ANGLE_LEVELS = 200
-"""Number of levels over a wall's height at which its mean angle is calculated."""
+"""Number of levels over a wall's height for which its steepest slope is calculated."""
 _WALL_POINTS = 60_000
 """Number of points of the walls that must be passed."""
 
 
 @dataclasses.dataclass(frozen=True)
 class WallContacts:
-    """Where the forming ball would touch walls of the face at K rows of a track, seen along z.
+    """Points at which the forming ball would touch walls of the face, found along z at K rows of a track.
 
     Attributes:
-        row: Index (M,) of the K rows, ascending; none where it would touch no wall.
-        point: Points (M, 3) [m].
+        row: Index (M,) among the K rows, ascending. A row is missing where the ball would touch no wall, and
+            repeated where it would touch several.
+        point: Touched points (M, 3) [m].
         normal: Upward unit normals (M, 3).
     """
 
@@ -193,9 +205,10 @@ class WallContacts:
 
 
 class AccumulativePath:
-    """The tools of a claim along their path.
+    """Both tools of a claim on accumulative forming along their path, compared with the claimed face.
 
-    ``start``, ``end`` [m] and all positions are mirrored if the forming ball is below.
+    ``start``, ``end`` [m] and all positions are mirrored if the forming ball is below. ``index`` is that of
+    the setup.
     """
 
     def __init__(self, context: Context, claim: FormsByTable, index: int) -> None:
@@ -208,15 +221,15 @@ class AccumulativePath:
 
     @cached_property
     def rows(self) -> IntArray:
-        """Rows (K,) of the track at which the segment's own moves are checked."""
+        """Rows (K,) of the track, without approach and retreat, at which both tools are checked."""
         tool_track = self.track
         if len(tool_track.rows) < 2:
             return np.zeros(0, dtype=np.int64)
-        parts = straight_pieces(tool_track, CHECK_CHORD_FRACTION * self.claim.tolerance)
+        pieces = straight_pieces(tool_track, CHECK_CHORD_FRACTION * self.claim.tolerance)
         step = np.linalg.norm(np.diff(tool_track.centre[:], axis=0), axis=2).max(axis=1)
         passed = np.floor(np.concatenate([[0.0], np.cumsum(step)]) / MAX_CHECK_STEP_M)
         check_rows = np.flatnonzero(np.diff(passed, prepend=0.0) > 0.0)
-        rows = np.unique(np.concatenate([parts.first, parts.last, check_rows]))
+        rows = np.unique(np.concatenate([pieces.first, pieces.last, check_rows]))
         starts_forming = np.append(tool_track.is_forming[1:], False)  # where the first own move starts
         return np.asarray(rows[tool_track.is_forming[rows] | starts_forming[rows]], dtype=np.int64)
 
@@ -231,7 +244,7 @@ class AccumulativePath:
         return np.asarray(self.track.centre[:] * self._up)
 
     def axis(self, column: int) -> FloatArray:
-        """Return the z axes (T, 3) of a tool at all rows of the track."""
+        """Return the z axes (T, 3) of the tool of arm ``column`` of the claim at all rows of the track."""
         return np.asarray(self.track.axis(column) * self._up)
 
     @cached_property
@@ -241,24 +254,25 @@ class AccumulativePath:
 
     @cached_property
     def contacts(self) -> WallContacts:
-        """Contacts of the ball: its centre is over the walls offset outward by its radius.
+        """Contacts of the forming ball with walls at the checked rows.
 
-        The walls are offset along their smooth normals.
+        The ball touches a wall if its centre, seen along z, is over the wall offset along its smooth normals
+        by the ball's radius.
         """
         walls, radius = self.walls, self.claim.radii[0]
         smooth, corners = self.face.smooth_normals[walls], self.face.corners[walls]
-        over = PlanLookup(corners + radius * smooth)
-        row, triangle, weight = over.locate(self.centre[:, 0, :2], EDGE_CONTACT_TOLERANCE_M)
+        offset_walls = PlanLookup(corners + radius * smooth)
+        row, triangle, weight = offset_walls.locate(self.centre[:, 0, :2], EDGE_CONTACT_TOLERANCE_M)
         normal = np.einsum("mk,mkd->md", weight, smooth[triangle])
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         return WallContacts(row, np.einsum("mk,mkd->md", weight, corners[triangle]), normal)
 
     def support_offset(self, contacts: WallContacts) -> tuple[FloatArray, FloatArray]:
-        """Return the position of the support relative to the forming ball at contacts.
+        """Return the position of the support's centre relative to the forming ball's at M contacts.
 
         Returns:
-            Position (M, 2) [m] in the plane square to the wall (outward from the feature's inside, and below
-            the sheet), and distance (M,) [m] from that plane.
+            Position (M, 2) [m] in the vertical plane square to the wall, with the components of
+            :meth:`TableSolution.support_positions`, and distance (M,) [m] from that plane.
         """
         between = (self.centre[:, 1] - self.centre[:, 0])[contacts.row]
         inward = contacts.normal[:, :2] / np.maximum(lengths(contacts.normal[:, :2]), 1e-12)[:, None]
@@ -267,13 +281,14 @@ class AccumulativePath:
         return np.stack([across, -between[:, 2]], axis=1), np.abs(aside)
 
     def table_fit(self, table: TableSolution) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return how well the support's position fits a table at each check.
+        """Return how well the support's position fits a table at each of the K checked rows.
 
-        Of several contacts the one that fits best is taken.
+        If the ball touches several walls at a row, the contact that fits best is taken.
 
         Returns:
             Distance (K,) [m] from the required position in the plane square to the wall, distance (K,) [m]
-            from that plane (infinite where the ball touches no wall), and the touched point (K, 3) [m].
+            from that plane, and the touched point (K, 3) [m]. Where the ball touches no wall, both distances
+            are infinite and the point is NaN.
         """
         claim, contacts = self.claim, self.contacts
         actual, aside = self.support_offset(contacts)
@@ -282,24 +297,26 @@ class AccumulativePath:
         distance = table.distance_from_curve(wall, actual, curve, WALL_ANGLE_ERROR_RAD)
         count = len(self.rows)
         order = np.lexsort((distance + aside, contacts.row))
-        chosen = order[np.diff(contacts.row[order], prepend=-1) > 0]
-        out, plane_distance = np.full(count, np.inf), np.full(count, np.inf)
+        chosen = order[np.diff(contacts.row[order], prepend=-1) > 0]  # first, so best, contact of each row
+        position_error, plane_distance = np.full(count, np.inf), np.full(count, np.inf)
         point = np.full((count, 3), np.nan)
-        rows = contacts.row[chosen]
-        out[rows], plane_distance[rows], point[rows] = distance[chosen], aside[chosen], contacts.point[chosen]
-        return out, plane_distance, point
+        contact_rows = contacts.row[chosen]
+        position_error[contact_rows] = distance[chosen]
+        plane_distance[contact_rows] = aside[chosen]
+        point[contact_rows] = contacts.point[chosen]
+        return position_error, plane_distance, point
 
     def wall_distances(self, touched: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return how close the path comes to all points of the walls.
+        """Return how close the path of the touched point comes to points all over the walls.
 
         Args:
-            touched: Points (K, 3) that the ball touches.
+            touched: Points (K, 3) [m] that the ball touches, in the order of the path.
 
         Returns:
-            Points (P, 3) all over the walls, their distances (P,) [m] from the path, and the distance (P,)
-            [m] of loops along the wall there.
+            Points (P, 3) [m] all over the walls, their distances (P,) [m] from the polyline through
+            ``touched``, and the distance (P,) [m] between adjacent loops along the wall there.
         """
-        points, step = self._wall_points()
+        points, loop_distance = self._wall_points()
         a, b = touched[:-1], touched[1:]
         neighbours = np.asarray(cKDTree(0.5 * (a + b)).query(points, k=min(_NEIGHBOURS, len(a)))[1])
         distance = np.full(len(points), np.inf)
@@ -307,12 +324,12 @@ class AccumulativePath:
             along, rest = (b - a)[column], points - a[column]
             fraction = np.clip(dots(rest, along) / np.maximum(dots(along, along), 1e-30), 0.0, 1.0)
             distance = np.minimum(distance, lengths(rest - fraction[:, None] * along))
-        return points, distance, step
+        return points, distance, loop_distance
 
     def loop_height(self, level: FloatArray) -> FloatArray:
-        """Return the height difference (N,) [m] of loops about given levels.
+        """Return the height difference (N,) [m] between adjacent loops near given levels.
 
-        It follows from the pitch along the steepest wall about there.
+        Loops are one pitch apart in plan, so it is the pitch times the slope of the steepest wall there.
 
         Args:
             level: Levels (N,) [m].
@@ -326,13 +343,13 @@ class AccumulativePath:
         last = np.clip(((high - self.end) / width + 1.0).astype(np.int64), 0, _ANGLE_LEVELS - 1)
         steepest = np.zeros(_ANGLE_LEVELS)
         for step in range(int((last - first).max(initial=0)) + 1):
-            at = np.minimum(first + step, last)
-            np.maximum.at(steepest, at, slope)
-        at = np.clip(((level - self.end) / width).astype(np.int64), 0, _ANGLE_LEVELS - 1)
-        return np.asarray(self.claim.pitch * steepest[at])
+            band = np.minimum(first + step, last)
+            np.maximum.at(steepest, band, slope)
+        band = np.clip(((level - self.end) / width).astype(np.int64), 0, _ANGLE_LEVELS - 1)
+        return np.asarray(self.claim.pitch * steepest[band])
 
     def _wall_points(self) -> tuple[FloatArray, FloatArray]:
-        """Points (P, 3) on the walls, and the distance (P,) [m] of loops along the wall there.
+        """Points (P, 3) [m] on the walls, and the distance (P,) [m] between loops along the wall there.
 
         The points are spread evenly by area and always the same.
         """

@@ -23,7 +23,7 @@ class CompensationClaim:
         index: Index of the setup.
         operation: Operation of the problem.
         file: Data of its file, or None.
-        fault: Why the file cannot be read.
+        fault: Why the file cannot be read, or why there is none; empty if there is a file.
     """
 
     claim: CompensatesSpringback
@@ -35,12 +35,12 @@ class CompensationClaim:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CompensatedSegment:
-    """The tools in one segment whose shifts are removed.
+    """The compensation of one segment, with which the proof removes the shifts of its tools.
 
     Attributes:
         forming_arm: Arm of the forming tool.
-        side: Its side.
-        lookup: Lookup of the shifts.
+        side: Side of the forming tool: +1 above the sheet, -1 below.
+        lookup: Lookup of the shifts by position of the forming tool.
     """
 
     forming_arm: str
@@ -48,14 +48,17 @@ class CompensatedSegment:
     lookup: ShiftLookup
 
     def z_correction(self, shift: FloatArray) -> FloatArray:
-        """Return what is added along z (N,) [m] to obtain the positions of the tools without the shifts."""
+        """Return what is added along z (N,) [m] to the tools to undo their shifts (N,) [m] into the sheet."""
         return self.side * shift
 
 
 def compensation_claims(
     problem: Problem, by_setup: Sequence[tuple[int, Claim]]
 ) -> tuple[CompensationClaim, ...]:
-    """Return all claims of springback compensation, with their files."""
+    """Return all claims of springback compensation, with their files.
+
+    ``by_setup`` has all claims, each with the index of its setup.
+    """
     out = []
     for index, claim in by_setup:
         if not isinstance(claim, CompensatesSpringback):
@@ -81,9 +84,9 @@ def compensated_segments(
     levels: Sequence[SingleLevel],
     by_setup: Sequence[tuple[int, Claim]],
 ) -> dict[tuple[str, int], CompensatedSegment]:
-    """Return the segments whose tools are shifted by a file, with their setups.
+    """Return the segments whose tools are shifted by a file, by the segment's key and the index of the setup.
 
-    The file is that of a part or of a single level.
+    The file is the springback file of a part or the file of a single level.
     """
     out = {
         (item.claim.segment.key, item.index): CompensatedSegment(

@@ -19,7 +19,8 @@ from planner.proof.series import MAX_CURVE_POINTS
 def edges(group: Sequence[Claim], arm: str) -> WorkingEdges | None:
     """Return the segments in which heads of forming tools touch the sheet and one another.
 
-    These are the segments with a claim on the sheet's state, with their approach and retreat.
+    These are the segments with a claim on the sheet's state, with their approach and retreat. The result is
+    None if ``arm`` has none.
     """
     state_segments = [claim.segment for claim in group if isinstance(claim, SheetState) and arm in claim.arms]
     segments = frozenset(part.key for segment in state_segments for part in segment.all_phases)
@@ -27,7 +28,7 @@ def edges(group: Sequence[Claim], arm: str) -> WorkingEdges | None:
 
 
 def series(context: Context) -> Mapping[str, Any]:
-    """Return the gap between two tools, actual and required, over time."""
+    """Return curves over time of the actual and the permitted gap between two tools, for each claimed gap."""
     out: dict[str, Any] = {}
     for n, gap in enumerate(context.get(FORMING).gaps if context.has(FORMING) else (), 1):
         last = max(len(gap.knots) - 1, 0)

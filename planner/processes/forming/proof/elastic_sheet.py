@@ -99,25 +99,27 @@ class PartlyFormedSheet:
 
     @property
     def sign(self) -> float:
-        """-1 if the feature goes down."""
+        """-1 if the feature goes down, +1 if it goes up."""
         return -1.0 if self.shapes[-1].end_level < self.shapes[-1].base else 1.0
 
     def height(self, plan: FloatArray) -> FloatArray:
         """Return the height (N,) [m] of the sheet's lower face at points in plan (N, 2)."""
-        deep = np.minimum(np.maximum(self.sign * self.shapes[-1].displacement(plan), 0.0), self.depth)
+        displacement = np.minimum(np.maximum(self.sign * self.shapes[-1].displacement(plan), 0.0), self.depth)
         for earlier in self.shapes[:-1]:
-            deep = np.maximum(deep, self.sign * earlier.displacement(plan))
-        return self.part.sheet_height(np.arange(self.feature), plan) + self.sign * deep
+            displacement = np.maximum(displacement, self.sign * earlier.displacement(plan))
+        return self.part.sheet_height(np.arange(self.feature), plan) + self.sign * displacement
 
     def contour_edges(self) -> list[tuple[FloatArray, float]]:
-        """Return edges of contours in plan, and the distance of the next contours.
+        """Return contours of all walls of the sheet in plan, on which the mesh has points.
 
         Returns:
-            Pairs of edges (M, 2, 2) [m] and approximate distance [m] in plan.
+            For each contour its edges (M, 2, 2) [m], and the approximate distance [m] in plan to the adjacent
+            contours of its wall.
         """
         previous_shapes = (feature.final for feature in self.part.features[: self.feature])
         walls = [(shape, abs(shape.end_level - shape.base), 0.0) for shape in previous_shapes]
         walls.append((self.shapes[-1], self.depth, 0.0))
+        # of earlier shapes of this feature only the walls below the current depth remain
         walls += [
             (shape_before, abs(shape_before.end_level - shape_before.base), self.depth)
             for shape_before in self.shapes[:-1]
@@ -129,7 +131,7 @@ class PartlyFormedSheet:
         return out
 
     def thickness_fraction(self, plan: FloatArray) -> FloatArray:
-        """Return the smallest fraction (N,) of the flat thickness that earlier shapes leave."""
+        """Return the fraction (N,) of the flat thickness that earlier shapes leave, by the sine law."""
         out = np.ones(len(plan))
         for earlier in self.shapes[:-1]:
             row, triangle, _ = earlier.lookup.locate(plan, 1e-7)
@@ -145,48 +147,55 @@ def _normal_cosine(corners: FloatArray) -> FloatArray:
 
 
 def _wall_contours(shape: FormedShape, start: float, end: float) -> list[tuple[FloatArray, float]]:
-    """Contours of a wall between two depths [m] below (above) its starting level."""
+    """Contours of a wall between two depths [m] below (above) its starting level.
+
+    Of `PROFILE_CONTOURS` contours those are kept between which the profile turns or advances enough. Each
+    comes with its distance [m] in plan from the adjacent ones. The result is empty if any contour is.
+    """
     sign = -1.0 if shape.end_level < shape.base else 1.0
     edge = min(EDGE_OFFSET_M, 0.05 * (end - start))
     fraction = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, PROFILE_CONTOURS))  # denser near both edges
     depth = start + edge + fraction * (end - start - 2.0 * edge)
-    contours = [_contour_edges(shape, sign * contour) for contour in depth.tolist()]
+    contours = [_contour_edges(shape, sign * level) for level in depth.tolist()]
     if any(not len(contour) for contour in contours):
         return []
     first = cKDTree(contours[0].reshape(-1, 2))
     across = np.array([float(np.median(first.query(contour.reshape(-1, 2))[0])) for contour in contours])
     across = np.maximum.accumulate(across) + 1e-9 * np.arange(PROFILE_CONTOURS)
     angle = np.arctan2(np.diff(depth), np.diff(across))
-    turn = np.concatenate([[0.0], np.abs(np.diff(angle)), [0.0]])
-    number = np.cumsum(turn / MAX_PROFILE_TURN_RAD) + across / MAX_CONTOUR_DISTANCE_M
+    angle_change = np.concatenate([[0.0], np.abs(np.diff(angle)), [0.0]])
+    # number of contours that are needed up to each one; those nearest to whole numbers are kept
+    number = np.cumsum(angle_change / MAX_PROFILE_TURN_RAD) + across / MAX_CONTOUR_DISTANCE_M
     count = int(np.clip(np.ceil(number[-1]), 1, MAX_CONTOURS))
     chosen = np.unique(np.abs(number[:, None] - np.linspace(0.0, number[-1], count + 1)).argmin(axis=0))
     gap = np.maximum(np.diff(across[chosen]), 0.25 * FINE_SPACING_M)
     distance = np.minimum(np.append(gap[0], gap), np.append(gap, gap[-1]))
-    return [(contours[k], float(contour)) for k, contour in zip(chosen, distance, strict=True)]
+    return [(contours[k], float(spacing)) for k, spacing in zip(chosen, distance, strict=True)]
 
 
 def _contour_edges(shape: FormedShape, depth: float) -> FloatArray:
-    """Edges (M, 2, 2) [m] in plan of the contour of a face at ``depth`` [m] from its base, along z."""
+    """Edges (M, 2, 2) [m] in plan of the contour of a face at the height ``depth`` [m] above its base."""
     corners = shape.corners[shape.moved]
-    high = corners[:, :, 2] - shape.base - depth
-    crossed = (high > 0.0).any(axis=1) & (high <= 0.0).any(axis=1)
-    corners, high = corners[crossed], high[crossed]
+    height = corners[:, :, 2] - shape.base - depth
+    crossed = (height > 0.0).any(axis=1) & (height <= 0.0).any(axis=1)
+    corners, height = corners[crossed], height[crossed]
     ends = []
     for i, j in ((0, 1), (1, 2), (2, 0)):
-        is_crossed = (high[:, i] > 0.0) != (high[:, j] > 0.0)
-        fraction = np.where(is_crossed, high[:, i] / np.where(is_crossed, high[:, i] - high[:, j], 1.0), 0.0)
+        is_crossed = (height[:, i] > 0.0) != (height[:, j] > 0.0)
+        fraction = np.where(
+            is_crossed, height[:, i] / np.where(is_crossed, height[:, i] - height[:, j], 1.0), 0.0
+        )
         ends.append(
             (is_crossed, corners[:, i, :2] + fraction[:, None] * (corners[:, j, :2] - corners[:, i, :2]))
         )
-    is_crossed = np.stack([end for end, _ in ends], axis=1)
-    points = np.stack([end for _, end in ends], axis=1)
-    order = np.argsort(~is_crossed, axis=1, kind="stable")[:, :2]
+    is_crossed = np.stack([crossing for crossing, _ in ends], axis=1)
+    points = np.stack([point for _, point in ends], axis=1)
+    order = np.argsort(~is_crossed, axis=1, kind="stable")[:, :2]  # exactly two edges of each are crossed
     return np.take_along_axis(points, order[:, :, None], axis=1)
 
 
 def _point_spacing(plan: FloatArray, tool_point: FloatArray, fine: float) -> FloatArray:
-    """Required spacing (N,) [m] of points at positions in plan (N, 2), ``fine`` [m] at the tool."""
+    """Required spacing (N,) [m] of mesh points at positions in plan (N, 2), ``fine`` [m] at the tool."""
     away = np.linalg.norm(plan - tool_point, axis=1) - FINE_REACH_M
     return np.asarray(np.clip(fine + SPACING_GROWTH * away, fine, COARSE_SPACING_M / FINE_SPACING_M * fine))
 
@@ -194,7 +203,11 @@ def _point_spacing(plan: FloatArray, tool_point: FloatArray, fine: float) -> Flo
 def _mesh_points(
     formed: PartlyFormedSheet, opening: FloatArray, tool_point: FloatArray, fine: float = FINE_SPACING_M
 ) -> FloatArray:
-    """Points (N, 2) [m] in plan of a mesh, with spacing ``fine`` [m] at the tool."""
+    """Points (N, 2) [m] in plan of a mesh, with spacing ``fine`` [m] at the tool.
+
+    They are on the edge of the opening, at the tool, on contours of the walls, and on square grids whose
+    spacing doubles with the distance from the tool.
+    """
     outline = shapely.Polygon(opening)
     rim = []
     for corner, next_corner in zip(opening, np.roll(opening, -1, axis=0), strict=True):
@@ -229,7 +242,7 @@ def _mesh_points(
 
 
 def _polylines(edges: FloatArray) -> list[FloatArray]:
-    """Polylines (K, 2) of connected edges (M, 2, 2) [m]."""
+    """Join edges (M, 2, 2) [m] that share ends to polylines (K, 2)."""
     if not len(edges):
         return []
     joined = shapely.line_merge(shapely.multilinestrings(shapely.linestrings(np.round(edges, 8))))
@@ -243,14 +256,14 @@ def _resample(line: FloatArray, tool_point: FloatArray, max_spacing: float, fine
     points = np.stack([np.interp(dense, arc, line[:, k]) for k in (0, 1)], axis=1)
     need = np.minimum(_point_spacing(points, tool_point, fine), max_spacing)
     number = np.concatenate([[0.0], np.cumsum(np.diff(dense) * 0.5 * (1.0 / need[1:] + 1.0 / need[:-1]))])
-    at = np.linspace(0.0, number[-1], max(2, int(np.ceil(number[-1])) + 1))
-    return np.stack([np.interp(at, number, points[:, k]) for k in (0, 1)], axis=1)
+    sample_number = np.linspace(0.0, number[-1], max(2, int(np.ceil(number[-1])) + 1))
+    return np.stack([np.interp(sample_number, number, points[:, k]) for k in (0, 1)], axis=1)
 
 
 def _drop_duplicates(points: FloatArray, within: float) -> IntArray:
-    """Indices of points (N, 2) that have no earlier point within a distance [m]."""
-    pairs = cKDTree(points).query_pairs(within, output_type="ndarray")
-    return np.setdiff1d(np.arange(len(points)), pairs.max(axis=1, initial=-1))
+    """Indices of the points (N, 2) that remain: those without an earlier point within a distance [m]."""
+    close_pairs = cKDTree(points).query_pairs(within, output_type="ndarray")
+    return np.setdiff1d(np.arange(len(points)), close_pairs.max(axis=1, initial=-1))
 
 
 def springback_at(
@@ -260,7 +273,7 @@ def springback_at(
     force: float,
     max_points: int = MAX_POINTS,
 ) -> tuple[float, int]:
-    """Return the springback at a point when a force is released.
+    """Return the springback at a point when a force is released, from a shell model of the sheet.
 
     Args:
         formed: Sheet while the point is formed.
@@ -273,7 +286,7 @@ def springback_at(
         Springback [m], infinite if there is no equilibrium, and the number of triangles.
 
     Raises:
-        ValueError: if the points have no mesh.
+        ValueError: If the point is not on the sheet, or the mesh or a value of ``sheet`` is invalid.
     """
     for fine in FINE_SPACING_M * COARSENING_FACTORS:
         points = _mesh_points(formed, sheet.opening, point, float(fine))
@@ -282,28 +295,30 @@ def springback_at(
     triangles = np.asarray(Delaunay(points).simplices, dtype=np.int64)
     corners = points[triangles]
     edge_a, edge_b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    double = edge_a[:, 0] * edge_b[:, 1] - edge_a[:, 1] * edge_b[:, 0]
+    double_area = edge_a[:, 0] * edge_b[:, 1] - edge_a[:, 1] * edge_b[:, 0]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    good = np.abs(double) > 1e-3 * longest**2
-    triangles = np.where((double < 0.0)[:, None], triangles[:, [0, 2, 1]], triangles)[good]
+    # Delaunay triangulation leaves slivers along straight rows of points
+    is_sound = np.abs(double_area) > 1e-3 * longest**2
+    triangles = np.where((double_area < 0.0)[:, None], triangles[:, [0, 2, 1]], triangles)[is_sound]
     used, index = np.unique(triangles, return_inverse=True)
     points, triangles = points[used], np.asarray(index).reshape(-1, 3)
     nodes = np.column_stack([points, formed.height(points)])
-    upright = np.minimum(
+    # sine law: thickness over flat thickness is the cosine of the steepest wall angle so far
+    thickness_ratio = np.minimum(
         _normal_cosine(nodes[triangles]), formed.thickness_fraction(points[triangles].mean(axis=1))
     )
     elastic = ShellSheet(
-        nodes, triangles, sheet.thickness * upright, sheet.young, sheet.poisson, "constant strain"
+        nodes, triangles, sheet.thickness * thickness_ratio, sheet.young, sheet.poisson, "constant strain"
     )
     border: str | float = sheet.border
     border = "sliding" if border == 0.0 else "immovable" if np.isinf(sheet.border) else border
     direction = np.array([0.0, 0.0, formed.sign])
-    at = np.append(point, 0.0)
+    pressed_point = np.append(point, 0.0)
     try:
-        shares = pressure_weights(elastic, at, PRESSED_WIDTH_M)
-        moved = Loading(elastic, clamped(elastic, border)).curve(
-            shares, (force * LOAD_FRACTIONS)[:, None] * direction
+        weights = pressure_weights(elastic, pressed_point, PRESSED_WIDTH_M)
+        displacement = Loading(elastic, clamped(elastic, border)).curve(
+            weights, (force * LOAD_FRACTIONS)[:, None] * direction
         )
     except LimitLoadError:
         return np.inf, len(triangles)
-    return float(moved[-1] @ direction), len(triangles)
+    return float(displacement[-1] @ direction), len(triangles)

@@ -31,9 +31,9 @@ TREE_BRANCHES: Final = 4
 
 @dataclasses.dataclass(frozen=True)
 class DiskLevel:
-    """Groups as disks that contain their triangles.
+    """Groups of triangles at one level of a tree, each as a flat disk that contains its triangles.
 
-    The children of group k are 4 k to 4 k + 3 of the next level.
+    The children of group k are groups 4 k to 4 k + 3 of the next level. Empty groups have a negative radius.
 
     Attributes:
         centre: Centres (K, 3) [m].
@@ -49,32 +49,37 @@ class DiskLevel:
 
 
 class TriangleTree:
-    """Triangles (F, 3, 3) in groups of four, these in groups of four, and so on."""
+    """Triangles (F, 3, 3) [m] in groups of four, these in groups of four, and so on, for fast queries.
+
+    Attributes:
+        triangle: The triangle in each of the 4^depth places of the lowest level, -1 for none.
+        levels: The groups of each level, from the single one of all triangles down.
+    """
 
     def __init__(self, corners: FloatArray) -> None:
         count = len(corners)
         depth = max(int(np.ceil(np.log(max(count, 1)) / np.log(TREE_BRANCHES))), 0)
-        full = TREE_BRANCHES**depth
+        slot_count = TREE_BRANCHES**depth
         middle = corners.mean(axis=1)
         order = np.arange(count)
-        slots = np.full(full, -1, dtype=np.int64)
+        slots = np.full(slot_count, -1, dtype=np.int64)
         # halve each group along its widest axis, so that the order of the slots is the tree
         slot = np.zeros(count, dtype=np.int64)
-        size = full
+        size = slot_count
         while size > 1:
             half = size // 2
             group = slot // size
-            low = np.full((full // size, 3), np.inf)
+            low = np.full((slot_count // size, 3), np.inf)
             high = -low
             np.minimum.at(low, group, middle[order])
             np.maximum.at(high, group, middle[order])
             widest = np.argmax(high - low, axis=1)
             value = middle[order, widest[group]]
-            turn = np.lexsort((value, group))
-            order, group = order[turn], group[turn]
+            sorting = np.lexsort((value, group))
+            order, group = order[sorting], group[sorting]
             first = np.searchsorted(group, group)
             rank = np.arange(count) - first
-            number = np.bincount(group, minlength=full // size)[group]
+            number = np.bincount(group, minlength=slot_count // size)[group]
             cut = np.minimum((number + 1) // 2, half)
             slot = group * size + np.where(rank < cut, rank, half + rank - cut)
             size = half
@@ -86,36 +91,48 @@ class TriangleTree:
         )
 
     def near_points(self, points: FloatArray, limit: FloatArray) -> tuple[IntArray, IntArray]:
-        """Return pairs of points (N, 3) and triangles that may be nearer than ``limit`` (N,) [m]."""
-        return self._near_pairs(limit, lambda level, node, which: _point_distance(level, node, points[which]))
+        """Return all pairs (M,) of points (N, 3) and triangles that may be nearer than ``limit`` (N,) [m]."""
+        return self._near_pairs(limit, lambda level, node, query: _point_distance(level, node, points[query]))
 
     def near_lines(self, start: FloatArray, end: FloatArray, limit: FloatArray) -> tuple[IntArray, IntArray]:
-        """Return pairs of straight lines and triangles that may be near each other.
+        """Return all pairs of straight lines and triangles that may be nearer to each other than a limit.
 
         Args:
             start: Starts (N, 3) [m].
             end: Ends (N, 3) [m].
             limit: Distances (N,) [m] below which pairs are returned.
+
+        Returns:
+            Indices (M,) of the lines and of their triangles.
         """
         return self._near_pairs(
-            limit, lambda level, node, which: _line_distance(level, node, start[which], end[which])
+            limit, lambda level, node, query: _line_distance(level, node, start[query], end[query])
         )
 
     def _near_pairs(
         self, limit: FloatArray, distance: Callable[[DiskLevel, IntArray, IntArray], FloatArray]
     ) -> tuple[IntArray, IntArray]:
-        which = np.arange(len(limit))
+        """Descend the tree, at each level only into groups nearer to the query than its limit.
+
+        ``distance`` gets a level, and for each of M pairs its group and the index of its query.
+        """
+        query = np.arange(len(limit))
         node = np.zeros(len(limit), dtype=np.int64)
         for k, level in enumerate(self.levels):
             if k:
-                which = np.repeat(which, TREE_BRANCHES)
+                query = np.repeat(query, TREE_BRANCHES)
                 node = (TREE_BRANCHES * node[:, None] + np.arange(TREE_BRANCHES)).ravel()
-            is_near = distance(level, node, which) < limit[which]
-            which, node = which[is_near], node[is_near]
-        return which, self.triangle[node]
+            is_near = distance(level, node, query) < limit[query]
+            query, node = query[is_near], node[is_near]
+        return query, self.triangle[node]
 
 
 def _disk_level(corners: FloatArray, cross: FloatArray, slots: IntArray) -> DiskLevel:
+    """Enclose groups of triangles in disks, normal to the sum of the triangles' normals.
+
+    ``cross`` (F, 3) are the cross products of the triangles' edges, ``slots`` (K, S) the triangles of each
+    group, -1 for none.
+    """
     used = slots >= 0
     group, column = np.nonzero(used)
     triangle = slots[group, column]
@@ -132,41 +149,41 @@ def _disk_level(corners: FloatArray, cross: FloatArray, slots: IntArray) -> Disk
     normal = np.where(length > 1e-30, normal / np.maximum(length, 1e-30), np.array([0.0, 0.0, 1.0]))
     rest = points - centre[group][:, None]
     height = np.einsum("nkd,nd->nk", rest, normal[group])
-    flat = np.sqrt(np.maximum((rest * rest).sum(axis=2) - height**2, 0.0))
+    radial = np.sqrt(np.maximum((rest * rest).sum(axis=2) - height**2, 0.0))
     radius, half = np.full(count, -np.inf), np.zeros(count)
-    np.maximum.at(radius, group, flat.max(axis=1))
+    np.maximum.at(radius, group, radial.max(axis=1))
     np.maximum.at(half, group, np.abs(height).max(axis=1))
     return DiskLevel(centre, normal, radius + 1e-12, half + 1e-12)
 
 
 def _point_distance(level: DiskLevel, node: IntArray, points: FloatArray) -> FloatArray:
-    """Lower bound (M,) [m] of the distance of points from the contents of groups.
-
-    It is infinite for empty groups.
-    """
+    """Lower bound (M,) [m] of the distance of points from groups of triangles; infinite for empty groups."""
     rest = points - level.centre[node]
     height = dots(rest, level.normal[node])
-    flat = np.sqrt(np.maximum(dots(rest, rest) - height * height, 0.0))
-    return _disk_distance(level, node, flat, np.abs(height))
+    radial = np.sqrt(np.maximum(dots(rest, rest) - height * height, 0.0))
+    return _disk_distance(level, node, radial, np.abs(height))
 
 
 def _line_distance(level: DiskLevel, node: IntArray, start: FloatArray, end: FloatArray) -> FloatArray:
+    """Lower bound (M,) [m] of the distance of straight lines from groups of triangles."""
     normal, centre = level.normal[node], level.centre[node]
     start_offset, end_offset = start - centre, end - centre
     low, high = dots(start_offset, normal), dots(end_offset, normal)
     height = np.where(low * high > 0.0, np.minimum(np.abs(low), np.abs(high)), 0.0)
     middle = 0.5 * (start_offset + end_offset)
-    up = 0.5 * (low + high)
+    middle_height = 0.5 * (low + high)
     # no point of the line is nearer to the disk's axis than its middle minus half its length
-    flat = np.sqrt(np.maximum(dots(middle, middle) - up * up, 0.0)) - 0.5 * lengths(end - start)
-    return _disk_distance(level, node, flat, height)
+    radial = np.sqrt(np.maximum(dots(middle, middle) - middle_height * middle_height, 0.0)) - 0.5 * lengths(
+        end - start
+    )
+    return _disk_distance(level, node, radial, height)
 
 
-def _disk_distance(level: DiskLevel, node: IntArray, flat: FloatArray, height: FloatArray) -> FloatArray:
-    """Distance (M,) [m] from disks, for points ``flat`` along them from their middle and ``height`` above."""
+def _disk_distance(level: DiskLevel, node: IntArray, radial: FloatArray, height: FloatArray) -> FloatArray:
+    """Distance (M,) [m] from disks of points at a radius and a height in the disk's own frame."""
     radius = level.radius[node]
-    # d >= hypot(height - half, flat - radius), each at least 0: the contents lie in this cylinder
-    lateral = np.maximum(flat - radius, 0.0)
+    # d >= hypot(height - half, radial - radius), each at least 0: the contents lie in this cylinder
+    lateral = np.maximum(radial - radius, 0.0)
     above = np.maximum(height - level.half[node], 0.0)
     return np.where(radius < 0.0, np.inf, np.hypot(above, lateral))
 
@@ -187,17 +204,18 @@ _POINTS_AT_ONCE = 1_000
 class NearestPoints:
     """Nearest points of a face for N points.
 
-    The last four attributes have all M points that are equally near within the requested tolerance.
+    The last four attributes list all M points of the face that are equally near within the requested
+    tolerance.
 
     Attributes:
-        point: Nearest points (N, 3) on the face.
+        point: Nearest points (N, 3) [m] on the face.
         distance: Distances (N,) [m].
         signed: Distances (N,) [m], negative below the face (its normals point up); beyond the border the
             height above the flat.
-        row: Index (M,) of the point.
-        triangle: Triangle (M,).
-        weight: Barycentric weights (M, 3).
-        tied: Points (M, 3) themselves.
+        row: Index (M,) among the N points, ascending.
+        triangle: Triangle (M,) of the face.
+        weight: Barycentric weights (M, 3) in that triangle.
+        tied: Points (M, 3) [m] on the face.
     """
 
     point: FloatArray
@@ -210,9 +228,9 @@ class NearestPoints:
 
     def subset(self, chosen: IntArray) -> "NearestPoints":
         """Return the values of the points ``chosen`` (K,), in their order."""
-        new = np.full(len(self.distance), -1)
-        new[chosen] = np.arange(len(chosen))
-        row = new[self.row]
+        new_index = np.full(len(self.distance), -1)
+        new_index[chosen] = np.arange(len(chosen))
+        row = new_index[self.row]
         use = np.flatnonzero(row >= 0)
         use = use[np.argsort(row[use], kind="stable")]
         points = self.point[chosen], self.distance[chosen], self.signed[chosen]
@@ -235,13 +253,17 @@ class ProofFace:
     """The triangles of a face with normals up, however vertices are numbered.
 
     Attributes:
-        given: Corners (F, 3, 3) of all triangles.
-        rows: Those of them that have an area.
+        given: Corners (F, 3, 3) [m] of all triangles.
+        rows: Indices of the triangles that have an area. All other attributes and queries refer to these.
+        corners: Their corners [m].
+        area: Their areas [m^2].
+        normal: Their unit normals.
+        border: Which of their edges, each from a corner to the next, are on the border of the face.
 
     Args:
         vertices: Vertices (V, 3) [m].
-        faces: Triangles (F, 3).
-        scale: Radius [m] of the ball, which determines the size of search pieces.
+        faces: Triangles (F, 3) with normals up.
+        scale: Radius [m] of the ball, which determines the size of the pieces for searches.
     """
 
     def __init__(self, vertices: FloatArray, faces: IntArray, scale: float) -> None:
@@ -260,23 +282,25 @@ class ProofFace:
         self._seeds = cKDTree(pieces.mean(axis=1))
         self._tree = TriangleTree(self.corners)
         self.remaining_faces: dict[tuple[float, int, float], ProofFace | None] = {}
-        """What :func:`remaining_face` found so far, by its other arguments; None for the face itself."""
+        """Cached results of :func:`remaining_face`, by its other arguments; None for the face itself."""
 
     @cached_property
     def smooth_normals(self) -> FloatArray:
         """Normals (F, 3, 3) at the corners of the triangles, smooth except over creases.
 
-        ``faces`` may be separated at creases: positions count, not numbers.
+        Vertices at one position count as one, even if they have several numbers, as along creases.
         """
         _, vertex_index = np.unique(self.vertices.round(9), axis=0, return_inverse=True)
-        first = np.zeros(int(vertex_index.max()) + 1, dtype=np.int64)
-        first[vertex_index.ravel()] = np.arange(len(self.vertices))
+        representative = np.zeros(int(vertex_index.max()) + 1, dtype=np.int64)
+        representative[vertex_index.ravel()] = np.arange(len(self.vertices))
         return corner_normals(
-            TriangleMesh(self.vertices, first[vertex_index.ravel()[self.faces]]), CREASE_ANGLE_RAD
+            TriangleMesh(self.vertices, representative[vertex_index.ravel()[self.faces]]), CREASE_ANGLE_RAD
         )
 
     def nearest(self, points: FloatArray, within: float = EQUAL_DISTANCE_TOLERANCE_M) -> NearestPoints:
-        """Return the nearest points of the face, and those that are farther by at most a tolerance.
+        """Return the nearest point of the face for each point, and others that are equally near.
+
+        Equally near are all that are farther by at most a tolerance.
 
         Args:
             points: Points (N, 3) [m].
@@ -290,37 +314,39 @@ class ProofFace:
             # upper bound: the triangle of the nearest seed; then all triangles that may be nearer than that
             first = self._owner[np.asarray(self._seeds.query(points[rows])[1])]
             distance[rows] = self._foot(points[rows], first)[2]
-            i, owner = self._tree.near_points(
+            row, owner = self._tree.near_points(
                 points[rows], distance[rows] + within + EQUAL_DISTANCE_TOLERANCE_M
             )
-            i = rows[i]
-            weights, foot, foot_distance = self._foot(points[i], owner)
-            np.minimum.at(distance, i, foot_distance)
-            use = np.flatnonzero(foot_distance <= distance[i] + within)
-            use = use[np.lexsort((foot_distance[use], i[use]))]
-            kept.append((i[use], owner[use], weights[use], foot[use], foot_distance[use]))
+            row = rows[row]
+            weights, foot, foot_distance = self._foot(points[row], owner)
+            np.minimum.at(distance, row, foot_distance)
+            use = np.flatnonzero(foot_distance <= distance[row] + within)
+            use = use[np.lexsort((foot_distance[use], row[use]))]
+            kept.append((row[use], owner[use], weights[use], foot[use], foot_distance[use]))
         if not kept:
             none = np.zeros(0, dtype=np.int64)
             return NearestPoints(points, distance, distance, none, none, np.zeros((0, 3)), np.zeros((0, 3)))
-        parts = list(zip(*kept, strict=True))[::-1]
+        parts = list(zip(*kept, strict=True))[::-1]  # reversed, so that pop() returns them in order
         kept.clear()  # parts are freed as they are joined: for a long pass they are tens of MB
-        i, owner, weights, foot, foot_distance = (np.concatenate(parts.pop()) for _ in range(len(parts)))
+        row, owner, weights, foot, foot_distance = (np.concatenate(parts.pop()) for _ in range(len(parts)))
         # sign: the side of the sum of the normals of all triangles that are equally near
-        first = np.flatnonzero(np.diff(i, prepend=-1) != 0)
-        same = foot_distance <= distance[i] + EQUAL_DISTANCE_TOLERANCE_M
+        first = np.flatnonzero(np.diff(row, prepend=-1) != 0)
+        same = foot_distance <= distance[row] + EQUAL_DISTANCE_TOLERANCE_M
         outward = np.zeros((len(points), 3))
-        np.add.at(outward, i[same], self.normal[owner[same]])
-        back = points - foot[first]
-        signed = np.where(dots(back, outward) >= 0.0, distance, -distance)
-        signed = np.where(self._is_beyond_border(back, owner[first], weights[first]), back[:, 2], signed)
-        return NearestPoints(foot[first], distance, signed, i, owner, weights, foot)
+        np.add.at(outward, row[same], self.normal[owner[same]])
+        offset = points - foot[first]
+        signed = np.where(dots(offset, outward) >= 0.0, distance, -distance)
+        signed = np.where(self._is_beyond_border(offset, owner[first], weights[first]), offset[:, 2], signed)
+        return NearestPoints(foot[first], distance, signed, row, owner, weights, foot)
 
     def value_range(self, nearest: NearestPoints, at_corners: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the minimum and maximum (N,) of a corner value over the nearest points.
+        """Return the minimum and maximum (N,) of a value over the equally near points of each of N points.
+
+        Within a triangle the value is linear.
 
         Args:
-            nearest: Nearest points.
-            at_corners: Values (F, 3) at the corners of the given triangles.
+            nearest: Nearest points of the N points.
+            at_corners: Values (F, 3) at the corners of all given triangles.
         """
         values = dots(nearest.weight, at_corners[self.rows[nearest.triangle]])
         low, high = np.full(len(nearest.distance), np.inf), np.full(len(nearest.distance), -np.inf)
@@ -329,9 +355,9 @@ class ProofFace:
         return low, high
 
     def line_distance(self, start: FloatArray, end: FloatArray, need: FloatArray) -> FloatArray:
-        """Return the distance (K,) [m] of straight lines from the face between their ends.
+        """Return the distance (K,) [m] of straight lines from the face, as `line_triangle_distance` does.
 
-        Infinite where it is ``need`` (K,) or more.
+        It is infinite where it is ``need`` or more.
 
         Args:
             start: Starts (K, 3) [m].
@@ -348,7 +374,7 @@ class ProofFace:
         return np.where(out < need, out, np.inf)
 
     def near_lines(self, start: FloatArray, end: FloatArray, need: FloatArray) -> tuple[IntArray, IntArray]:
-        """Return pairs of straight lines and triangles that may be near each other.
+        """Return pairs of straight lines and triangles as :meth:`TriangleTree.near_lines` does.
 
         Args:
             start: Starts (K, 3) [m].
@@ -366,22 +392,26 @@ class ProofFace:
         foot = np.einsum("nk,nkd->nd", weights, self.corners[triangle])
         return weights, foot, np.linalg.norm(points - foot, axis=1)
 
-    def _is_beyond_border(self, back: FloatArray, triangle: IntArray, weight: FloatArray) -> BoolArray:
-        """Which points (N,), at ``back`` (N, 3) from their nearest points, are beyond the face's border."""
-        out = np.zeros(len(back), dtype=np.bool_)
+    def _is_beyond_border(self, offset: FloatArray, triangle: IntArray, weight: FloatArray) -> BoolArray:
+        """Which of N points are beyond the face's border.
+
+        ``offset`` (N, 3) [m] are the vectors to them from their nearest points, which have the barycentric
+        weights ``weight`` (N, 3) in the triangles ``triangle`` (N,).
+        """
+        out = np.zeros(len(offset), dtype=np.bool_)
         for k in range(3):  # the point is on the edge from corner k if the opposite corner has no weight
-            on = (weight[:, (k + 2) % 3] < 1e-9) & self.border[triangle, k]
+            on_edge = (weight[:, (k + 2) % 3] < 1e-9) & self.border[triangle, k]
             corner = self.corners[triangle]
             edge = corner[:, (k + 1) % 3] - corner[:, k]
             away = np.stack([edge[:, 1], -edge[:, 0]], axis=1)  # right of the edge, for normals up
-            out |= on & ((away * back[:, :2]).sum(axis=1) > 1e-9 * np.linalg.norm(away, axis=1))
+            out |= on_edge & ((away * offset[:, :2]).sum(axis=1) > 1e-9 * np.linalg.norm(away, axis=1))
         return out
 
 
 def _border_edges(vertices: FloatArray, faces: IntArray) -> BoolArray:
-    """Edges (F, 3), each from a corner to the next, that have one triangle.
+    """Which edges (F, 3), each from a corner to the next, belong to only one triangle.
 
-    Vertices at one position are one.
+    Vertices at one position count as one.
     """
     _, vertex_index = np.unique(vertices.round(9), axis=0, return_inverse=True)
     same = vertex_index.ravel()[faces]
@@ -393,8 +423,9 @@ def _border_edges(vertices: FloatArray, faces: IntArray) -> BoolArray:
 def line_triangle_distance(start: FloatArray, end: FloatArray, triangle: FloatArray) -> FloatArray:
     """Return the distances (M,) [m] of straight lines (M, 3) from triangles (M, 3, 3).
 
-    They are the distances from the edges of the triangles, or 0 for lines through them. The ends of the lines
-    are not included.
+    They are the distances from the edges of the triangles, or 0 for lines through them. That an end may be
+    nearer to the inside of a triangle than to its edges is not included, since callers check points
+    themselves.
     """
     out = np.full(len(start), np.inf)
     for k in range(3):
@@ -402,26 +433,26 @@ def line_triangle_distance(start: FloatArray, end: FloatArray, triangle: FloatAr
         out = np.minimum(out, segment_distance(start, end, a, b))
     normal = np.cross(triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0])
     start_height, end_height = dots(start - triangle[:, 0], normal), dots(end - triangle[:, 0], normal)
-    cross = np.flatnonzero(start_height * end_height < 0.0)
-    if len(cross):
-        at = (
-            start[cross]
-            + (start_height[cross] / (start_height - end_height)[cross])[:, None] * (end - start)[cross]
+    crossed = np.flatnonzero(start_height * end_height < 0.0)
+    if len(crossed):
+        crossing = (
+            start[crossed]
+            + (start_height[crossed] / (start_height - end_height)[crossed])[:, None] * (end - start)[crossed]
         )
-        weights = closest_weights(at, *np.moveaxis(triangle[cross], 1, 0))
-        foot = np.einsum("nk,nkd->nd", weights, triangle[cross])
-        out[cross] = np.minimum(out[cross], np.linalg.norm(at - foot, axis=1))
+        weights = closest_weights(crossing, *np.moveaxis(triangle[crossed], 1, 0))
+        foot = np.einsum("nk,nkd->nd", weights, triangle[crossed])
+        out[crossed] = np.minimum(out[crossed], np.linalg.norm(crossing - foot, axis=1))
     return out
 
 
 def segment_distance(p: FloatArray, q: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the distances (M,) [m] of the straight lines p q and a b (M, 3)."""
+    """Return the distances (M,) [m] between the line segments from p to q and from a to b (M, 3) [m]."""
     # least |w + s u - t v|^2: s = (uv vw - vv uw) / (uu vv - uv^2), then t = (uv s + vw) / vv and
     # s = (uv t - uw) / uu, each clipped to [0, 1] (Ericson, Real-Time Collision Detection, 2005, 5.1.9)
     u, v, w = q - p, b - a, p - a
     uu, uv, vv, uw, vw = dots(u, u), dots(u, v), dots(v, v), dots(u, w), dots(v, w)
-    down = uu * vv - uv * uv
-    s = np.where(down > 1e-14 * uu * vv, (uv * vw - vv * uw) / np.maximum(down, 1e-300), 0.0)
+    determinant = uu * vv - uv * uv
+    s = np.where(determinant > 1e-14 * uu * vv, (uv * vw - vv * uw) / np.maximum(determinant, 1e-300), 0.0)
     s = np.clip(s, 0.0, 1.0)
     t = np.clip((uv * s + vw) / np.maximum(vv, 1e-300), 0.0, 1.0)
     s = np.clip((uv * t - uw) / np.maximum(uu, 1e-300), 0.0, 1.0)
@@ -448,14 +479,14 @@ Beyond it the search for what a ball does not reach is coarser, and unresolved a
 def min_ball_distance(
     face: ProofFace, points: FloatArray, normals: FloatArray, radius: float, side: int
 ) -> FloatArray:
-    """Return the minimum distance (N,) [m] of balls from points of a face; 0 where they reach them.
+    """Return how near (N,) [m] a ball that does not cut into a face can come to points of it, 0 for contact.
 
     Args:
         face: Face.
-        points: Points (N, 3) on it.
-        normals: Upward normals (N, 3).
-        radius: Radius [m] of the balls.
-        side: Side of the balls.
+        points: Points (N, 3) [m] on it.
+        normals: Upward normals (N, 3) at the points.
+        radius: Radius [m] of the ball.
+        side: +1 if the ball is above the face, -1 below.
     """
     return np.asarray(
         np.maximum(
@@ -480,27 +511,29 @@ def nearest_ball_centres(
 def _nearest_ball_centres_chunk(
     face: ProofFace, points: FloatArray, normals: FloatArray, radius: float, side: int
 ) -> FloatArray:
+    """Find the nearest centres by adding planes one by one, as the module docstring describes."""
     centre = points + side * radius * normals
-    rows = np.arange(len(points))
+    rows = np.arange(len(points))  # points whose ball still cuts in
     # each plane as its unit normal, and the minimum coordinate of a centre along it
     normal = np.zeros((len(points), 0, 3))
     level = np.zeros((len(points), 0))
     for _ in range(_MAX_CENTRE_ROUNDS):
         nearest = face.nearest(centre[rows])
         ball_distance = side * nearest.signed
-        rows_in = ball_distance < radius - MAX_PENETRATION_M
-        rows, near_place, ball_distance = rows[rows_in], nearest.point[rows_in], ball_distance[rows_in]
+        cuts_in = ball_distance < radius - MAX_PENETRATION_M
+        rows, contact, ball_distance = rows[cuts_in], nearest.point[cuts_in], ball_distance[cuts_in]
         if not len(rows):
             break
-        normal, level = normal[rows_in], level[rows_in]
-        direction = centre[rows] - near_place
+        normal, level = normal[cuts_in], level[cuts_in]
+        direction = centre[rows] - contact
         direction *= np.sign(ball_distance)[:, None]
         length = np.linalg.norm(direction, axis=1, keepdims=True)
         up = np.array([0.0, 0.0, float(side)])
         direction = np.where(length > 1e-9, direction / np.maximum(length, 1e-12), up)
-        # new plane at the deepest contact x: n.c >= n.x + radius
+        # new plane at the deepest contact x with the normal n: the centre c has to satisfy n.c >= n.x +
+        # radius
         normal = np.concatenate([normal, direction[:, None]], axis=1)
-        level = np.concatenate([level, (dots(direction, near_place) + radius)[:, None]], axis=1)
+        level = np.concatenate([level, (dots(direction, contact) + radius)[:, None]], axis=1)
         centre[rows], hold = _project_beyond_planes(points[rows], normal, level)
         if normal.shape[1] > _MAX_PLANES:  # drop a plane that does not hold the centre back
             use = np.sort(np.argsort(hold, axis=1, kind="stable")[:, 1:], axis=1)
@@ -512,13 +545,19 @@ def _nearest_ball_centres_chunk(
 def _project_beyond_planes(
     points: FloatArray, normal: FloatArray, level: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Points (N, 3) nearest to ``points`` beyond K planes, and how much each plane holds them back.
+    """Points (N, 3) nearest to ``points`` beyond K planes each, and how much each plane holds them back.
 
-    ``points`` are (N, 3), the planes (N, K, 3) and (N, K), the second result (N, K).
+    Where no point is beyond all planes, the largest violation is minimised instead. Active sets of up to
+    three planes are enumerated: for each, the projection solves (n n^T) push = d - n . p, and the feasible
+    one with the smallest distance is taken.
 
-    Where no point is beyond all planes, beyond as many as possible. Active sets of up to three planes are
-    enumerated: for each, the projection solves (n n^T) push = d - n . p, and the feasible one with the
-    smallest distance is taken.
+    Args:
+        points: Points (N, 3) [m].
+        normal: Unit normals (N, K, 3) of the planes.
+        level: Minimum coordinates (N, K) [m] along the normals.
+
+    Returns:
+        Nearest points (N, 3) [m], and the push (N, K) [m] of each plane along its normal.
     """
     count = normal.shape[1]
     best = points.copy()
@@ -547,26 +586,26 @@ def _project_beyond_planes(
 
 
 def remaining_face(face: ProofFace, radius: float, side: int, start: float) -> ProofFace:
-    """Return the face as a ball leaves it at best, with fillets where it does not reach.
+    """Return the face as a ball can form it at best, with fillets where the ball does not reach.
 
     The result is the face itself if the ball reaches all of it.
 
     Args:
-        face: Face.
+        face: Required face.
         radius: Radius [m] of the ball.
-        side: Side of the ball.
-        start: Level [m] of the flat, which the ball reaches.
+        side: +1 if the ball is above the face, -1 below.
+        start: Level z [m] of the flat, which the ball reaches.
     """
     key = radius, side, start
     if key not in face.remaining_faces:
         remaining = _calculate_remaining_face(face, *key)
-        face.remaining_faces[key] = (
-            None if remaining is face else remaining
-        )  # a self-reference would outlive the proof
+        # the face does not refer to itself: faces in such a cycle would outlive the proof
+        face.remaining_faces[key] = None if remaining is face else remaining
     return face.remaining_faces[key] or face
 
 
 def _calculate_remaining_face(face: ProofFace, radius: float, side: int, start: float) -> ProofFace:
+    """Calculate the result of :func:`remaining_face`."""
     # Triangles that the ball does not reach, found at the middles of their pieces, then at their corners.
     corners = face.corners
     moved = np.flatnonzero((side * corners[:, :, 2]).min(axis=1) < side * start - MAX_PENETRATION_M)
@@ -582,14 +621,16 @@ def _calculate_remaining_face(face: ProofFace, radius: float, side: int, start: 
     parts, owner = _fine_pieces(face, np.flatnonzero(is_unreached), radius, side)
     points = parts.reshape(-1, 3)
     up = np.repeat(face.normal[owner], 3, axis=0)
-    back = nearest_ball_centres(face, points, up, radius, side) - points
-    centre_distance = np.linalg.norm(back, axis=1, keepdims=True)
-    moved = points + np.maximum(centre_distance - radius, 0.0) * back / np.maximum(centre_distance, 1e-12)
+    to_centre = nearest_ball_centres(face, points, up, radius, side) - points
+    centre_distance = np.linalg.norm(to_centre, axis=1, keepdims=True)
+    on_ball = points + np.maximum(centre_distance - radius, 0.0) * to_centre / np.maximum(
+        centre_distance, 1e-12
+    )
     # between distant corners nothing is known, so a piece that is too large stays as required
     longest = np.linalg.norm(parts - np.roll(parts, 1, axis=1), axis=2).max(axis=1)
     small = (longest <= PIECE_SIZE_FRACTION * radius * (1.0 + 1e-9))[:, None, None]
-    moved = np.where(small, moved.reshape(-1, 3, 3), parts)
-    remaining_corners = np.concatenate([corners[~is_unreached], moved]).reshape(-1, 3)
+    fillets = np.where(small, on_ball.reshape(-1, 3, 3), parts)
+    remaining_corners = np.concatenate([corners[~is_unreached], fillets]).reshape(-1, 3)
     remaining = ProofFace(remaining_corners, np.arange(len(remaining_corners)).reshape(-1, 3), radius)
     # pieces meet without shared corners and have no border of their own
     edge = np.concatenate([face.border[~is_unreached], np.zeros((len(parts), 3), dtype=np.bool_)])
@@ -598,10 +639,10 @@ def _calculate_remaining_face(face: ProofFace, radius: float, side: int, start: 
 
 
 def _fine_pieces(face: ProofFace, rows: IntArray, radius: float, side: int) -> tuple[FloatArray, IntArray]:
-    """Triangles ``rows`` (K,) of a face in pieces (P, 3, 3), and the triangle (P,) of each.
+    """Split triangles ``rows`` (K,) of a face into pieces (P, 3, 3), small where a ball does not reach.
 
-    Pieces are small where a ball does not reach them. A long piece counts as reached if its corners and its
-    middle are.
+    A long piece counts as reached, and is not split, if its corners and its middle are reached. The second
+    result is the triangle (P,) of each piece.
     """
     size, count = PIECE_SIZE_FRACTION * radius, 0
     pending, owner = face.corners[rows], rows
@@ -629,17 +670,22 @@ def _fine_pieces(face: ProofFace, rows: IntArray, radius: float, side: int) -> t
 def _spread_unreached(
     face: ProofFace, is_unreached: BoolArray, moved: IntArray, radius: float, side: int
 ) -> None:
-    """Add triangles to those that a ball does not reach, ``is_unreached`` (F,).
+    """Add neighbours to the triangles that a ball does not reach, ``is_unreached`` (F,), which is changed.
 
-    Added are those of ``moved`` (M,) that share a corner with them which the ball does not reach either. The
-    pieces of a long triangle are checked at their middles, so its far corner would be missed.
+    Added are those of the triangles ``moved`` (M,) that have an unreached corner in common with them, until
+    there are no more. The pieces of a long triangle are checked at their middles, so its far corner would be
+    missed.
     """
     while True:
         rows = moved[~is_unreached[moved]]
         corner, up = face.corners[rows].reshape(-1, 3), np.repeat(face.normal[rows], 3, axis=0)
-        known = cKDTree(face.corners[is_unreached].reshape(-1, 3))
-        met = np.flatnonzero(np.isfinite(known.query(corner, distance_upper_bound=MAX_PENETRATION_M)[0]))
-        fresh = met[min_ball_distance(face, corner[met], up[met], radius, side) > REACHED_TOLERANCE_M]
-        if not len(fresh):
+        unreached_corners = cKDTree(face.corners[is_unreached].reshape(-1, 3))
+        shared = np.flatnonzero(
+            np.isfinite(unreached_corners.query(corner, distance_upper_bound=MAX_PENETRATION_M)[0])
+        )
+        newly_unreached = shared[
+            min_ball_distance(face, corner[shared], up[shared], radius, side) > REACHED_TOLERANCE_M
+        ]
+        if not len(newly_unreached):
             return
-        is_unreached[rows[fresh // 3]] = True
+        is_unreached[rows[newly_unreached // 3]] = True

@@ -21,7 +21,7 @@ from planner.processes.forming.proof.tracks import ToolTrack
 from planner.proof.faces import subdivide, triangle_areas
 
 TrackDepths = tuple[FloatArray, IntArray]
-"""Depths [m] of a tool where it is not permitted, and the rows of its track."""
+"""Depths [m] of a tool beyond its permitted level, negative above it, and the rows of its track."""
 
 MAX_PLAN_DEVIATION_M: Final = 1e-4
 """Maximum distance [m] in plan, on approach and retreat in the sheet, from where the segment starts
@@ -48,15 +48,15 @@ _DISTANCE_TOLERANCE_M: Final = 2e-5
 def approach_retreat_depths(
     tool_track: ToolTrack, column: int, up: int, level: float, radius: float
 ) -> TrackDepths:
-    """Return how deep a tool is beyond a level on its approach and retreat.
+    """Return how deep a tool is beyond its permitted level on its approach and retreat.
 
-    Where it is not straight above the point at which the segment starts or ends, the depth is below the
-    level; there it is the depth below that point.
+    Straight above the last point of the approach, or the last point of the segment, it may go down to that
+    point. Elsewhere the tip of its ball may go down to ``level``.
 
     Args:
         tool_track: Track.
-        column: Column of the tool's arm.
-        up: +1 for a tool above the sheet.
+        column: Index of the tool's arm among the track's arms.
+        up: +1 for a tool above the sheet, -1 below.
         level: Level z [m].
         radius: Radius [m] of its ball.
     """
@@ -68,10 +68,8 @@ def approach_retreat_depths(
             (np.arange(first), max(first - 1, 0)),
             (np.arange(last + 1, len(tool_track.rows)), last),
         ):
-            position, end_position = (
-                tool_track.centre[outside, column],
-                tool_track.centre[np.array([end_row]), column],
-            )
+            position = tool_track.centre[outside, column]
+            end_position = tool_track.centre[np.array([end_row]), column]
             is_beside = lengths((position - end_position)[:, :2]) > MAX_PLAN_DEVIATION_M
             lowest = np.where(is_beside, level + up * radius, end_position[:, 2])
             depths.append(up * (lowest - position[:, 2]))
@@ -80,14 +78,14 @@ def approach_retreat_depths(
 
 
 def largest_step(claim: FormsSheet, steps: tuple[float | None, float | None]) -> float:
-    """Return the largest step [m] down a wall.
+    """Return the largest height difference [m] of adjacent loops of a pass.
 
-    Paths that leave ridges of height h are 2 sqrt(2 R h - h^2) apart along the wall, and down it by the sine
-    of its angle times that.
+    It is the step-down if that is given. Otherwise loops of a ball of radius R that leave ridges of height h
+    are 2 sqrt(2 R h - h^2) apart along the wall, and differ in height by the sine of its angle times that.
 
     Args:
         claim: Claim on the pass.
-        steps: Step-down and scallop [m], one of them given.
+        steps: Step-down and scallop [m], one of them given. The result is 0 if both are None.
     """
     step, scallop = steps
     if scallop is None:
@@ -99,7 +97,7 @@ def largest_step(claim: FormsSheet, steps: tuple[float | None, float | None]) ->
 
 
 def forming_depths(formed: FormedPass, step: float) -> tuple[TrackDepths, TrackDepths]:
-    """Return how deep the forming ball is while it forms.
+    """Return how deep the forming ball is beyond its permitted level while it forms.
 
     Where it touches the wall: how far all that it touches is below the highest point that is formed later,
     minus `MAX_STEPS_BELOW` steps. Elsewhere: how far its tip is below the lowest level it had where it
@@ -107,7 +105,10 @@ def forming_depths(formed: FormedPass, step: float) -> tuple[TrackDepths, TrackD
 
     Args:
         formed: Pass with its track.
-        step: Largest step [m].
+        step: Largest height difference [m] of adjacent loops, the result of :func:`largest_step`.
+
+    Returns:
+        Depths where the ball touches the wall, and depths elsewhere.
     """
     claim = formed.claim
     points, rows = _path_points(formed)
@@ -126,16 +127,17 @@ def forming_depths(formed: FormedPass, step: float) -> tuple[TrackDepths, TrackD
     level = np.minimum(np.minimum.accumulate(np.where(touches, tip, np.inf)), start)
     number = np.where(touches, np.arange(len(tip)), len(tip))
     following = np.minimum.accumulate(number[::-1])[::-1]
-    known = np.minimum(following, len(tip) - 1)
-    is_near = (following < len(tip)) & (lengths((points[known] - points)[:, :2]) <= claim.radius)
-    off_wall = np.where(is_near, np.minimum(level, tip[known]), level) - tip
+    next_contact = np.minimum(following, len(tip) - 1)
+    is_near = (following < len(tip)) & (lengths((points[next_contact] - points)[:, :2]) <= claim.radius)
+    off_wall = np.where(is_near, np.minimum(level, tip[next_contact]), level) - tip
     return (wall, rows[touches]), (off_wall[~touches], rows[~touches])
 
 
 def _path_points(formed: FormedPass) -> tuple[FloatArray, IntArray]:
     """The ball's centres (N, 3) [m] from its first to its last forming move.
 
-    They are at most ``_CHECK_SPACING_M`` apart. Also returns the rows (N,) of the track at or after them.
+    They are at most ``_CHECK_SPACING_M`` apart. The second result is the row (N,) of the track at or after
+    each.
     """
     forming_rows = np.flatnonzero(formed.track.is_forming)
     if not len(forming_rows):
@@ -144,20 +146,21 @@ def _path_points(formed: FormedPass) -> tuple[FloatArray, IntArray]:
     centre = formed.track.centre[rows, 0]
     move = np.diff(centre, axis=0)
     count = np.maximum(np.ceil(lengths(move) / _CHECK_SPACING_M).astype(np.int64), 1)
-    which = np.repeat(np.arange(len(count)), count)
-    fraction = (np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)) / count[which]
-    points = np.concatenate([centre[which] + fraction[:, None] * move[which], centre[-1:]])
-    return points, np.append(rows[which + (fraction > 0.0)], rows[-1])
+    piece = np.repeat(np.arange(len(count)), count)
+    fraction = (np.arange(len(piece)) - np.repeat(np.cumsum(count) - count, count)) / count[piece]
+    points = np.concatenate([centre[piece] + fraction[:, None] * move[piece], centre[-1:]])
+    return points, np.append(rows[piece + (fraction > 0.0)], rows[-1])
 
 
 def _wall_contacts(
     formed: FormedPass, points: FloatArray, step: float
 ) -> tuple[FloatArray, IntArray, FloatArray]:
-    """Which points of the path form and touch which points of the wall.
+    """Which points (N, 3) [m] of the path form and touch which points of the wall.
 
-    Returns the height (P,) [m] toward the ball of wall points; the point (P,) of the path (``points`` (N, 3))
-    that forms each of them, -1 if it was formed before; and the highest point (N,) that each point of the
-    path touches, minus infinity if none.
+    Returns:
+        Heights (P,) [m] of points all over the wall, toward the ball; the index (P,) of the point of the path
+        that forms each of them, -1 if it was formed by previous levels; and the height (N,) [m] of the
+        highest wall point that each point of the path touches, minus infinity if none.
     """
     claim = formed.claim
     rows = np.flatnonzero(is_wall(claim))
@@ -170,19 +173,19 @@ def _wall_contacts(
     height = claim.side * wall_points[:, 2]
     tree = cKDTree(points)
     # a contact half way between two centres c apart is sqrt(R^2 + c^2 / 4) <= R + c^2 / (8 R) away
-    slack = _CHECK_SPACING_M**2 / (8.0 * claim.radius) + _DISTANCE_TOLERANCE_M
-    touched = claim.radius + claim.scallop[rows[owner]] + slack
+    tolerance = _CHECK_SPACING_M**2 / (8.0 * claim.radius) + _DISTANCE_TOLERANCE_M
+    touched_within = claim.radius + claim.scallop[rows[owner]] + tolerance
     # points that the ball never touches count as formed when it is about as near as it ever comes
     nearest = np.asarray(tree.query(wall_points)[0])
-    formed_within = np.maximum(touched, nearest + touched - claim.radius)
+    formed_within = np.maximum(touched_within, nearest + touched_within - claim.radius)
     formed_at, top = np.zeros(len(wall_points), dtype=np.int64), np.full(len(points), -np.inf)
     for chunk in np.array_split(np.arange(len(wall_points)), max(1, len(wall_points) // _POINTS_AT_ONCE)):
         forming_lists = tree.query_ball_point(wall_points[chunk], formed_within[chunk], return_sorted=True)
-        formed_at[chunk] = [rows[0] for rows in forming_lists]
-        touching = tree.query_ball_point(wall_points[chunk], touched[chunk], return_sorted=False)
-        many = np.array([len(rows) for rows in touching])
-        index = np.fromiter(itertools.chain.from_iterable(touching), np.int64, int(many.sum()))
-        np.maximum.at(top, index, np.repeat(height[chunk], many))
+        formed_at[chunk] = [near_path[0] for near_path in forming_lists]
+        touching_lists = tree.query_ball_point(wall_points[chunk], touched_within[chunk], return_sorted=False)
+        counts = np.array([len(near_path) for near_path in touching_lists])
+        path_index = np.fromiter(itertools.chain.from_iterable(touching_lists), np.int64, int(counts.sum()))
+        np.maximum.at(top, path_index, np.repeat(height[chunk], counts))
     if formed.formed_depth > 0.0:
         formed_at[height >= claim.side * claim.start - formed.formed_depth - LOOP_FORMS_FRACTION * step] = -1
     return height, formed_at, top

@@ -39,15 +39,15 @@ class PlanLookup:
         self._tree = shapely.STRtree(shapely.polygons(rings))
 
     def locate(self, points: FloatArray, within: float) -> tuple[IntArray, IntArray, FloatArray]:
-        """Return which points are over which triangles, or beside them.
+        """Return all pairs of a point and a triangle that contains it in plan, or is near it.
 
         Args:
             points: Points (N, 2) [m] in plan.
-            within: Maximum distance [m] beside a triangle.
+            within: Maximum distance [m] in plan of a point from its triangle.
 
         Returns:
-            Rows (M,) ascending, triangles (M,), and the barycentric weights (M, 3) of the nearest point
-            there.
+            Indices (M,) of the points, ascending; triangles (M,); and the barycentric weights (M, 3) of the
+            point of the triangle that is nearest in plan.
         """
         in_bounds = ((points >= self._low - within) & (points <= self._high + within)).all(axis=1)
         candidates = np.flatnonzero(in_bounds)
@@ -75,8 +75,8 @@ def spread_points(corners: FloatArray, count: int) -> tuple[FloatArray, IntArray
     number = np.arange(count)
     owner = np.minimum(np.searchsorted(area, (number + 0.5) / count * area[-1]), len(area) - 1)
     u, v = np.mod(number * _PLASTIC_STEPS[0], 1.0), np.mod(number * _PLASTIC_STEPS[1], 1.0)
-    over = u + v > 1.0
-    u, v = np.where(over, 1.0 - u, u), np.where(over, 1.0 - v, v)
+    is_outside = u + v > 1.0  # the other half of the unit square is folded onto the triangle
+    u, v = np.where(is_outside, 1.0 - u, u), np.where(is_outside, 1.0 - v, v)
     return np.einsum("pk,pkd->pd", np.stack([1.0 - u - v, u, v], axis=1), corners[owner]), owner
 
 
@@ -84,7 +84,7 @@ PassClaim = FormsSheet | FormsByTable
 """Claim on a pass."""
 
 MIN_DISPLACEMENT_M = 1e-6
-"""Minimum displacement [m] by a pass that counts."""
+"""Minimum displacement [m] of the sheet by a pass that counts as a displacement."""
 FLAT_NOISE_M = 6e-5
 """Sheet within this distance [m] of the flat may be noise of its mesh."""
 WALL_NOISE_M = 1e-4
@@ -120,34 +120,34 @@ class FormedShape:
 
     @cached_property
     def corners(self) -> FloatArray:
-        """The face's triangles (T, 3, 3) with normals up."""
+        """Corners (T, 3, 3) [m] of the face's triangles, whose normals point up."""
         return np.asarray(self.claim.vertices[self.claim.faces])
 
     @cached_property
     def moved(self) -> BoolArray:
-        """Triangles (T,) with a corner off the surrounding level."""
+        """Whether (T,) each triangle has a corner off the surrounding level."""
         return np.asarray((np.abs(self.corners[:, :, 2] - self.base) > MIN_DISPLACEMENT_M).any(axis=1))
 
     @cached_property
     def raised(self) -> BoolArray:
-        """Triangles (T,) with a corner off the surrounding level by more than noise."""
+        """Whether (T,) each triangle has a corner off the surrounding level by more than noise."""
         return np.asarray((np.abs(self.corners[:, :, 2] - self.base) > FLAT_NOISE_M).any(axis=1))
 
     @cached_property
     def lookup(self) -> PlanLookup:
-        """Lookup of the moved triangles by points in plan."""
+        """Lookup of the moved triangles alone, numbered among themselves, by points in plan."""
         return PlanLookup(self.corners[self.moved])
 
     @cached_property
     def angles_and_areas(self) -> tuple[FloatArray, FloatArray]:
-        """Angles (M,) [rad] and areas (M,) [m^2] of the moved triangles."""
+        """Wall angles (M,) [rad] and areas (M,) [m^2] of the moved triangles."""
         corners = self.corners[self.moved]
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         size = np.linalg.norm(cross, axis=1)
         return np.arccos(np.clip(cross[:, 2] / np.maximum(size, 1e-300), -1.0, 1.0)), 0.5 * size
 
     def displacement(self, points: FloatArray) -> FloatArray:
-        """Return the displacement (N,) [m] of the sheet along z at points in plan (N, 2)."""
+        """Return the displacement (N,) [m] of the sheet along z at points in plan (N, 2), 0 outside."""
         row, triangle, weight = self.lookup.locate(points, MIN_DISPLACEMENT_M * 1e-3)
         height = (weight * self.corners[self.moved][triangle][:, :, 2]).sum(axis=1)
         out = np.zeros(len(points))
@@ -156,30 +156,31 @@ class FormedShape:
         return out
 
     def wall_angle(self, fraction: float) -> float:
-        """Return the wall angle [rad] below which a fraction of the walls' area stays."""
+        """Return the wall angle [rad] that a fraction of the walls' area does not exceed, 0 without walls."""
         angle, area = self.angles_and_areas
         area = np.where(angle > np.deg2rad(0.5), area, 0.0)
         order = np.argsort(angle)
-        passed = np.cumsum(area[order])
-        return float(angle[order[int(np.searchsorted(passed, fraction * passed[-1]))]]) if len(angle) else 0.0
+        total = np.cumsum(area[order])
+        return float(angle[order[int(np.searchsorted(total, fraction * total[-1]))]]) if len(angle) else 0.0
 
     def spread_points(self, count: int) -> FloatArray:
-        """Return points (``count``, 3) all over what is moved, by area."""
+        """Return points (``count``, 3) [m] spread evenly by area over the moved triangles."""
         return spread_points(self.corners[self.moved], count)[0]
 
     @cached_property
     def rim(self) -> FloatArray:
-        """Points (R, 2) in plan where what is moved starts."""
+        """Points (R, 2) [m] in plan on the edge of the moved area, where its walls start from the flat."""
         corners = self.corners[self.raised].reshape(-1, 3)
         return np.unique(corners[np.abs(corners[:, 2] - self.base) <= FLAT_NOISE_M, :2], axis=0)
 
     def turn_back_point(self, sign: float) -> FloatArray | None:
-        """Return a point (3,) where a wall turns back or splits in two, None for one monotonic wall.
+        """Return a point (3,) [m] where a wall turns back or splits in two, None for one monotonic wall.
 
-        Deviations within the noise of its mesh do not count.
+        At each of several levels, all that is deeper must be one connected piece, and all that is less deep
+        must be connected to the surroundings. Deviations within the noise of the mesh do not count.
 
         Args:
-            sign: Direction of the wall along z.
+            sign: Direction in which the shape is formed, +1 up or -1 down along z.
         """
         vertices, faces = self.claim.vertices, self.claim.faces
         _, vertex_index = np.unique(vertices[:, :2].round(8), axis=0, return_inverse=True)
@@ -199,24 +200,30 @@ class FormedShape:
                 np.maximum.at(reach, label[inside], np.abs(depth[inside] - level))
                 extent = _extent(position[inside], label[inside], size)
                 real = (reach > WALL_NOISE_M) & (extent > NOISE_WIDTH_M)
-                if not is_deeper:  # the surroundings at its start are no island
+                if not is_deeper:  # the surroundings at its start are not an island
                     real[np.unique(label[inside & (depth <= FLAT_NOISE_M)])] = False
-                if real.sum() > int(is_deeper):
-                    rows = np.flatnonzero(inside & (label == np.flatnonzero(real)[-1]))
-                    return np.asarray(position[rows[int(np.argmax(np.abs(depth[rows] - level)))]])
+                if real.sum() > int(is_deeper):  # one deeper piece is permitted, and no island
+                    nodes = np.flatnonzero(inside & (label == np.flatnonzero(real)[-1]))
+                    return np.asarray(position[nodes[int(np.argmax(np.abs(depth[nodes] - level)))]])
         return None
 
 
 def _connected_pieces(inside: BoolArray, edge: IntArray) -> tuple[int, IntArray]:
-    """Number of pieces that the nodes ``inside`` (V,) make up, and the piece (V,) of each."""
-    both = edge[inside[edge].all(axis=1)]
+    """Label the connected pieces of the graph with nodes ``inside`` (V,) and the edges (E, 2) between them.
+
+    Returns the number of pieces and the piece (V,) of each node. A node that is not inside is its own piece.
+    """
+    inner_edges = edge[inside[edge].all(axis=1)]
     count = len(inside)
-    graph = coo_array((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(count, count))
+    graph = coo_array(
+        (np.ones(len(inner_edges)), (inner_edges[:, 0], inner_edges[:, 1])), shape=(count, count)
+    )
     size, label = connected_components(graph, directed=False)
     return int(size), np.asarray(label, dtype=np.int64)
 
 
 def _extent(points: FloatArray, label: IntArray, size: int) -> FloatArray:
+    """Diagonals (``size``,) [m] of the bounding rectangles in plan of points (N, 3), by their label (N,)."""
     low, high = np.full((size, 2), np.inf), np.full((size, 2), -np.inf)
     np.minimum.at(low, label, points[:, :2])
     np.maximum.at(high, label, points[:, :2])
@@ -225,11 +232,11 @@ def _extent(points: FloatArray, label: IntArray, size: int) -> FloatArray:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FormedFeature:
-    """What is formed as one feature.
+    """The shapes that are formed one after the other as one feature.
 
     Attributes:
-        number: Number in its name.
-        shapes: Shapes in the order of forming. The last one stays.
+        number: Number in the names of its segments, -1 if they have none.
+        shapes: Shapes in the order of forming. The last one remains.
     """
 
     number: int
@@ -237,7 +244,7 @@ class FormedFeature:
 
     @property
     def final(self) -> FormedShape:
-        """The shape that stays."""
+        """The shape that remains."""
         return self.shapes[-1]
 
 
@@ -248,10 +255,11 @@ class PartShapes:
         part: Claim on the part.
         features: Features in the order of forming, including those of earlier operations.
         first: Number of features that earlier operations form.
-        points: Points (N, 2) all over part and passes.
+        level: Height z [m] of the flat around the part.
+        points: Points (N, 2) [m] in plan all over part and passes.
         nominal: Height (N,) [m] of the part above the flat there.
         moved: Displacement (F, N) [m] by each feature there.
-        steep: z component (N,) of the part's normal there.
+        steep: z component (N,) of the part's normal there, 1 where it is flat.
     """
 
     def __init__(
@@ -273,6 +281,7 @@ class PartShapes:
         self.moved = self.moved.reshape(len(self.features), len(self.points))
 
     def _height_and_steepness(self, corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Calculate ``nominal`` and ``steep`` from the part's triangles (T, 3, 3)."""
         row, triangle, weight = PlanLookup(corners).locate(self.points, MIN_DISPLACEMENT_M * 1e-3)
         first = np.flatnonzero(np.diff(row, prepend=-1) != 0)
         row, triangle, weight = row[first], triangle[first], weight[first]
@@ -289,7 +298,10 @@ class PartShapes:
 
     @cached_property
     def inside(self) -> BoolArray:
-        """(F, F): whether the first feature is inside what the second one moves."""
+        """Whether (F, F) the first feature is inside the area that the second one moves.
+
+        More than half of its points are, and its area is smaller.
+        """
         is_moved = np.abs(self.moved) > FLAT_NOISE_M
         count = np.maximum(is_moved.sum(axis=1), 1)
         shared = (is_moved[:, None] & is_moved[None]).sum(axis=2) / count[:, None]
@@ -310,7 +322,7 @@ class PartShapes:
         """Return the height (N,) [m] of the sheet's lower face once some features are done.
 
         Args:
-            done: Features (K,).
+            done: Indices (K,) of the features.
             points: Points (N, 2) [m] in plan.
         """
         height = np.full(len(points), self.level)
@@ -320,22 +332,23 @@ class PartShapes:
 
 
 def ordered_passes(group: Sequence[Claim]) -> tuple[PassClaim, ...]:
-    """Return the passes of a group of claims, in the claimed order."""
+    """Return the claims on passes in a group, in the claimed order, then those without a claimed order."""
     by_segment = {c.segment: c for c in group if isinstance(c, FormsSheet | FormsByTable)}
     names = [name for c in group if isinstance(c, FormsInOrder) for name in c.segments if name in by_segment]
     return tuple(by_segment[name] for name in (*names, *(name for name in by_segment if name not in names)))
 
 
 def _group_features(part: FormsPart, passes: tuple[PassClaim, ...]) -> tuple[FormedFeature, ...]:
+    """Group consecutive passes with the same feature number, and within it those with the same face."""
     out: list[tuple[int, list[FormedShape]]] = []
     for claim in passes:
         match = _PASS_NAME.fullmatch(claim.segment.name)
         number = int(match.group(1)) if match else -1
         base, end_level = (claim.end, claim.start) if part.male else (claim.start, claim.end)
         continues = bool(out) and out[-1][0] == number
-        last = out[-1][1][-1] if continues else None
-        if last is not None and _has_same_face(last.claim, claim):
-            out[-1][1][-1] = dataclasses.replace(last, claims=(*last.claims, claim))
+        last_shape = out[-1][1][-1] if continues else None
+        if last_shape is not None and _has_same_face(last_shape.claim, claim):
+            out[-1][1][-1] = dataclasses.replace(last_shape, claims=(*last_shape.claims, claim))
         elif continues:
             out[-1][1].append(FormedShape((claim,), base, end_level))
         else:

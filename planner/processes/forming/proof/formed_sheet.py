@@ -15,7 +15,7 @@ from planner.proof.part_files.produced import ProducedSheet
 from planner.proof.part_files.sheets import FormedSheetFace, sheet_face
 
 _NOISE_TOLERANCES: Final = 2.5
-"""Factor of the tolerance of a mesh with noise by which a face may be farther away, because folds are
+"""Multiple of the tolerance of a mesh with noise by which a claimed face may be off the read one: folds are
 rounded.
 """
 
@@ -23,58 +23,65 @@ rounded.
 def sheet_deviation(
     forming: FormingFacts, sheet: FormedSheetFace, thickness: float, shifted: bool
 ) -> tuple[FloatArray, ...]:
-    """Return the deviation of the forming balls from the walls of the sheet.
+    """Return the deviation of the forming balls from points on the walls of the part file.
 
-    The face that a ball above the sheet touches is the read one moved up by the thickness. What a ball of
-    that size cannot reach is allowed, too.
+    The face that a ball above the sheet touches is that of the file moved up by the thickness. Allowed are
+    what the steps of the path leave, and what a ball of that size cannot reach.
 
     Args:
         forming: Forming of the proof.
-        sheet: Face of the part file.
+        sheet: Face of the part file, with N points on its walls.
         thickness: Thickness [m] of the sheet.
         shifted: Whether features are formed at other levels than they have in the part.
 
     Returns:
-        Deviations (N,) [m] of the nearest of all passes, NaN where no claimed face is the read one, and
-        deviations (N,) [m] that the path's steps may leave.
+        Deviations (N,) [m] of the pass that comes nearest, NaN where no claimed face is that of the file, and
+        allowed deviations (N,) [m].
     """
     points = sheet.walls.points
     deviation, allowed = np.full(len(points), np.nan), np.zeros(len(points))
     for formed_pass in forming.formed:
         claim = formed_pass.claim
-        rise = np.array([0.0, 0.0, thickness if claim.side > 0 else 0.0])
-        shifted_points = points + rise
+        thickness_offset = np.array([0.0, 0.0, thickness if claim.side > 0 else 0.0])
+        shifted_points = points + thickness_offset
         if shifted:
             shifted_points = shifted_points + np.array(
-                [0.0, 0.0, _height_difference(claim.vertices[claim.faces], sheet.face.corners + rise)]
+                [
+                    0.0,
+                    0.0,
+                    _height_difference(claim.vertices[claim.faces], sheet.face.corners + thickness_offset),
+                ]
             )
         distance = ball_distance(SweptPass.from_formed(formed_pass), shifted_points) - claim.radius
         nearest = formed_pass.face.nearest(shifted_points)
-        # where the claimed face is not the read one, its steps and reach are irrelevant
+        # where the claimed face is not that of the file, its steps and reach are irrelevant
         distance[nearest.distance > ON_FACE + _NOISE_TOLERANCES * sheet.tolerance] = np.nan
-        ridge = np.zeros(len(shifted_points))
-        np.maximum.at(ridge, nearest.row, claim.scallop[formed_pass.face.rows[nearest.triangle]])
-        rows = np.flatnonzero((distance > ridge) & (distance < claim.radius))
+        pass_allowed = np.zeros(len(shifted_points))
+        np.maximum.at(pass_allowed, nearest.row, claim.scallop[formed_pass.face.rows[nearest.triangle]])
+        rows = np.flatnonzero((distance > pass_allowed) & (distance < claim.radius))
         up = sheet.walls.normals[rows]
         up = up * np.where(up[:, 2:] < 0.0, -1.0, 1.0)
-        ridge[rows] += min_ball_distance(formed_pass.face, shifted_points[rows], up, claim.radius, claim.side)
+        pass_allowed[rows] += min_ball_distance(
+            formed_pass.face, shifted_points[rows], up, claim.radius, claim.side
+        )
         better = np.isfinite(distance) & ~(np.abs(distance) >= np.abs(deviation))  # any value replaces NaN
-        deviation, allowed = np.where(better, distance, deviation), np.where(better, ridge, allowed)
+        deviation, allowed = np.where(better, distance, deviation), np.where(better, pass_allowed, allowed)
     return deviation, allowed
 
 
 def _height_difference(claimed: FloatArray, read: FloatArray) -> float:
-    """Height [m] of the walls of a face (F, 3, 3) above the other face at the same points in plan."""
+    """Median height [m] of the walls of a claimed face (F, 3, 3) above a read one at the same points in plan.
+
+    The read face (G, 3, 3) is extended to a plane at the triangle whose middle is nearest in plan.
+    """
     slope = np.cross(claimed[:, 1] - claimed[:, 0], claimed[:, 2] - claimed[:, 0])
     steep = slope[:, 2] < 0.98 * np.linalg.norm(slope, axis=1)
     points = (claimed[steep] if steep.any() else claimed).mean(axis=1)[:2000]
     nearest = np.asarray(cKDTree(read.mean(axis=1)[:, :2]).query(points[:, :2])[1])
-    corner, across = (
-        read[nearest, 0],
-        np.cross(read[nearest, 1] - read[nearest, 0], read[nearest, 2] - read[nearest, 0]),
-    )
-    fall = np.where(np.abs(across[:, 2]) > 1e-15, across[:, 2], np.inf)
-    level = corner[:, 2] - ((points - corner)[:, :2] * across[:, :2]).sum(axis=1) / fall
+    corner = read[nearest, 0]
+    normal = np.cross(read[nearest, 1] - read[nearest, 0], read[nearest, 2] - read[nearest, 0])
+    normal_z = np.where(np.abs(normal[:, 2]) > 1e-15, normal[:, 2], np.inf)
+    level = corner[:, 2] - ((points - corner)[:, :2] * normal[:, :2]).sum(axis=1) / normal_z
     return float(np.median(points[:, 2] - level))
 
 
@@ -85,14 +92,14 @@ def mesh_distance(points: FloatArray, vertices: FloatArray, faces: IntArray) -> 
 
 
 def make_formed_sheet(context: Context, part: Any) -> ProducedSheet | None:
-    """Return what forming makes of the sheet of a part file.
+    """Return the sheet that forming produces, compared with the sheet of a part file.
 
     Args:
         context: Context of the proof.
         part: The part as the problem file states it.
 
     Returns:
-        None if nothing is formed of it.
+        Deviations from the part file, or None if no operation forms the part.
     """
     forming = context.get(FORMING)
     claimed = (part_shapes.part.mesh_tolerance for part_shapes, _ in forming.parts if part_shapes is not None)
@@ -127,7 +134,7 @@ def make_formed_sheet(context: Context, part: Any) -> ProducedSheet | None:
         return ProducedSheet(
             sheet, deviation, allowed, tolerance, fraction, str(forming.formed[0].claim.segment)
         )
-    # both tools follow stated poses, so the result does not depend on ball positions
+    # tools follow a response table, so the result does not depend on ball positions
     formed = None if context.problem.part is None else context.problem.part.formed
     if formed is None:
         return None

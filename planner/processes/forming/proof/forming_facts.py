@@ -23,8 +23,7 @@ from planner.processes.forming.proof.compensation import (
 )
 from planner.processes.forming.proof.face import NearestPoints, ProofFace, remaining_face
 from planner.processes.forming.proof.formed_shapes import FormedFeature, PartShapes, ordered_passes
-from planner.processes.forming.proof.level import SingleLevel, current_claims
-from planner.processes.forming.proof.level import single_levels as levels_told
+from planner.processes.forming.proof.level import SingleLevel, current_claims, single_levels
 from planner.processes.forming.proof.tracks import ToolTrack, TrackPieces, make_track, straight_pieces
 from planner.proof.context import Context
 from planner.proof.facts import Fact
@@ -34,9 +33,9 @@ TRACK_CHORD_FRACTION = 0.1
 
 
 class BallContacts:
-    """The forming ball at rows of a track, and the points of the face nearest to it.
+    """The forming ball, that of a track's first arm, and the points of a face nearest to its centre.
 
-    Each row is evaluated once for all claims.
+    Results are cached by row, so that each row is evaluated once for all claims.
     """
 
     def __init__(self, track: ToolTrack, face: ProofFace) -> None:
@@ -45,23 +44,21 @@ class BallContacts:
         self._nearest = face.nearest(np.zeros((0, 3)), TOUCH_TOLERANCE_M)
 
     def nearest_at(self, rows: IntArray) -> NearestPoints:
-        """Return the nearest points at rows of the track; ties within `TOUCH_TOLERANCE_M`.
+        """Return the nearest points at rows of the track; those within `TOUCH_TOLERANCE_M` are equally near.
 
         Args:
-            rows: Rows (K,), ascending.
+            rows: Rows (K,) of the track, ascending.
         """
-        fresh = np.setdiff1d(rows, self._rows)
-        if len(fresh):
-            fresh_nearest = self.face.nearest(self.track.centre[fresh, 0], TOUCH_TOLERANCE_M)
+        new_rows = np.setdiff1d(rows, self._rows)
+        if len(new_rows):
+            new_nearest = self.face.nearest(self.track.centre[new_rows, 0], TOUCH_TOLERANCE_M)
             if len(self._rows):
-                known = np.concatenate([self._rows, fresh])
-                order = np.argsort(known)
-                self._rows, self._nearest = (
-                    known[order],
-                    self._nearest.concatenate(fresh_nearest).subset(order),
-                )
+                cached_rows = np.concatenate([self._rows, new_rows])
+                order = np.argsort(cached_rows)
+                self._rows = cached_rows[order]
+                self._nearest = self._nearest.concatenate(new_nearest).subset(order)
             else:
-                self._rows, self._nearest = fresh, fresh_nearest
+                self._rows, self._nearest = new_rows, new_nearest
         if np.array_equal(rows, self._rows):
             return self._nearest
         return self._nearest.subset(np.searchsorted(self._rows, rows))
@@ -76,10 +73,10 @@ class FormedPass:
         setup: Index of the setup.
         track: Track of the tools.
         pieces: Straight pieces of the track.
-        knots: Rows (K + 1,) of the track where its pieces meet.
+        knots: Rows (K + 1,) of the track at the ends of its pieces.
         face: Face.
-        balls: Nearest points of the face.
-        pending_face: Pending result of :func:`remaining_faces`, if it was submitted.
+        balls: Points of the face nearest to the forming ball.
+        pending_face: Pending result of :func:`remaining_faces`, or None if it was not submitted.
         level: The single level that is formed, or None.
     """
 
@@ -100,32 +97,32 @@ class FormedPass:
 
     @property
     def nearest(self) -> NearestPoints:
-        """Points of the face nearest to the forming ball at the knots; ties within 5 um.
+        """Points of the face nearest to the forming ball at the knots.
 
-        Not cached twice, because long passes have many.
+        `BallContacts` caches them. They are not cached here as well, because long passes have many.
         """
         return self.balls.nearest_at(self.knots)
 
     @cached_property
     def remaining_face(self) -> ProofFace:
-        """The face as the ball leaves it where it reaches no nearer: with fillets of its own radius."""
+        """The face with fillets of the ball's radius where the ball does not reach."""
         if self.pending_face is not None:
             return next(self.pending_face) or self.face
         return remaining_face(self.face, self.claim.radius, self.claim.side, self.claim.start)
 
     @cached_property
     def is_touching(self) -> BoolArray:
-        """Knots (K + 1,) at which the ball touches the face.
+        """Whether (K + 1,) the ball touches the face at each knot.
 
-        There its distance is at most what the steps of the path leave.
+        It does if its distance is at most the scallop, which the steps of the path leave, plus the tolerance.
         """
         nearest_points = self.nearest
-        reach = self.claim.radius + self.claim.scallop[self.face.rows[nearest_points.triangle]]
+        max_distance = self.claim.radius + self.claim.scallop[self.face.rows[nearest_points.triangle]]
         out = np.zeros(len(self.knots), dtype=np.bool_)
         np.logical_or.at(
             out,
             nearest_points.row,
-            nearest_points.distance[nearest_points.row] <= reach + self.claim.tolerance,
+            nearest_points.distance[nearest_points.row] <= max_distance + self.claim.tolerance,
         )
         return out
 
@@ -137,10 +134,10 @@ class GapTrack:
     Attributes:
         claim: Claim on the gap.
         track: Track of the tools.
-        pieces: Straight pieces of the segment itself.
-        knots: Rows (K,) of the track where they meet.
+        pieces: Straight pieces of the segment itself, without approach and retreat.
+        knots: Rows (K,) of the track at the ends of the pieces, and where two controllers meet.
         face: Face.
-        balls: Nearest points of the face.
+        balls: Points of the face nearest to the forming ball.
         low: Minimum required gap (K,) [m].
         high: Maximum required gap (K,) [m].
     """
@@ -156,7 +153,7 @@ class GapTrack:
 
     @property
     def nearest(self) -> NearestPoints:
-        """Points of the face nearest to the forming ball at the knots; not cached twice."""
+        """Points of the face nearest to the forming ball at the knots, which `BallContacts` caches."""
         return self.balls.nearest_at(self.knots)
 
     @cached_property
@@ -167,9 +164,9 @@ class GapTrack:
 
 
 def _meeting_rows(context: Context, tool_track: ToolTrack) -> IntArray:
-    """Rows of a track, while it forms, at which two controllers meet.
+    """Rows of a track, while it forms, at which two controllers are at the same target at the same instant.
 
-    One arm may be ahead between two of them, wherever the straight pieces of the track end.
+    Between these rows one arm may be ahead of the other.
     """
     out = [np.zeros(0, dtype=np.int64)]
     for number, stage in enumerate(context.job.stages):
@@ -180,7 +177,9 @@ def _meeting_rows(context: Context, tool_track: ToolTrack) -> IntArray:
 
 
 TOUCH_TOLERANCE_M = 5e-6
-"""Points of a face this near [m] to the nearest one are touched as well, because facets are chords."""
+"""Points of a face that are at most this much [m] farther from the ball than the nearest one are touched as
+well, because facets are chords.
+"""
 
 
 def remaining_faces(claim: FormsSheet) -> Iterator[ProofFace | None]:
@@ -195,9 +194,9 @@ PendingFaces = Mapping[int, Iterator[ProofFace | None]]
 
 
 def _submit_remaining_faces(context: Context) -> PendingFaces:
-    """Submit the calculation of remaining faces on whose other side a tool supports the sheet.
+    """Submit the calculation of the remaining face of each pass whose other side a second tool supports.
 
-    They follow from claims alone, so another process calculates them while texts are read.
+    These faces follow from claims alone, so another process calculates them while program texts are read.
     """
     claims = [
         claim for setup in context.setup_claims for group in setup.groups for claim in current_claims(group)
@@ -216,7 +215,11 @@ REMAINING_FACES: Final[Fact[Context, PendingFaces]] = Fact(
 
 
 class FormingFacts:
-    """The forming of one proof. Its faces are kept for later proofs of the same claims."""
+    """What rules on forming share in one proof. Faces are kept in the context's cache for later proofs.
+
+    Attributes:
+        by_setup: All claims on the programs, each with the index of its setup.
+    """
 
     def __init__(self, context: Context) -> None:
         self.context, self.executor = context, context.executor
@@ -233,24 +236,28 @@ class FormingFacts:
 
     @cached_property
     def levels(self) -> tuple[SingleLevel, ...]:
-        """All single levels that are formed, with their files."""
+        """All single levels that operations form, with their files."""
         groups = [(k, group) for k, setup in enumerate(self.context.setup_claims) for group in setup.groups]
-        return levels_told(self.context.problem, groups)
+        return single_levels(self.context.problem, groups)
 
     def level(self, segment: Segment, index: int) -> SingleLevel | None:
-        """Return the single level that is formed of a segment in a setup, or None.
+        """Return the single level that is formed of a segment in the setup ``index``, or None.
 
-        One without an operation is reported by its rule.
+        A level whose operation does not state it is ignored here; the rule on levels reports it.
         """
-        same = (level for level in self.levels if level.claim.segment == segment and level.index == index)
-        return next((level for level in same if getattr(level.operation, "level", None) is not None), None)
+        candidates = (
+            level for level in self.levels if level.claim.segment == segment and level.index == index
+        )
+        return next(
+            (level for level in candidates if getattr(level.operation, "level", None) is not None), None
+        )
 
     @cached_property
     def parts(self) -> tuple[tuple[PartShapes | None, tuple[Claim, ...]], ...]:
-        """What each forming operation has to make, with its passes, and all its claims.
+        """For each forming operation the shapes of its part and passes, and all its claims.
 
-        The part is None if no claim states it. An operation that forms some features of a part finds those of
-        previous operations.
+        The shapes are None if no claim states the part. An operation that forms only some features of a part
+        starts from the features of previous operations.
         """
         out: list[tuple[PartShapes | None, tuple[Claim, ...]]] = []
         previous: tuple[FormedFeature, ...] = ()
@@ -270,7 +277,8 @@ class FormingFacts:
     def later_displacement(self, group: Sequence[Claim], points: FloatArray) -> FloatArray:
         """Return how far (N,) [m] along z later operations move the sheet at points in plan (N, 2).
 
-        The sheet is moved that much less when the operation with this group of claims starts.
+        Later are the operations after the one with this group of claims. During that operation the sheet is
+        by this much away from the finished part.
         """
         order = [id(claims) for setup in self.context.setup_claims for claims in setup.groups]
         out = np.zeros(len(points))
@@ -282,7 +290,7 @@ class FormingFacts:
 
     @cached_property
     def formed(self) -> tuple[FormedPass, ...]:
-        """All claimed passes, with the forming arm first and the others after it."""
+        """All claimed passes. In their tracks the forming arm comes first and the others after it."""
         return tuple(
             self._make_formed_pass(claim, index)
             for index, claim in self.by_setup
@@ -291,7 +299,7 @@ class FormingFacts:
 
     @cached_property
     def gaps(self) -> tuple[GapTrack, ...]:
-        """All claimed gaps; without knots where the arms never form the segment together."""
+        """All claimed gaps. A gap has no knots if its arms never form the segment together."""
         return tuple(self._make_gap_track(c, index) for index, c in self.by_setup if isinstance(c, ToolGap))
 
     def pass_of_segment(self, segment: Segment) -> FormedPass | None:
@@ -300,7 +308,7 @@ class FormingFacts:
 
     @cached_property
     def sheet_states(self) -> tuple[tuple[int, SheetState], ...]:
-        """All claims on what tools meet, with their setups."""
+        """All claims on the state of the sheet that tools meet, each with the index of its setup."""
         return tuple((index, claim) for index, claim in self.by_setup if isinstance(claim, SheetState))
 
     @cached_property
@@ -309,9 +317,9 @@ class FormingFacts:
         return frozenset(claim.segment.key for _, claim in self.by_setup if isinstance(claim, ToolGap))
 
     def allowed_standoff(self, formed: FormedPass) -> float | None:
-        """Return the distance [m] that a ball may stay off the part where it does not fit.
+        """Return the distance [m] that the ball of a pass may stay off the part where it does not fit.
 
-        None if the problem does not state it, or if a later pass forms the feature further.
+        The result is None if the problem does not limit it, or if a later pass forms the feature further.
         """
         finals = [
             (part_shapes.part.unreached, claim)
@@ -323,9 +331,9 @@ class FormingFacts:
         return next((limit for limit, claim in finals if claim is formed.claim), None)
 
     def pass_steps(self, formed: FormedPass) -> tuple[float | None, float | None]:
-        """Return the step-down and the scallop [m] of a pass's job, one of them given.
+        """Return the step-down and the scallop [m] of the operation of a pass; one of them is given.
 
-        Both are None if no claim states its part.
+        Both are None if no claim states the operation's part.
         """
         for part_shapes, group in self.parts:
             if part_shapes is not None and any(claim is formed.claim for claim in group):
@@ -334,9 +342,11 @@ class FormingFacts:
 
     @cached_property
     def labels(self) -> frozenset[str]:
-        """Labels of all moves that claims allow."""
-        names = [claim.segment for _, claim in self.by_setup if isinstance(claim, FormsSheet | FormsByTable)]
-        return frozenset(part.key for name in names for part in name.all_phases)
+        """Labels of all moves of claimed passes, with their approach and retreat."""
+        segments = [
+            claim.segment for _, claim in self.by_setup if isinstance(claim, FormsSheet | FormsByTable)
+        ]
+        return frozenset(part.key for segment in segments for part in segment.all_phases)
 
     @cached_property
     def compensations(self) -> tuple[CompensationClaim, ...]:
@@ -345,29 +355,30 @@ class FormingFacts:
 
     @cached_property
     def _released(self) -> dict[tuple[str, int], CompensatedSegment]:
+        """Compensations by segment key and setup, with which the shifts of tools are removed."""
         return compensated_segments(self.compensations, self.levels, self.by_setup)
 
     def get_track(self, segment: Segment, index: int, arms: tuple[str, ...]) -> ToolTrack:
-        """Return the track of a segment, of the tools without shifts, calculated once."""
+        """Return the track of a segment in the setup ``index`` without springback shifts, calculated once."""
         key = (segment.key, index, arms)
         if key not in self._tracks:
-            deeper = self._released.get((segment.key, index))
-            self._tracks[key] = make_track(self.context, segment, index, arms, deeper)
+            compensation = self._released.get((segment.key, index))
+            self._tracks[key] = make_track(self.context, segment, index, arms, compensation)
         return self._tracks[key]
 
     def _get_face(self, vertices: FloatArray, faces: IntArray, scale: float) -> ProofFace:
-        """A face, calculated once for claims of the same triangles, however they number vertices."""
+        """A face, calculated once for claims on the same triangles, however they number vertices."""
         corners = vertices[faces]
-        for known, face in self._faces:
-            if known == scale and np.array_equal(face.given, corners):
+        for cached_scale, face in self._faces:
+            if cached_scale == scale and np.array_equal(face.given, corners):
                 return face
         self._faces.append((scale, ProofFace(vertices, faces, scale)))
         return self._faces[-1][1]
 
     def _get_balls(self, tool_track: ToolTrack, face: ProofFace) -> BallContacts:
-        """The forming ball on a track, calculated once for claims of the same track and face.
+        """The contacts of the forming ball on a track, shared by claims with the same track and face.
 
-        Track and face live as long as this object.
+        The ids are unique keys, because tracks and faces live as long as this object.
         """
         key = (id(tool_track), id(face))
         if key not in self._balls:
@@ -375,34 +386,38 @@ class FormingFacts:
         return self._balls[key]
 
     def _make_formed_pass(self, claim: FormsSheet, index: int) -> FormedPass:
+        """Collect the track, the face and their contacts for a claim on a pass in the setup ``index``."""
         arms = [arm.name for arm in self.context.setups[index].cell.arms if arm.name != claim.arm]
         arms = [arm for arm in arms if arm in self.context.motion.tcp]
         tool_track = self.get_track(claim.segment, index, (claim.arm, *arms))
-        parts = straight_pieces(tool_track, TRACK_CHORD_FRACTION * claim.tolerance)
-        knots = np.unique(np.concatenate([parts.first, parts.last]))
+        pieces = straight_pieces(tool_track, TRACK_CHORD_FRACTION * claim.tolerance)
+        knots = np.unique(np.concatenate([pieces.first, pieces.last]))
         face = self._get_face(claim.vertices, claim.faces, claim.radius)
         pending = self._pending_faces.get(id(claim))
         level = self.level(claim.segment, index)
         return FormedPass(
-            claim, index, tool_track, parts, knots, face, self._get_balls(tool_track, face), pending, level
+            claim, index, tool_track, pieces, knots, face, self._get_balls(tool_track, face), pending, level
         )
 
     def _make_gap_track(self, claim: ToolGap, index: int) -> GapTrack:
+        """Collect the track and the permitted gaps for a claim on two tools in the setup ``index``."""
         tool_track = self.get_track(claim.segment, index, claim.arms)
-        parts = straight_pieces(tool_track, TRACK_CHORD_FRACTION * claim.tolerance)
-        is_forming = tool_track.is_forming[parts.first]
-        parts = TrackPieces(
-            parts.first[is_forming],
-            parts.last[is_forming],
-            parts.deviation[is_forming],
-            parts.distance_error[is_forming],
+        pieces = straight_pieces(tool_track, TRACK_CHORD_FRACTION * claim.tolerance)
+        is_forming = tool_track.is_forming[pieces.first]
+        pieces = TrackPieces(
+            pieces.first[is_forming],
+            pieces.last[is_forming],
+            pieces.deviation[is_forming],
+            pieces.distance_error[is_forming],
         )
-        knots = np.unique(np.concatenate([parts.first, parts.last, _meeting_rows(self.context, tool_track)]))
+        knots = np.unique(
+            np.concatenate([pieces.first, pieces.last, _meeting_rows(self.context, tool_track)])
+        )
         face = self._get_face(claim.vertices, claim.faces, claim.radii[0])
         balls = self._get_balls(tool_track, face)
         gap_range = face.value_range(balls.nearest_at(knots), claim.gap[claim.faces])
-        return GapTrack(claim, tool_track, parts, knots, face, balls, *gap_range)
+        return GapTrack(claim, tool_track, pieces, knots, face, balls, *gap_range)
 
 
 FORMING: Final[Fact[Context, FormingFacts]] = Fact("forming", FormingFacts)
-"""The forming of a proof."""
+"""The shared data of the rules on forming in one proof."""

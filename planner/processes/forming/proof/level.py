@@ -1,9 +1,9 @@
 """A single level of a pass, as the problem states it: its claims, its heights, and the file of its shifts.
 
-Everything that an operation has to form stays claimed, and is compared with the part. Of the programs only
-the level's segment is required. Which level that is, and its heights, follow from the problem's step alone:
-level K of a pass goes from K to K + 1 steps below the surrounding flat, the last one of a spiral along its
-end.
+An operation may form only one level of one pass. Its claims on the whole part remain, and are compared with
+the part, but the programs only have to contain the level's segment. Which level that is, and its heights,
+follow from the problem's step-down alone: level K of a pass goes from K to K + 1 steps below the surrounding
+flat. The last level of a spiral is the loop at constant height along its end.
 """
 
 import dataclasses
@@ -35,11 +35,11 @@ class SingleLevel:
     Attributes:
         claim: Claim.
         index: Index of the setup.
-        operation: Operation of the problem.
-        sheet: Claim on the sheet of its segment.
-        first_pass: Name of the first pass.
-        file: Data of its file, or None.
-        fault: Why the file cannot be read, or why there is none.
+        operation: Operation of the problem, or None if there is none of that name.
+        sheet: Claim on the pass that contains the level, or None.
+        first_pass: Name of the first pass of the operation.
+        file: Data of the file with its shifts, or None.
+        fault: Why the file cannot be read or the operation states no level; empty otherwise.
     """
 
     claim: FormsLevel
@@ -74,23 +74,22 @@ class SingleLevel:
 
     @property
     def contour_height(self) -> float:
-        """Height z [m] of the contour that this level has to pass all around.
+        """Height z [m] of the contour along which the ball has to pass all around.
 
-        For a spiral it is in the middle of the level, for its first level near the start, otherwise at the
-        end of the level.
+        It is at the end of the level. For a spiral it is in the middle of the level, and near the start for
+        the first one. It is never at the floor, which has no contour.
         """
         start, end = self.depths
         depth = 0.5 * (start + end) if self.operation.path == "helical" else end
         if start == 0.0 and self.operation.path == "helical":
-            depth = (
-                FLOOR_OFFSET_FRACTION * self.step
-            )  # at a sharp edge the first half of the loop is still on the edge
+            # at a sharp edge the first half of the loop is still on the edge
+            depth = FLOOR_OFFSET_FRACTION * self.step
         depth = min(depth, self.depth - FLOOR_OFFSET_FRACTION * self.step)
         return 0.0 if self.sheet is None else self.sheet.start - self.sheet.side * depth
 
 
 def current_claims(group: Sequence[Claim]) -> tuple[Claim, ...]:
-    """Return what a group claims of the programs: only of the level's segment if a single level is formed."""
+    """Return the claims that programs have to meet now: all, or only those on the single level's segment."""
     kept = {claim.segment for claim in group if isinstance(claim, FormsLevel)}
     if not kept:
         return tuple(group)
@@ -104,7 +103,10 @@ def current_claims(group: Sequence[Claim]) -> tuple[Claim, ...]:
 
 
 def single_levels(problem: Problem, groups: Sequence[tuple[int, Sequence[Claim]]]) -> tuple[SingleLevel, ...]:
-    """Return all claims of a single level, with their files."""
+    """Return all claims that a single level is formed, each with its operation, pass and file.
+
+    ``groups`` has the claims of each operation, with the index of the setup.
+    """
     out = []
     for index, group in groups:
         sheets = {claim.segment: claim for claim in group if isinstance(claim, FormsSheet)}
@@ -115,7 +117,8 @@ def single_levels(problem: Problem, groups: Sequence[tuple[int, Sequence[Claim]]
             named = [candidate for candidate in problem.operations if candidate.name == claim.operation]
             operation = named[0] if named else None
             stated = getattr(operation, "level", None)
-            file, fault = None, "" if stated is not None else "its operation does not form a single level"
+            file = None
+            fault = "" if stated is not None else "its operation does not form a single level"
             if stated is not None and stated.file is not None:
                 try:
                     file = springback_file.read_level_data(Path(stated.file))

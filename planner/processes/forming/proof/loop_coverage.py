@@ -47,8 +47,8 @@ class DepthWindow:
     Attributes:
         start: Start [m] below the flat around the feature.
         end: End [m] below it.
-        path_length: Length [m] that the ball goes along the wall.
-        contour: Shortest contour [m] there.
+        path_length: Length [m] in plan of the ball's path while it touches the wall there.
+        contour: Length [m] of the shortest contour of the wall there.
     """
 
     start: float
@@ -65,16 +65,16 @@ class DepthWindow:
 def sparsest_window(formed: FormedPass, steps: tuple[float | None, float | None]) -> DepthWindow | None:
     """Return the window in which the ball goes along the smallest fraction of the contour.
 
-    Windows are `WINDOW_HEIGHT_STEPS` steps high. Contours that no ball of that size reaches do not count.
-    Loops that leave ridges of height h are 2 sqrt(2 R h - h^2) apart along the wall, with the mean steepness
-    around.
+    Windows are `WINDOW_HEIGHT_STEPS` steps high. Contours that no ball of that size reaches do not count. If
+    the scallop h is given instead of the step-down, a step is the distance along the wall of loops that leave
+    ridges of that height, 2 sqrt(2 R h - h^2) for the radius R, with the mean slope of the wall all around.
 
     Args:
         formed: Pass with its track.
         steps: Step-down and scallop [m], one of them given.
 
     Returns:
-        None if no step is given, and for walls that have no such window.
+        The window, or None if no step is given or no window fits on the wall.
     """
     claim, (step, scallop) = formed.claim, steps
     if step is None and scallop is None:
@@ -82,8 +82,8 @@ def sparsest_window(formed: FormedPass, steps: tuple[float | None, float | None]
     ridge = min(scallop or 0.0, claim.radius)
     loop_distance = step or 2.0 * float(np.sqrt(ridge * (2.0 * claim.radius - ridge)))
     depth_of_pass = abs(claim.end - claim.start)
-    least_slice = loop_distance / _SLICES_PER_STEP * (1.0 if step is not None else _FLAT_WALL_SINE)
-    slices = min(max(int(np.ceil(depth_of_pass / least_slice - 1e-6)), 1), _MAX_SLICES)
+    min_slice = loop_distance / _SLICES_PER_STEP * (1.0 if step is not None else _FLAT_WALL_SINE)
+    slices = min(max(int(np.ceil(depth_of_pass / min_slice - 1e-6)), 1), _MAX_SLICES)
     size = depth_of_pass / slices
     middle = np.float64(claim.start) - claim.side * size * (np.arange(slices, dtype=np.float64) + 0.5)
     rows = np.flatnonzero(is_wall(claim))
@@ -124,22 +124,25 @@ def sparsest_window(formed: FormedPass, steps: tuple[float | None, float | None]
     measurable = np.flatnonzero(min_contour > 0.0)
     if not len(measurable):
         return None
-    worst = int(measurable[np.argmin(window_length[measurable] / min_contour[measurable])])
-    span = spans[worst]
+    worst_index = int(measurable[np.argmin(window_length[measurable] / min_contour[measurable])])
+    span = spans[worst_index]
     return DepthWindow(
-        span.start * size, span.stop * size, float(window_length[worst]), float(min_contour[worst])
+        span.start * size,
+        span.stop * size,
+        float(window_length[worst_index]),
+        float(min_contour[worst_index]),
     )
 
 
 def _path_lengths(formed: FormedPass, size: float, slices: int) -> FloatArray:
-    """Length (S,) [m] in plan that the ball goes while it touches the wall in each slice of ``size`` [m]."""
+    """Length (S,) [m] in plan of the ball's path along the wall, in each slice of height ``size`` [m]."""
     claim, nearest, touches = formed.claim, formed.nearest, formed.is_touching
     out = np.zeros(slices)
     forming_pieces = np.flatnonzero(formed.track.is_forming[formed.pieces.first])
     for chunk in np.array_split(forming_pieces, len(forming_pieces) // _ITEMS_AT_ONCE + 1):
-        rows = formed.pieces.first[chunk], formed.pieces.last[chunk]
-        first, last = (np.searchsorted(formed.knots, ends) for ends in rows)
-        move = formed.track.centre[rows[1], 0] - formed.track.centre[rows[0], 0]
+        first_row, last_row = formed.pieces.first[chunk], formed.pieces.last[chunk]
+        first, last = (np.searchsorted(formed.knots, rows) for rows in (first_row, last_row))
+        move = formed.track.centre[last_row, 0] - formed.track.centre[first_row, 0]
         along = np.where(touches[first] & touches[last], lengths(move[:, :2]), 0.0)
         height = 0.5 * (nearest.point[first, 2] + nearest.point[last, 2])
         np.add.at(out, _slice_index(claim.side * (claim.start - height), size, slices), along)
@@ -147,5 +150,5 @@ def _path_lengths(formed: FormedPass, size: float, slices: int) -> FloatArray:
 
 
 def _slice_index(depth: FloatArray, size: float, slices: int) -> IntArray:
-    """Slices (N,) that contain depths (N,) [m]."""
+    """Indices (N,) of the slices that contain depths (N,) [m]."""
     return np.clip((depth / size).astype(np.int64), 0, slices - 1)

@@ -1,9 +1,9 @@
 """Wall angle between the loops of a track whose tools are shifted deeper than the part.
 
-For each point of the forming tool's path in plan, the loop above is the nearest one that it went along
-before, seen square to its path: a ray to either side meets it. No loop is identified by number. The wall
-between both as commanded is compared with what a metal allows in one pass, and reported with the wall without
-the shifts.
+For each point of the forming tool's path in plan, the loop above is the nearest earlier piece of the path
+that a ray square to the path meets on either side. Loops are not numbered. The wall between both positions as
+commanded is compared with the wall angle that the metal allows in one pass, and is reported together with the
+wall angle without the shifts.
 """
 
 import dataclasses
@@ -31,24 +31,24 @@ POINTS_AT_ONCE = 20_000
 DISTANCE_SAMPLES = 2_000
 """Number of points from which the usual distance of loops is determined."""
 MIN_DISTANCE_FRACTION = 0.5
-"""Loops nearer than this fraction of their usual distance are one: the seam, and a level last loop on the
-previous one. Then the next one above counts.
+"""Loops nearer to each other than this fraction of their usual distance count as one, as at the seam, or
+where the last loop at constant height runs along the previous one. Then the next loop above counts.
 """
 AVERAGING_HALF_LENGTH_M = 3e-3
 """Half length [m] of the path over which distances and heights of loops are averaged: loops are polygons with
 unrelated corners.
 """
 MIN_MOVE_M = 1e-7
-"""Moves shorter in plan [m] have no side."""
+"""Moves shorter in plan [m] have no direction, and so no side on which loops are searched."""
 GROWING_FRACTION = 0.8
-"""Fraction of what its slope permits from the first point on, from which the shift still grows from 0.
-
-That is no wall, because the sheet is not formed before the tools are as deep as it yields.
+"""While the shift is at least this fraction of what its maximum slope permits from the first point on, it
+still grows from 0. No wall is evaluated there, because the sheet is not formed before the tools are as deep
+as it yields.
 """
 MIN_LEVEL_STEP_FRACTION = 0.1
 """Levels that go down by less than this fraction of a step are floors."""
 ANGLE_TOLERANCE_RAD = np.deg2rad(1.0)
-"""Angle [rad] by which walls may be steeper than allowed: chords of a curved wall."""
+"""Angle [rad] by which walls may be steeper than allowed, because loops are chords of a curved wall."""
 MAX_ANGLE_STEP_RAD, STEP_TOLERANCE_RAD = np.deg2rad(15.0), np.deg2rad(1.0)
 """From shape to shape walls may become steeper by this angle [rad] or the operation's own step, plus
 ``STEP_TOLERANCE_RAD``.
@@ -63,12 +63,12 @@ ACCEPTED_CODE = "forming.wall_angle"
 
 @dataclasses.dataclass(frozen=True)
 class LoopWalls:
-    """K walls between loops.
+    """Walls between loops at K points of a path.
 
     Attributes:
-        angle: Angles (K,) [rad] as tools are commanded.
-        unshifted_angle: Angles (K,) [rad] without their shifts.
-        row: Points (K,) of the path at their lower ends.
+        angle: Wall angles (K,) [rad] between the loops as tools are commanded.
+        unshifted_angle: Wall angles (K,) [rad] between the loops without their shifts.
+        row: Indices (K,) of the points of the path at the lower ends of the walls.
     """
 
     angle: FloatArray
@@ -83,9 +83,9 @@ NO_WALLS = LoopWalls(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64))
 def steep_wall_issues(
     code: str, context: Context, forming: FormingFacts, formed: FormedPass, walls: LoopWalls
 ) -> Iterator[Issue]:
-    """Report the steepest wall of a pass if it is too steep, at its sample.
+    """Yield an issue for the wall of a pass that exceeds its limit most, at its sample of the motion.
 
-    Walls that are as steep without the shifts are checked by other rules.
+    A wall may be as steep as it is without the shifts, which other rules check.
 
     Args:
         code: Code of the rule.
@@ -104,16 +104,18 @@ def steep_wall_issues(
     got, unshifted, allowed = (
         float(np.rad2deg(angle)) for angle in (walls.angle[k], walls.unshifted_angle[k], limit)
     )
-    what = f"{formed.claim.segment} has a wall of {got:.1f} deg between loops due to the shift of its tools, "
-    what += f"{unshifted:.1f} deg without it, allowed in one pass is {allowed:.1f} deg"
-    row = int(formed.track.rows[walls.row[k]])
-    yield sample_issue(code, what, context.motion, formed.claim.arm, row, (got, allowed, "deg"))
+    message = (
+        f"{formed.claim.segment} has a wall of {got:.1f} deg between loops due to the shift of its tools, "
+    )
+    message += f"{unshifted:.1f} deg without it, allowed in one pass is {allowed:.1f} deg"
+    sample = int(formed.track.rows[walls.row[k]])
+    yield sample_issue(code, message, context.motion, formed.claim.arm, sample, (got, allowed, "deg"))
 
 
 def _max_wall_angle(context: Context, forming: FormingFacts, formed: FormedPass) -> float | None:
-    """Steepest wall [rad] of a pass that the metal allows, after the previous shapes.
+    """Maximum wall angle [rad] of a pass: what the metal allows, or one step beyond the previous shapes.
 
-    None if the problem accepts any, or if there is no sheet.
+    The result is None if the problem accepts steep walls, or if there is no sheet.
     """
     stock = context.setups[formed.setup].stock
     if ACCEPTED_CODE in context.problem.accept or stock.sheet is None:
@@ -128,8 +130,8 @@ def _max_wall_angle(context: Context, forming: FormingFacts, formed: FormedPass)
     )
     part, earlier = next(matches, (None, ()))
     metal = stock.sheet.metal
-    supported = part is not None and part.mode in SUPPORTED_MODES
-    limit = float(metal.wall_angle_supported if supported else metal.wall_angle_single)
+    is_supported = part is not None and part.mode in SUPPORTED_MODES
+    limit = float(metal.wall_angle_supported if is_supported else metal.wall_angle_single)
     if part is None or not earlier:
         return limit
     previous = max(shape.wall_angle(WALL_FRACTION) for shape in earlier)
@@ -137,11 +139,13 @@ def _max_wall_angle(context: Context, forming: FormingFacts, formed: FormedPass)
 
 
 def pass_walls(formed: FormedPass, slope: float) -> LoopWalls:
-    """Return the walls of a whole pass; `LoopWalls.row` is of its track.
+    """Return the walls between all loops of a pass; `LoopWalls.row` refers to its track.
+
+    There are none if its tools are not shifted.
 
     Args:
         formed: Pass.
-        slope: Maximum slope of the shifts.
+        slope: Maximum slope of the shifts along the path.
     """
     rows = _forming_rows(formed)
     if formed.track.z_correction is None or len(rows) < 2:
@@ -154,11 +158,11 @@ def pass_walls(formed: FormedPass, slope: float) -> LoopWalls:
 
 
 def level_walls(formed: FormedPass, level: SingleLevel) -> LoopWalls:
-    """Return the walls between a single level and the one above it.
+    """Return the walls between a single level and the one above it; `LoopWalls.row` refers to its track.
 
     The problem states the shift at the end of the level above. Elsewhere that shift is larger by at most the
     slope times the distance to its end, so walls are at least as steep as the result. The first level and
-    floors have none.
+    floors have no walls.
     """
     rows = _forming_rows(formed)
     start, end = level.depths
@@ -172,13 +176,14 @@ def level_walls(formed: FormedPass, level: SingleLevel) -> LoopWalls:
         return NO_WALLS
     centre = formed.track.centre[rows, 0]
     arc = np.append(0.0, np.cumsum(lengths(np.diff(centre, axis=0))))
-    slope, first = float(stated.slope), float(stated.before_mm) * MM
-    if first > 0.0 and first >= GROWING_FRACTION * slope * arc[-1] * float(stated.number):
+    slope, first_shift = float(stated.slope), float(stated.before_mm) * MM
+    # the shift still grows from 0, see GROWING_FRACTION; previous levels are about as long as this one
+    if first_shift > 0.0 and first_shift >= GROWING_FRACTION * slope * arc[-1] * float(stated.number):
         return NO_WALLS
     nearest = formed.face.nearest(centre)
     up = np.abs(centre[:, 2] - nearest.point[:, 2]) / np.maximum(nearest.distance, 1e-9)
     unshifted = np.arccos(np.clip(up, 0.0, 1.0))
-    added_depth = formed.claim.side * formed.track.z_correction[rows] - first - slope * (arc[-1] - arc)
+    added_depth = formed.claim.side * formed.track.z_correction[rows] - first_shift - slope * (arc[-1] - arc)
     angle = np.arctan(
         np.tan(np.minimum(unshifted, np.deg2rad(89.9))) * (1.0 + np.maximum(added_depth, 0.0) / rise)
     )
@@ -186,7 +191,7 @@ def level_walls(formed: FormedPass, level: SingleLevel) -> LoopWalls:
 
 
 def _forming_rows(formed: FormedPass) -> IntArray:
-    """Rows of a track while it forms: where its straight pieces meet, and others between."""
+    """Rows of a track while it forms: ends of its straight pieces, and others every `MAX_POINT_SPACING_M`."""
     forming = np.flatnonzero(formed.track.is_forming)
     if len(forming) < 2:
         return forming
@@ -198,13 +203,13 @@ def _forming_rows(formed: FormedPass) -> IntArray:
 
 
 def walls_between_loops(centre: FloatArray, shift: FloatArray, side: int, slope: float) -> LoopWalls:
-    """Return the walls between loops of a path; `LoopWalls.row` is of the path.
+    """Return the walls between loops of a path; `LoopWalls.row` refers to the points of the path.
 
     Args:
-        centre: Path (N, 3) [m] of the ball.
-        shift: Shifts (N,) [m].
-        side: Side of the ball.
-        slope: Maximum slope of the shifts.
+        centre: Commanded path (N, 3) [m] of the ball's centre.
+        shift: Shifts (N,) [m] that the path contains, positive into the sheet.
+        side: +1 if the ball is above the sheet, -1 below.
+        slope: Maximum slope of the shifts along the path.
     """
     depth = -side * centre[:, 2]
     released = depth - shift
@@ -225,9 +230,9 @@ def walls_between_loops(centre: FloatArray, shift: FloatArray, side: int, slope:
     pairs = loops.upper_pieces(np.arange(len(moving)), MIN_DISTANCE_FRACTION * float(np.median(usual)))
     kept = pairs.subset(np.argsort(pairs.lower))
     kept = kept.subset(np.flatnonzero(arc[moving[kept.upper]] > growth_end))
-    stations = arc[moving[kept.lower]]
+    lower_arc = arc[moving[kept.lower]]
     plan_distance, rise, unshifted = (
-        _moving_mean(stations, values) for values in (kept.plan_distance, kept.rise, kept.released)
+        _moving_mean(lower_arc, values) for values in (kept.plan_distance, kept.rise, kept.released)
     )
     return LoopWalls(
         np.arctan2(rise, plan_distance), np.arctan2(unshifted, plan_distance), moving[kept.lower]
@@ -240,23 +245,21 @@ def _moving_mean(arc: FloatArray, value: FloatArray) -> FloatArray:
     The window is `AVERAGING_HALF_LENGTH_M` on either side.
     """
     total = np.append(0.0, np.cumsum(value))
-    first, last = (
-        np.searchsorted(arc, arc - AVERAGING_HALF_LENGTH_M),
-        np.searchsorted(arc, arc + AVERAGING_HALF_LENGTH_M, side="right"),
-    )
+    first = np.searchsorted(arc, arc - AVERAGING_HALF_LENGTH_M)
+    last = np.searchsorted(arc, arc + AVERAGING_HALF_LENGTH_M, side="right")
     return np.asarray((total[last] - total[first]) / (last - first))
 
 
 @dataclasses.dataclass(frozen=True)
 class _UpperPieces:
-    """Pieces and the pieces above them.
+    """Pairs of a piece of the path and the nearest piece of a loop above it.
 
     Attributes:
-        lower: Pieces (K,).
-        upper: Pieces (K,) above them.
-        plan_distance: Distances (K,) [m] in plan.
-        rise: Heights (K,) [m] of the upper ones as commanded.
-        released: Heights (K,) [m] of the upper ones without shifts.
+        lower: Indices (K,) of the lower pieces.
+        upper: Indices (K,) of the upper pieces.
+        plan_distance: Distances (K,) [m] in plan from the middle of the lower piece to the upper one.
+        rise: Heights (K,) [m] of the upper above the lower pieces as commanded.
+        released: Heights (K,) [m] of the upper above the lower pieces without shifts.
     """
 
     lower: IntArray
@@ -267,6 +270,7 @@ class _UpperPieces:
 
     @property
     def distance(self) -> FloatArray:
+        """Distances (K,) [m] of the pieces in space without shifts."""
         return np.hypot(self.plan_distance, self.released)
 
     def subset(self, rows: IntArray) -> "_UpperPieces":
@@ -278,7 +282,7 @@ class _LoopPieces:
 
     Args:
         start: Starts (M, 2) [m] in plan.
-        step: Moves (M, 2) [m] in plan.
+        step: Moves (M, 2) [m] in plan from the start to the end of each piece.
         deep: Depths (2, M) [m] of both ends as commanded.
         released: Depths (2, M) [m] of both ends without shifts.
     """
@@ -291,7 +295,11 @@ class _LoopPieces:
         self._tree = shapely.STRtree(shapely.linestrings(np.stack([start, start + step], axis=1)))
 
     def upper_pieces(self, pieces: IntArray, min_distance: float) -> _UpperPieces:
-        """What is above the middles of pieces (S,), at least ``min_distance`` [m] away without shifts."""
+        """For each piece (S,) the nearest piece above its middle.
+
+        It is at least ``min_distance`` [m] away without shifts. The search distance doubles until a piece is
+        found. Pieces with nothing above them are left out.
+        """
         out = []
         for part in np.array_split(pieces, len(pieces) // POINTS_AT_ONCE + 1):
             remaining, reach = part, MIN_SEARCH_DISTANCE_M
@@ -303,19 +311,21 @@ class _LoopPieces:
         return _UpperPieces(*(np.concatenate([getattr(chunk, name) for chunk in out]) for name in names))
 
     def _upper_within(self, pieces: IntArray, reach: float, min_distance: float) -> _UpperPieces:
+        """Find upper pieces within ``reach`` [m] of the middles of pieces (S,), square to these."""
         middle, aside = self._middle[pieces], self._aside[pieces]
         rays = shapely.linestrings(np.stack([middle - reach * aside, middle + reach * aside], axis=1))
         ray, upper = self._tree.query(rays, predicate="intersects")
         earlier = upper < pieces[ray]
         ray, upper = ray[earlier], upper[earlier]
         offset, move, ray_direction = self._start[upper] - middle[ray], self._step[upper], aside[ray]
-        turn = _cross_2d(ray_direction, move)
-        good: BoolArray = np.abs(turn) > 1e-3 * lengths(move)
-        ray, upper, offset, move, ray_direction, turn = (
-            array[good] for array in (ray, upper, offset, move, ray_direction, turn)
+        # intersection of the ray middle + s direction with the piece start + t move
+        determinant = _cross_2d(ray_direction, move)
+        is_across: BoolArray = np.abs(determinant) > 1e-3 * lengths(move)
+        ray, upper, offset, move, ray_direction, determinant = (
+            array[is_across] for array in (ray, upper, offset, move, ray_direction, determinant)
         )
-        plan_distance: FloatArray = np.abs(_cross_2d(offset, move) / turn)
-        fraction = np.clip(_cross_2d(offset, ray_direction) / turn, 0.0, 1.0)
+        plan_distance: FloatArray = np.abs(_cross_2d(offset, move) / determinant)
+        fraction = np.clip(_cross_2d(offset, ray_direction) / determinant, 0.0, 1.0)
         lower: IntArray = np.asarray(pieces[ray], dtype=np.int64)
         upper = np.asarray(upper, dtype=np.int64)
         rise, released = (
@@ -329,4 +339,5 @@ class _LoopPieces:
 
 
 def _cross_2d(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Cross products (N,) of vectors (N, 2) in plan."""
     return np.asarray(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])

@@ -30,10 +30,10 @@ MAX_NEIGHBOURS = 41
 FEW_NEIGHBOURS = 9
 """Number of the nearest of them for the median of the nearest few."""
 MIN_NEIGHBOURS = 5
-"""Minimum number of points at a known point."""
+"""Minimum number of neighbours at a point for which a height is calculated."""
 MAX_SPREAD_FACTOR, SPREAD_OFFSET_M = 5.0, 2e-4
-"""Points whose neighbours are spread by more than this factor of the usual spread plus ``SPREAD_OFFSET_M``
-[m] are not known: they are stray.
+"""A point has no height if its neighbours are spread by more than this multiple of the usual spread plus
+``SPREAD_OFFSET_M`` [m], because some of them are outliers.
 """
 PLANE_FIT_ROUNDS, INLIER_FACTOR = 3, 4.0
 """Rounds of the fit of a plane, and factor of the median deviation up to which points are used."""
@@ -65,7 +65,7 @@ def read_scan(path: Path, scan: ScanData) -> FloatArray:
     """Return the points (N, 3) [m] of a scan in the sheet's frame.
 
     Raises:
-        ValueError: the fault of the scan.
+        ValueError: If the scan cannot be read, or is not the one from which the adjustments were made.
     """
     try:
         data = path.read_bytes()
@@ -80,55 +80,56 @@ def read_scan(path: Path, scan: ScanData) -> FloatArray:
 
 
 class ScanField:
-    """Height of a scan above the part.
+    """Height of a scan above the scanned face of the part, as a function of the position in plan.
 
     Args:
         mesh: Lower face [m] of the part.
         size: Size (3,) [m] of the sheet.
-        top: Whether the scan is of the top or the bottom.
-        points: Points (N, 3) [m] in the sheet's frame.
+        top: Whether the scan is of the top face of the sheet, otherwise of the bottom face.
+        points: Points (N, 3) [m] of the scan in the sheet's frame.
     """
 
     def __init__(self, mesh: Mesh, size: FloatArray, top: bool, points: FloatArray) -> None:
         self._level = float(size[2]) if top else 0.0
         self._size, self._points, self._mesh = size, points, mesh
         corners = np.asarray(mesh.vertices)[np.asarray(mesh.faces)] + np.array([0.0, 0.0, self._level])
-        self._over, self._corners = PlanLookup(corners), corners
-        row, triangle, weight = self._over.locate(points[:, :2], 0.0)
+        self._lookup, self._corners = PlanLookup(corners), corners
+        row, triangle, weight = self._lookup.locate(points[:, :2], 0.0)
         row, first = np.unique(row, return_index=True)
-        z = (weight[first] * corners[triangle[first], :, 2]).sum(axis=1)
-        up = points[row, 2] - z
-        belongs_to_part = np.abs(up) <= MAX_HEIGHT_M
-        self._plan, self._up = cKDTree(points[row[belongs_to_part], :2]), up[belongs_to_part]
+        face_height = (weight[first] * corners[triangle[first], :, 2]).sum(axis=1)
+        scan_height = points[row, 2] - face_height
+        belongs_to_part = np.abs(scan_height) <= MAX_HEIGHT_M
+        self._plan_tree = cKDTree(points[row[belongs_to_part], :2])
+        self._scan_height = scan_height[belongs_to_part]
 
     def part_height(self, points: FloatArray) -> FloatArray:
-        """Return the heights (P,) [m] of the part itself at points (P, 2) [m] in plan, NaN beside it."""
+        """Return heights (P,) [m] of the part above its flat at points (P, 2) [m] in plan, NaN outside."""
         out = np.full(len(points), np.nan)
-        row, triangle, weight = self._over.locate(points, 1e-6)
+        row, triangle, weight = self._lookup.locate(points, 1e-6)
         out[row] = (weight * self._corners[triangle, :, 2]).sum(axis=1)
         return out - self._level
 
     def scan_height(self, points: FloatArray) -> FloatArray:
         """Return how far (2, P) [m] the scan is above the part along z at points (P, 2) [m] in plan.
 
-        By a plane through the nearest points, and by the median of the nearest few; NaN where the scan has
-        too few points.
+        The first row follows from a plane through the nearest points of the scan, the second one is the
+        median of the nearest few. Both are NaN where the scan has too few points, or outliers.
         """
-        if not len(self._up) or not len(points):
+        if not len(self._scan_height) or not len(points):
             return np.full((2, len(points)), np.nan)
-        count = min(MAX_NEIGHBOURS, len(self._up))
-        _, neighbours = self._plan.query(
+        count = min(MAX_NEIGHBOURS, len(self._scan_height))
+        _, neighbours = self._plan_tree.query(
             points, k=[*range(1, count + 1)], distance_upper_bound=NEIGHBOUR_RADIUS_M
         )
-        exists = neighbours < len(self._up)
-        neighbours = np.minimum(neighbours, len(self._up) - 1)
-        value = np.where(exists, self._up[neighbours], np.nan)
-        offset = np.asarray(self._plan.data)[neighbours] - points[:, None]
+        exists = neighbours < len(self._scan_height)  # the tree returns its size for missing neighbours
+        neighbours = np.minimum(neighbours, len(self._scan_height) - 1)
+        value = np.where(exists, self._scan_height[neighbours], np.nan)
+        offset = np.asarray(self._plan_tree.data)[neighbours] - points[:, None]
         out, spread = np.full((2, len(points)), np.nan), np.full(len(points), np.inf)
-        known = np.flatnonzero(exists.sum(axis=1) >= MIN_NEIGHBOURS)
-        rest = value[known] - _plane_heights(offset[known], value[known])
-        out[:, known] = np.nanmedian(rest, axis=1), np.nanmedian(value[known, :FEW_NEIGHBOURS], axis=1)
-        spread[known] = np.nanmedian(np.abs(rest - out[0, known, None]), axis=1)
+        covered = np.flatnonzero(exists.sum(axis=1) >= MIN_NEIGHBOURS)
+        rest = value[covered] - _plane_heights(offset[covered], value[covered])
+        out[:, covered] = np.nanmedian(rest, axis=1), np.nanmedian(value[covered, :FEW_NEIGHBOURS], axis=1)
+        spread[covered] = np.nanmedian(np.abs(rest - out[0, covered, None]), axis=1)
         out[:, spread > MAX_SPREAD_FACTOR * float(np.median(spread)) + SPREAD_OFFSET_M] = np.nan
         return out
 
@@ -136,14 +137,12 @@ class ScanField:
         """Return the direction in which the part goes up at points (P, 2) [m] in plan.
 
         Returns:
-            Unit directions (P, 2), slopes (P,), and whether (P,) the part has an edge within
-                `EDGE_DISTANCE_M`.
+            Unit directions (P, 2) in plan, slopes (P,), and whether (P,) the part has an edge within
+            `EDGE_DISTANCE_M`.
         """
-        height, gradient, has_edge = (
-            self.part_height(points),
-            np.empty((len(points), 2)),
-            np.zeros(len(points), dtype=bool),
-        )
+        height = self.part_height(points)
+        gradient = np.empty((len(points), 2))
+        has_edge = np.zeros(len(points), dtype=bool)
         for axis in range(2):
             for reach in (SLOPE_STEP_M, EDGE_DISTANCE_M):
                 step = reach * np.eye(2)[axis]
@@ -154,36 +153,43 @@ class ScanField:
                     gradient[:, axis] = np.nan_to_num(upper - lower) / (2.0 * reach)
                 else:
                     has_edge |= np.abs(upper + lower - 2.0 * height) > MIN_EDGE_SLOPE_CHANGE * EDGE_DISTANCE_M
-        steep = np.sqrt((gradient * gradient).sum(axis=1))
-        return gradient / np.maximum(steep, 1e-9)[:, None], steep, has_edge
+        slope = np.sqrt((gradient * gradient).sum(axis=1))
+        return gradient / np.maximum(slope, 1e-9)[:, None], slope, has_edge
 
     def deviation(self, points: FloatArray, side: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the deviation of the scan on a side at points (P, 2) [m] in plan.
+        """Return the deviation of the scan from the part at points in plan, positive toward the tool.
+
+        It is compared with the deviation at a second point, `WALL_LENGTH_M` along the wall toward the tool.
+
+        Args:
+            points: Points (P, 2) [m] in plan.
+            side: +1 if the forming tool is above the sheet, -1 below.
 
         Returns:
-            Minimum and maximum deviation (2, P) [m]; how much more (P,) [m] it is than at `WALL_LENGTH_M`
-                along the part
-            up the wall, away from the direction of the tool; and how much (P,) [m] higher the wall is there.
+            Minimum and maximum deviation (2, P) [m]; how much (P,) [m] larger the deviation is than at the
+            second point; and how much (P,) [m] farther toward the tool the part is at the second point.
         """
-        direction, steep, has_edge = self.uphill_direction(points)
+        direction, slope, has_edge = self.uphill_direction(points)
         heights = side * self.scan_height(points)
         bounds = [heights.min(axis=0), heights.max(axis=0)]
         for sign in (1.0, -1.0):
-            # an edge of the part is an edge of the field, whose position is known as well as points are
+            # near an edge of the part the scan has an edge, too, whose position is only as exact as its
+            # points
             edge_heights = side * self.scan_height(
                 points[has_edge] + sign * EDGE_DISTANCE_M * direction[has_edge]
             )
             bounds[0][has_edge] = np.fmin(bounds[0][has_edge], edge_heights.min(axis=0))
             bounds[1][has_edge] = np.fmax(bounds[1][has_edge], edge_heights.max(axis=0))
-        up_points = points + side * (WALL_LENGTH_M / np.sqrt(1.0 + steep * steep))[:, None] * direction
+        up_points = points + side * (WALL_LENGTH_M / np.sqrt(1.0 + slope * slope))[:, None] * direction
         rise = side * (self.part_height(up_points) - self.part_height(points))
         return np.array(bounds), heights[0] - side * self.scan_height(up_points)[0], rise
 
     def flat_deviation(self) -> tuple[float, int]:
-        """Return the distance [m] of the scan's flat from the sheet's in its worst corner.
+        """Return the height difference [m] of the flats of scan and sheet in the worst of four corners.
 
         Returns:
-            The distance and the number of corners with a flat.
+            The maximum absolute difference, infinite if no corner has enough points, and the number of
+            corners that have enough.
         """
         vertices = np.asarray(self._mesh.vertices)[:, :2]
         formed = shapely.convex_hull(shapely.multipoints(vertices)).buffer(RIM_WIDTH_M)
@@ -202,10 +208,13 @@ class ScanField:
 
 
 def _plane_heights(offset: FloatArray, value: FloatArray) -> FloatArray:
-    """How much higher a plane through ``value`` is at each ``offset`` than in the middle.
+    """Heights (P, K) [m] of planes through neighbours of P points, relative to the plane at the point itself.
 
-    ``value`` (P, K) is NaN where missing, ``offset`` is (P, K, 2) [m]. Least squares of the values that do
-    not deviate much; with few values the plane is level.
+    The planes are least squares fits to the values that do not deviate much. With few values they are level.
+
+    Args:
+        offset: Vectors (P, K, 2) [m] in plan from the points to their neighbours.
+        value: Values (P, K) [m] at the neighbours, NaN where missing.
     """
     exists = np.isfinite(value)
     gradient = np.zeros((len(value), 2))
@@ -215,21 +224,21 @@ def _plane_heights(offset: FloatArray, value: FloatArray) -> FloatArray:
         is_inlier = exists & (rest <= INLIER_FACTOR * np.nanmedian(rest, axis=1)[:, None])
         weight = is_inlier / is_inlier.sum(axis=1)[:, None]
         centred = offset - (weight[..., None] * offset).sum(axis=1)[:, None]
-        high = np.where(is_inlier, value, 0.0)
-        square = np.einsum("pk,pki,pkj->pij", weight, centred, centred) + PLANE_REGULARISATION_M**2 * np.eye(
-            2
-        )
-        moment = np.einsum("pk,pki,pk->pi", weight, centred, high)
-        gradient = np.linalg.solve(square, moment[..., None])[..., 0]
+        inlier_value = np.where(is_inlier, value, 0.0)
+        covariance = np.einsum(
+            "pk,pki,pkj->pij", weight, centred, centred
+        ) + PLANE_REGULARISATION_M**2 * np.eye(2)
+        moment = np.einsum("pk,pki,pk->pi", weight, centred, inlier_value)
+        gradient = np.linalg.solve(covariance, moment[..., None])[..., 0]
     gradient[exists.sum(axis=1) < MIN_PLANE_POINTS] = 0.0
     return np.asarray((offset * gradient[:, None]).sum(axis=2))
 
 
 def mark_excess(scan: ScanData) -> float:
-    """Return how much [m] the mean deviation of marks exceeds the best fit.
+    """Return how much [m] the root mean square deviation of marks in the stated pose exceeds the best fit.
 
-    Without marks: how far the scan is moved or rotated in the sheet's plane, relative to what is allowed, in
-    the same measure.
+    Without marks it is how far the scan is moved or rotated in the sheet's plane as a multiple of what is
+    allowed, times `MAX_MARK_EXCESS_M`, so that the same limit applies.
     """
     if not len(scan.marks[0]):
         shift_ratio = float(np.abs(scan.pose[:2, 3]).max()) / MAX_UNMARKED_SHIFT_M
@@ -237,10 +246,10 @@ def mark_excess(scan: ScanData) -> float:
         return MAX_MARK_EXCESS_M * max(shift_ratio, rotation_ratio)
     sheet_marks, scan_marks = scan.marks
     stated = _rms_distance(sheet_marks, scan_marks @ scan.pose[:3, :3].T + scan.pose[:3, 3])
-    middle = sheet_marks.mean(axis=0), scan_marks.mean(axis=0)
-    u, _, v = np.linalg.svd((scan_marks - middle[1]).T @ (sheet_marks - middle[0]))  # Kabsch 1976
-    sign = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(u @ v)))])
-    best = (scan_marks - middle[1]) @ u @ sign @ v + middle[0]
+    sheet_middle, scan_middle = sheet_marks.mean(axis=0), scan_marks.mean(axis=0)
+    u, _, v = np.linalg.svd((scan_marks - scan_middle).T @ (sheet_marks - sheet_middle))  # Kabsch 1976
+    sign = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(u @ v)))])  # a rotation, not a reflection
+    best = (scan_marks - scan_middle) @ u @ sign @ v + sheet_middle
     return stated - _rms_distance(sheet_marks, best)
 
 
@@ -281,37 +290,41 @@ class TouchedPath:
 def shift_bounds(
     field: ScanField, scan: ScanData, previous: ShiftProfile, path: TouchedPath, slope: float
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Return bounds of the shifts of a pass by a scan and the file's gain.
+    """Return bounds of the shifts of a pass that follow from a scan of the last part and the file's gain.
+
+    The required shift is that of the scanned part plus the gain times the scan's deviation, averaged along
+    the path and limited in slope.
 
     Args:
         field: Field of the scan.
         scan: Scan data of the file.
-        previous: Shifts of the scanned part along its path.
-        path: Path of the ball, P points.
+        previous: Shifts with which the scanned part was formed.
+        path: Points (P) of the ball's path.
         slope: Maximum slope of the shifts.
 
     Returns:
-        Minimum and maximum shift (P,) [m], and the fraction of the path that the scan covers.
+        Minimum and maximum shift (P,) [m], NaN if the scan covers no point of the path, and the fraction of
+        the path that the scan covers.
     """
     arc, radius = path.arc, path.radius
     deviation, difference, wall_rise = field.deviation(path.plan, path.side)
-    seen = np.isfinite(deviation).all(axis=0)
-    fraction = float(seen.mean())
-    if not seen.any():
+    is_scanned = np.isfinite(deviation).all(axis=0)
+    fraction = float(is_scanned.mean())
+    if not is_scanned.any():
         return np.full(len(arc), np.nan), np.full(len(arc), np.nan), fraction
     previous_shift, factor = np.interp(arc, previous.arc, previous.shift), np.zeros(len(arc))
-    known = np.isfinite(difference) & np.isfinite(wall_rise)
-    if known.any():
+    has_difference = np.isfinite(difference) & np.isfinite(wall_rise)
+    if has_difference.any():
         formed_fraction = np.interp(
-            arc, arc[known], (1.0 - difference / np.maximum(wall_rise, MIN_RISE_M))[known]
+            arc, arc[has_difference], (1.0 - difference / np.maximum(wall_rise, MIN_RISE_M))[has_difference]
         )
         # S ~ F^0.55, F ~ h^0.09, h ~ step^2: springback where all of the step is formed
         factor = np.clip(formed_fraction, *FORMED_FRACTION_RANGE) ** -(0.55 * 0.09 * 2.0) - 1.0
-    ends = []
+    bounds = []
     for bound in deviation:
-        springback = np.interp(arc, arc[seen], bound[seen])
+        springback = np.interp(arc, arc[is_scanned], bound[is_scanned])
         springback += np.maximum(previous_shift + springback, 0.0) * factor
         required = previous_shift + scan.gain * springback_bounds.moving_mean(arc, springback, radius)
         limited = springback_bounds.limit_slope(arc, np.maximum(required, 0.0), slope)
-        ends.append(springback_bounds.moving_mean(arc, limited, radius))
-    return ends[0], ends[1], fraction
+        bounds.append(springback_bounds.moving_mean(arc, limited, radius))
+    return bounds[0], bounds[1], fraction

@@ -1,8 +1,9 @@
-"""Springback at points of a pass by the control points of a file, interpolated by the proof.
+"""Springback at points of a pass, interpolated by the proof from the control points of a file.
 
-On each level it goes from one point to the next around the loop, each under the force at the point, and
-between levels by height. The planner has its own interpolation. Both take what is between control points for
-what an elastic sheet gives there, and `verify.springback` recalculates some of it.
+On each level it is interpolated from one control point to the next around the loop, for the force at the
+point, and between levels by height. The planner has its own interpolation. Both assume that the elastic
+springback between control points is near the interpolated one; `verify.springback` recalculates it at some
+points.
 """
 
 import dataclasses
@@ -32,9 +33,9 @@ class FilePass:
         arc: Arc lengths (P,) [m] of the points.
         touch: Points (P, 3) [m] at which the forming tool touches the claimed face.
         angle: Wall angles (P,) [rad] there.
-        force: Minimum and maximum force (2, P) [N].
-        ring: Ring (P,).
-        rise: Height (P,) [m] by which the ring goes up and down.
+        force: Minimum and maximum force (2, P) [N] there.
+        ring: Index (P,) of the ring, a loop of the path, of each point.
+        rise: Height range (P,) [m] of the touched points of the ring, as in a spiral.
     """
 
     claim: FormsSheet
@@ -59,7 +60,7 @@ class FilePass:
         return springback_bounds_at(self)
 
     def level_groups(self) -> tuple[dict[int, float], dict[int, list[FileControlPoint]]]:
-        """Return the heights [m] of the levels, and their control points."""
+        """Return the mean height z [m] of the control points of each level, and these points, by level."""
         groups: dict[int, list[FileControlPoint]] = {}
         for control in self.controls:
             groups.setdefault(control.level, []).append(control)
@@ -73,19 +74,19 @@ def arc_lengths(points: FloatArray) -> FloatArray:
 
 
 def springback_bounds_at(file_pass: FilePass) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the bounds of the springback that control points give at the points of a pass.
+    """Return the bounds of the springback at the points of a pass, by the control points of its file.
 
-    On each level it is interpolated from one point to the next around the loop, each under the force there,
-    between levels by height, and with the height of the loop varied by its step.
+    On each level it is interpolated from one control point to the next around the loop, for the minimum and
+    the maximum force, and between levels by height. The height is varied by the height range of the ring.
 
     Returns:
-        Minimum and maximum springback (P,) [m], and the difference (P,) [m] of the adjacent levels.
+        Minimum and maximum springback (P,) [m], and the maximum difference (P,) [m] of the adjacent levels.
     """
     count = len(file_pass.arc)
-    known, groups = file_pass.level_groups()
-    order = sorted(groups, key=lambda level: known[level])
-    height = np.array([known[level] for level in order])
-    table = np.empty((len(order), 2, count))
+    level_height, groups = file_pass.level_groups()
+    order = sorted(groups, key=lambda level: level_height[level])
+    height = np.array([level_height[level] for level in order])
+    table = np.empty((len(order), 2, count))  # springback by level, force bound and point
     for k in np.unique(file_pass.ring):
         rows = np.flatnonzero(file_pass.ring == k)
         along = file_pass.arc[rows] - file_pass.arc[rows[0]]
@@ -98,23 +99,23 @@ def springback_bounds_at(file_pass: FilePass) -> tuple[FloatArray, FloatArray, F
             table[row, :, rows] = _interpolate_on_loop(
                 along, knot_arc, group, file_pass.force[:, rows], loop_length
             ).T
-    either, column = [], np.arange(count)
+    candidates, column = [], np.arange(count)
     level_difference = np.zeros(count)
     for direction in (-1.0, 0.0, 1.0):
         z = np.clip(file_pass.touch[:, 2] + direction * file_pass.rise, height[0], height[-1])
         above = np.clip(np.searchsorted(height, z), 1, max(len(height) - 1, 1))
         below = np.minimum(above - 1, len(height) - 1)
         above = np.minimum(above, len(height) - 1)
-        wide = np.where(above > below, height[above] - height[below], 1.0)
-        fraction = np.clip((z - height[below]) / wide, 0.0, 1.0)
+        level_step = np.where(above > below, height[above] - height[below], 1.0)
+        fraction = np.clip((z - height[below]) / level_step, 0.0, 1.0)
         for low, high in zip(
             (table[below, end, column] for end in (0, 1)),
             (table[above, end, column] for end in (0, 1)),
             strict=True,
         ):
-            either.append(low * (1.0 - fraction) + high * fraction)
+            candidates.append(low * (1.0 - fraction) + high * fraction)
             level_difference = np.maximum(level_difference, np.abs(high - low))
-    return np.min(either, axis=0), np.max(either, axis=0), level_difference
+    return np.min(candidates, axis=0), np.max(candidates, axis=0), level_difference
 
 
 def _interpolate_on_loop(
@@ -124,32 +125,32 @@ def _interpolate_on_loop(
     force: FloatArray,
     loop_length: float,
 ) -> FloatArray:
-    """Springback (2, R) [m] at points of a loop: linear from one control point to the next.
+    """Springback (2, R) [m] at points of a closed loop, linear from one control point to the next.
 
-    The points are at ``along`` (R,) [m] of ``loop_length`` [m], under ``force`` (2, R) [N]; the control
-    points at ``knot_arc`` (C,) [m].
+    The points are at the arc lengths ``along`` (R,) [m] of ``loop_length`` [m], under the minimum and maximum
+    force ``force`` (2, R) [N]; the control points are at ``knot_arc`` (C,) [m].
     """
     order = np.argsort(knot_arc)
     knots = knot_arc[order]
     previous = (np.searchsorted(knots, along, side="right") - 1) % len(knots)
-    after = (previous + 1) % len(knots)
-    gap = (knots[after] - knots[previous]) % loop_length
+    following = (previous + 1) % len(knots)
+    gap = (knots[following] - knots[previous]) % loop_length
     gap = np.where(gap > 0.0, gap, loop_length)
     fraction = ((along - knots[previous]) % loop_length) / gap
     out = np.zeros_like(force)
     for k, row in enumerate(order):
-        for end, weight in ((previous, 1.0 - fraction), (after, fraction)):
+        for end, weight in ((previous, 1.0 - fraction), (following, fraction)):
             selected = end == k
             out[:, selected] += weight[selected] * controls[row].springback_under(force[:, selected])
     return out
 
 
 def limit_slope(arc: FloatArray, value: FloatArray, slope: float) -> FloatArray:
-    """Return the part of a curve (P,) that starts at 0 and has a limited slope.
+    """Return the largest curve (P,) below a given one that starts at 0 and has a limited slope.
 
     Args:
         arc: Arc lengths (P,) [m].
-        value: Curve (P,).
+        value: Given curve (P,), not negative.
         slope: Maximum slope.
     """
     out = value.tolist()
@@ -163,15 +164,15 @@ def limit_slope(arc: FloatArray, value: FloatArray, slope: float) -> FloatArray:
 
 
 def moving_mean(arc: FloatArray, value: FloatArray, half: float) -> FloatArray:
-    """Return the mean (P,) of a curve over ``half`` [m] of its path on either side, less at its ends."""
+    """Return the moving mean (P,) of a curve over ``half`` [m] on either side, less near its ends."""
     area = np.append(0.0, np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(arc)))
     reach = np.minimum(half, np.minimum(arc - arc[0], arc[-1] - arc))
-    both = np.interp(arc + reach, arc, area) - np.interp(arc - reach, arc, area)
-    return np.asarray(np.where(reach > 1e-9, both / np.maximum(2.0 * reach, 1e-12), value))
+    window_area = np.interp(arc + reach, arc, area) - np.interp(arc - reach, arc, area)
+    return np.asarray(np.where(reach > 1e-9, window_area / np.maximum(2.0 * reach, 1e-12), value))
 
 
 def adjacent_controls(file_pass: FilePass, row: int) -> tuple[FileControlPoint, ...]:
-    """Return the control points next to a point of a pass, of the level above it and of the one below."""
+    """Return the control points nearest in plan to point ``row`` of a pass on the levels around it."""
     height, groups = file_pass.level_groups()
     order = sorted(groups, key=lambda level: height[level])
     above = int(np.searchsorted([height[level] for level in order], file_pass.touch[row, 2]))

@@ -1,10 +1,10 @@
 """The springback file of a problem, as the proof reads it, and the tools without its shifts.
 
 For each pass the file has the path of the forming tool and the shift S by which tools are deeper there. So
-the commanded path is the polyline of its points, each lower by its S. The nearest point on that polyline
-gives S for a replayed position, and the tools minus S along z are the *released* ones: the positions they
-would have in a sheet that does not yield. A path that deviates from the file's keeps its deviation, because S
-changes by at most a stated slope.
+the commanded path is the polyline of its points, each deeper by its S. The nearest point on that polyline
+gives S for a replayed position. Tools moved back by S along z are *released*: they have the positions that
+they would have in a sheet that does not yield. A replayed path that deviates from the file's path keeps its
+deviation when it is released, because S changes by at most a stated slope.
 """
 
 import dataclasses
@@ -24,7 +24,7 @@ from planner.problem import Problem, Setup, Sheet
 from planner.tooling import FormingTool
 
 MARK_SPACING_M = 4e-4
-"""Maximum spacing [m] of marks on a path."""
+"""Maximum spacing [m] of the marks on a path, which are points for the search of the nearest piece."""
 NEAREST_MARKS = 5
 """Number of marks nearest to a position whose pieces of the path are checked first."""
 POSITIONS_AT_ONCE = 100_000
@@ -32,7 +32,7 @@ POSITIONS_AT_ONCE = 100_000
 SHIFT_ROUNDING_M = 3e-8
 """Maximum difference [m] of two rounded shifts."""
 CURVE_TOLERANCE_FRACTION = 0.01
-"""Maximum relative deviation of the springback of a control point from its own curve: figures are rounded."""
+"""Maximum relative deviation of the springback of a control point from its own curve: values are rounded."""
 MIN_POWER, MAX_POWER = 0.25, 4.0
 """From load to load springback grows with powers of the force from 0.25, less than a membrane's third, to 4,
 where a sheet is about to snap.
@@ -51,13 +51,13 @@ class FileControlPoint:
 
     Attributes:
         segment: Name of the segment.
-        level: Level.
+        level: Number of its level in the segment.
         point: Position (3,) [m] on the face.
         angle: Stated wall angle [rad].
         force: Force [N].
-        springback: Springback [m].
-        loads: Loads (K,) [N] of its curve, from 0.
-        displacement: Displacements (K,) [m] of its curve.
+        springback: Springback [m] when that force is released.
+        loads: Loads (K,) [N] of its curve, ascending from 0.
+        displacement: Displacements (K,) [m] of its curve, ascending from 0.
     """
 
     segment: str
@@ -70,39 +70,41 @@ class FileControlPoint:
     displacement: FloatArray
 
     def springback_under(self, force: FloatArray) -> FloatArray:
-        """Return the springback [m] under ``force`` [N].
+        """Return the springback [m] under ``force`` [N] by interpolation of the curve.
 
-        It is a power law S = a F^b from load to load, and linear up to the first load.
+        Between two loads it is a power law S = a F^b, and linear from 0 to the first load.
         """
-        first = force < self.loads[1]
+        is_below_first_load = force < self.loads[1]
         power = np.interp(
             np.log(np.maximum(force, self.loads[1])), np.log(self.loads[1:]), np.log(self.displacement[1:])
         )
-        return np.asarray(np.where(first, force / self.loads[1] * self.displacement[1], np.exp(power)))
+        return np.asarray(
+            np.where(is_below_first_load, force / self.loads[1] * self.displacement[1], np.exp(power))
+        )
 
     def fault(self) -> str:
-        """Return the fault of its curve, or an empty string."""
-        loads, moved = self.loads, self.displacement
+        """Return a text on the fault of its curve, or an empty string if it is valid."""
+        loads, displacement = self.loads, self.displacement
         if (
             loads.ndim != 1
-            or loads.shape != moved.shape
+            or loads.shape != displacement.shape
             or len(loads) < 3
             or loads[0] != 0.0
-            or moved[0] != 0.0
+            or displacement[0] != 0.0
         ):
             return "has no curve from 0 on"
-        if not (np.diff(loads) > 0.0).all() or not (np.diff(moved) > 0.0).all():
+        if not (np.diff(loads) > 0.0).all() or not (np.diff(displacement) > 0.0).all():
             return "has a curve that does not increase"
-        power = np.diff(np.log(moved[1:])) / np.diff(np.log(loads[1:]))
+        power = np.diff(np.log(displacement[1:])) / np.diff(np.log(loads[1:]))
         if not ((power >= MIN_POWER) & (power <= MAX_POWER)).all():
             low, high = float(power.min()), float(power.max())
             return f"has an implausible curve, with powers {low:.2g} to {high:.2g} of the force"
-        at = float(self.springback_under(np.minimum(self.force, loads[-1])))
+        curve_springback = float(self.springback_under(np.minimum(self.force, loads[-1])))
         if (
-            not abs(at - self.springback)
+            not abs(curve_springback - self.springback)
             <= CURVE_TOLERANCE_FRACTION * self.springback + 10.0 * SHIFT_ROUNDING_M
         ):
-            return f"has {self.springback / MM:.4f} mm, but its curve has {at / MM:.4f} mm"
+            return f"has {self.springback / MM:.4f} mm, but its curve has {curve_springback / MM:.4f} mm"
         return ""
 
 
@@ -112,8 +114,8 @@ class FilePath:
 
     Attributes:
         point: Path (K, 3) [m] of the forming tool without shifts.
-        shift: Shift (K,) [m] of each point.
-        ring: Ring (K,) of each point.
+        shift: Shift (K,) [m] of each point into the sheet.
+        ring: Index (K,) of the ring, a loop of the path, of each point.
     """
 
     point: FloatArray
@@ -123,42 +125,45 @@ class FilePath:
     def faults(
         self, slope: float, max_shift: float, first: float = 0.0
     ) -> list[tuple[str, float, float, str]]:
-        """Return what exceeds the problem's limits: what, actual, allowed, unit.
+        """Return what exceeds the problem's limits.
 
         Args:
             slope: Maximum slope.
             max_shift: Maximum shift [m].
             first: Required shift [m] at the start.
+
+        Returns:
+            For each fault a text, the actual and the allowed value, and their unit.
         """
         out = []
-        low, high, begins = float(self.shift.min()), float(self.shift.max()), float(self.shift[0])
-        if low < 0.0:
-            out.append(("a shift out of the sheet", low / MM, 0.0, "mm"))
-        if high > max_shift:
-            out.append(("a shift that is too large", high / MM, max_shift / MM, "mm"))
-        if abs(begins - first) > SHIFT_ROUNDING_M:
-            out.append(("a wrong shift where the tool reaches the sheet", begins / MM, first / MM, "mm"))
+        lowest, highest, start_shift = float(self.shift.min()), float(self.shift.max()), float(self.shift[0])
+        if lowest < 0.0:
+            out.append(("a shift out of the sheet", lowest / MM, 0.0, "mm"))
+        if highest > max_shift:
+            out.append(("a shift that is too large", highest / MM, max_shift / MM, "mm"))
+        if abs(start_shift - first) > SHIFT_ROUNDING_M:
+            out.append(("a wrong shift where the tool reaches the sheet", start_shift / MM, first / MM, "mm"))
         step = np.sqrt(((self.point[1:] - self.point[:-1]) ** 2).sum(axis=1))
         rise = np.maximum(np.abs(self.shift[1:] - self.shift[:-1]) - SHIFT_ROUNDING_M, 0.0)
         steep = rise > slope * step
         if steep.any():
-            worst = float((rise[steep] / np.maximum(step[steep], 1e-9)).max())
-            out.append(("a shift that changes too fast along the path", worst, slope, "mm/mm"))
+            max_slope = float((rise[steep] / np.maximum(step[steep], 1e-9)).max())
+            out.append(("a shift that changes too fast along the path", max_slope, slope, "mm/mm"))
         return out
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ScanData:
-    """What a file of adjustments states about its scan.
+    """What a file of adjustments states about the scan from which it was made.
 
     Attributes:
-        digest: Digest of the scan.
-        unit: Unit [m].
-        is_top: Whether the scan is of the top face.
-        pose: Pose (4, 4) into the sheet's frame.
-        marks: Marks (2, K, 3) [m] in the sheet's and the scan's frame.
-        gain: Gain.
-        adjusts: Passes that the file adjusts.
+        digest: SHA-256 of the scan file.
+        unit: Unit of the scan's coordinates [m].
+        is_top: Whether the scan is of the top face of the sheet, otherwise of the bottom face.
+        pose: Transform (4, 4) from the scan's to the sheet's frame.
+        marks: Positions (2, K, 3) [m] of marks in the sheet's and in the scan's frame.
+        gain: Fraction of the measured deviation by which shifts are adjusted.
+        adjusts: Names of the passes that the file adjusts.
     """
 
     digest: str
@@ -171,14 +176,14 @@ class ScanData:
 
 
 def _read_scan_data(data: dict[str, Any]) -> ScanData:
-    """Scan data of a file's values.
+    """Read the scan data from the parsed file of adjustments.
 
-    Raises ``ValueError``, ``KeyError``, ``TypeError``.
+    Invalid data raise ``ValueError``, ``KeyError``, ``TypeError`` or ``IndexError``.
     """
     scan = data["scan"]
     pose = np.array(scan["pose"], dtype=np.float64)
-    rows = [[row[1], row[2]] for row in scan["marks"]]
-    marks = np.array(rows, dtype=np.float64).reshape(-1, 2, 3).transpose(1, 0, 2) * MM
+    mark_pairs = [[mark[1], mark[2]] for mark in scan["marks"]]  # without the name, mark[0]
+    marks = np.array(mark_pairs, dtype=np.float64).reshape(-1, 2, 3).transpose(1, 0, 2) * MM
     if pose.shape != (4, 4) or not np.isfinite(pose).all() or not np.isfinite(marks).all():
         raise ValueError("the position of its scan is no pose")
     rotation = pose[:3, :3]
@@ -197,14 +202,14 @@ def _read_scan_data(data: dict[str, Any]) -> ScanData:
 
 @dataclasses.dataclass(frozen=True)
 class SpringbackFileData:
-    """Data of a springback file.
+    """Data of a springback file, or of a file of adjustments.
 
     Attributes:
-        belongs: What it belongs to, by name.
-        controls: Control points.
+        belongs: Values that identify the job to which the file belongs, by name.
+        controls: Control points; none in a file of adjustments.
         paths: Paths by the segments' names.
-        measured: Scan data if it was made from a scan, else None.
-        previous_paths: Paths with which the scanned part was formed.
+        measured: Scan data of a file of adjustments, otherwise None.
+        previous_paths: Paths with which the scanned part was formed, by the segments' names.
     """
 
     belongs: dict[str, Any]
@@ -219,8 +224,8 @@ class LevelFileData:
     """Data of a file of a single level.
 
     Attributes:
-        belongs: What it belongs to, by name.
-        plan: Plan.
+        belongs: Values that identify the job to which the file belongs, by name.
+        plan: The plan of levels to which the file belongs.
         name: Name of the pass.
         number: Number of the level.
         path: Path of the level.
@@ -234,9 +239,9 @@ class LevelFileData:
 
 
 def _read_checked_json(path: Path) -> Any:
-    """Content of a file whose checksum is correct.
+    """Parse a JSON file whose last entry is the SHA-256 of the text before it.
 
-    Raises ``ValueError`` with the fault.
+    A file that cannot be read or parsed, or whose checksum is wrong, raises ``ValueError`` with the fault.
     """
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
@@ -244,11 +249,11 @@ def _read_checked_json(path: Path) -> Any:
         content = path.read_bytes()
     except OSError as error:
         raise ValueError(f"it cannot be read ({error.strerror})") from None
-    mark = content.rfind(b'"sha256": "')
-    end = content[mark + 11 :] if mark >= 0 else b""
-    if len(end.rstrip()) < 66 or end.rstrip()[64:] not in (b'"\n}', b'"}'):
+    checksum_start = content.rfind(b'"sha256": "')
+    checksum_text = content[checksum_start + 11 :] if checksum_start >= 0 else b""
+    if len(checksum_text.rstrip()) < 66 or checksum_text.rstrip()[64:] not in (b'"\n}', b'"}'):
         raise ValueError("it is truncated: its last line states no checksum")
-    if hashlib.sha256(content[:mark]).hexdigest().encode() != end[:64]:
+    if hashlib.sha256(content[:checksum_start]).hexdigest().encode() != checksum_text[:64]:
         raise ValueError("its text does not match its checksum")
     try:
         return json.loads(content.decode("utf-8"))
@@ -260,7 +265,7 @@ def read_level_data(path: Path) -> LevelFileData:
     """Read the file of a single level.
 
     Raises:
-        ValueError: the fault of the file.
+        ValueError: If the file cannot be read or is invalid; the message states its fault.
     """
     data = _read_checked_json(path)
     try:
@@ -283,10 +288,10 @@ def read_level_data(path: Path) -> LevelFileData:
 
 
 def read_springback_data(path: Path) -> SpringbackFileData:
-    """Read a springback file.
+    """Read a springback file, or a file of adjustments from a scan.
 
     Raises:
-        ValueError: the fault of the file.
+        ValueError: If the file cannot be read or is invalid; the message states its fault.
     """
     data = _read_checked_json(path)
     if isinstance(data, dict) and data.get("tandem_adjustment") == 2:
@@ -309,19 +314,19 @@ def read_springback_data(path: Path) -> SpringbackFileData:
             for row in data["control_points"]
         )
         belongs, count = dict(data["belongs_to"]), int(data["points"])
-        for item in controls:
-            figures = [
-                *item.point,
-                item.force,
-                item.springback,
-                item.angle,
-                *item.loads.ravel(),
-                *item.displacement.ravel(),
+        for control in controls:
+            values = [
+                *control.point,
+                control.force,
+                control.springback,
+                control.angle,
+                *control.loads.ravel(),
+                *control.displacement.ravel(),
             ]
-            if not np.isfinite(figures).all():
+            if not np.isfinite(values).all():
                 raise ValueError("a control point has no finite values")
-            if item.fault():
-                raise ValueError(f"a control point of {item.segment} {item.fault()}")
+            if control.fault():
+                raise ValueError(f"a control point of {control.segment} {control.fault()}")
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise ValueError(f"it cannot be parsed: {type(error).__name__} {error}") from None
     if count != sum(len(path_of_pass.point) for path_of_pass in paths.values()) or len(paths) != len(
@@ -334,6 +339,7 @@ def read_springback_data(path: Path) -> SpringbackFileData:
 
 
 def _read_adjustment(data: dict[str, Any]) -> SpringbackFileData:
+    """Read the parsed file of adjustments; invalid data raise ``ValueError`` with the fault."""
     try:
         paths, previous_paths = (
             {str(entry["name"]): _read_path(entry["rings"]) for entry in data[k]}
@@ -351,25 +357,26 @@ def _read_adjustment(data: dict[str, Any]) -> SpringbackFileData:
 
 
 def _read_path(rings: list[list[list[float]]]) -> FilePath:
+    """Read the path of a pass from its rings, whose points are x, y, z and the shift [mm]."""
     tables = [np.array(ring, dtype=np.float64).reshape(-1, 4) * MM for ring in rings]
-    ring = np.concatenate([np.full(len(table), k) for k, table in enumerate(tables)])
-    table_of_all = np.concatenate(tables)
-    if len(table_of_all) < 2 or not np.isfinite(table_of_all).all():
+    ring_index = np.concatenate([np.full(len(table), k) for k, table in enumerate(tables)])
+    points_and_shifts = np.concatenate(tables)
+    if len(points_and_shifts) < 2 or not np.isfinite(points_and_shifts).all():
         raise ValueError("a pass has no path")
     if (
-        np.abs(table_of_all).max() > MAX_COORDINATE_M
-        or np.sqrt((np.diff(table_of_all[:, :3], axis=0) ** 2).sum(axis=1)).sum() > MAX_PATH_LENGTH_M
+        np.abs(points_and_shifts).max() > MAX_COORDINATE_M
+        or np.sqrt((np.diff(points_and_shifts[:, :3], axis=0) ** 2).sum(axis=1)).sum() > MAX_PATH_LENGTH_M
     ):
         raise ValueError(
             f"a pass goes farther than {MAX_COORDINATE_M:g} m or is longer than {MAX_PATH_LENGTH_M:g} m"
         )
-    return FilePath(table_of_all[:, :3], table_of_all[:, 3], ring)
+    return FilePath(points_and_shifts[:, :3], points_and_shifts[:, 3], ring_index)
 
 
 def job_identity_of(problem: Problem, setup: Setup, operation: Any) -> dict[str, Any] | None:
-    """Return what a file of an operation has to belong to, by name.
+    """Return the values that identify the job of an operation, by name, which its file has to state.
 
-    None if there is no sheet that springs back.
+    The result is None if the problem has no formed part or the setup has no sheet.
     """
     part, sheet = problem.part, setup.stock.sheet
     if part is None or part.formed is None or sheet is None:
@@ -383,7 +390,7 @@ def job_identity_of(problem: Problem, setup: Setup, operation: Any) -> dict[str,
 
 
 def differing_names(file_identity: Mapping[str, Any], own_identity: Mapping[str, Any]) -> list[str]:
-    """Return the names under which a file has another value than the job."""
+    """Return the names under which the values of a file and of the job differ, or one of them is missing."""
     return [
         name
         for name in sorted({*own_identity, *file_identity})
@@ -394,10 +401,10 @@ def differing_names(file_identity: Mapping[str, Any], own_identity: Mapping[str,
 def _expected_identity(
     operation: Any, size: FloatArray, sheet: Sheet, mesh: Mesh, tools: dict[str, Any]
 ) -> dict[str, Any]:
-    """What a file of this operation has to belong to, by name.
+    """The values that identify a job, by name, as a file states them.
 
-    ``size`` (3,) [m] and ``sheet`` are those of the stock, ``mesh`` the part's as given, ``tools`` those of
-    each arm [kind, radius in m].
+    ``size`` (3,) [m] and ``sheet`` are those of the stock, ``mesh`` is the part as given, and ``tools`` has
+    the kind and the radius [m] of each arm's tool.
     """
     metal = sheet.metal
     nanometres = [np.rint(table * 1e9).astype("<i8") for table in (mesh.vertices, sheet.opening)]
@@ -439,7 +446,7 @@ OPERATION_FIELDS = (
     *("mode", "side", "path", "stepdown_mm", "scallop_mm", "strategy", "order"),
     *("passes", "angle_step_deg", "repeats", "force_n"),
 )
-"""Fields of an operation that determine the springback of its sheet, and the position of its loops."""
+"""Fields of an operation that determine the springback of its sheet and the positions of its loops."""
 
 
 def _round_nine_digits(value: float) -> float:
@@ -447,7 +454,10 @@ def _round_nine_digits(value: float) -> float:
 
 
 class ShiftLookup:
-    """Shifts along the commanded path of one pass, whose tools on ``side`` +1 are above."""
+    """Lookup of the shifts of one pass by positions on its commanded path.
+
+    ``side`` is +1 if the forming tool is above the sheet, -1 below.
+    """
 
     def __init__(self, path: FilePath, side: int) -> None:
         self.path, self.side = path, side
@@ -467,13 +477,13 @@ class ShiftLookup:
         return cKDTree(self._marks)
 
     def shift_and_distance(self, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the shifts at replayed positions, and the distances from the commanded path.
+        """Return the shifts at replayed positions, and their distances from the commanded path.
 
         Args:
-            positions: Positions (N, 3) [m] of the forming tool.
+            positions: Positions (N, 3) [m] of the forming tool in the sheet's frame.
 
         Returns:
-            Shifts (N,) [m] and distances (N,) [m].
+            Shifts (N,) [m] at the nearest points of the commanded path, and distances (N,) [m] from these.
         """
         shift, distance = np.empty(len(positions)), np.empty(len(positions))
         for start in range(0, len(positions), POSITIONS_AT_ONCE):
@@ -482,6 +492,7 @@ class ShiftLookup:
         return shift, distance
 
     def _shift_and_distance_chunk(self, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Compare pieces with the nearest marks, and with twice as many where these do not decide."""
         shift, distance = np.empty(len(positions)), np.empty(len(positions))
         remaining, count = np.arange(len(positions)), min(NEAREST_MARKS, len(self._marks))
         while len(remaining):
@@ -491,13 +502,13 @@ class ShiftLookup:
             )
             shift[remaining], distance[remaining] = self._nearest(positions[remaining], self._owner[marks])
             # where paths are close to one another, the nearest piece may have none of the nearest marks
-            more = mark_distance[:, -1] < distance[remaining] + 0.5 * MARK_SPACING_M
-            remaining = remaining[more] if count < len(self._marks) else remaining[:0]
+            is_undecided = mark_distance[:, -1] < distance[remaining] + 0.5 * MARK_SPACING_M
+            remaining = remaining[is_undecided] if count < len(self._marks) else remaining[:0]
             count = min(2 * count, len(self._marks))
         return shift, distance
 
     def _nearest(self, positions: FloatArray, piece: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Shifts (N,) [m] at the nearest point on any of the pieces (N, M), and its distance (N,) [m]."""
+        """Shifts (N,) [m] at the nearest points on any of the pieces (N, M), and their distances (N,) [m]."""
         rest = positions[:, None] - self._start[piece]
         fraction = np.clip((rest * self._moves[piece]).sum(axis=2) / self._square[piece], 0.0, 1.0)
         away = np.sqrt(((rest - fraction[..., None] * self._moves[piece]) ** 2).sum(axis=2))
@@ -505,5 +516,5 @@ class ShiftLookup:
         piece, fraction, away = (
             np.take_along_axis(array, best, axis=1)[:, 0] for array in (piece, fraction, away)
         )
-        value = self.path.shift
-        return value[piece] + fraction * (value[piece + 1] - value[piece]), away
+        path_shift = self.path.shift
+        return path_shift[piece] + fraction * (path_shift[piece + 1] - path_shift[piece]), away

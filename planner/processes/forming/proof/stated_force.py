@@ -1,9 +1,10 @@
 """Forces on the sheet that the problem states, as the proof reads them: by depth, or by level as measured.
 
-A table is for the forming tool, and the force of the support is subtracted. A file of measured forces, parsed
-by the proof's own reader, is for both tools together. Level K of a pass is K to K + 1 steps below the
-surrounding flat. The force of a spiral's level counts at its middle, any other at the end. Around a level the
-force is interpolated along straight lines in plan from one point to the next.
+A table has the force of the forming tool, from which the force of the support is subtracted. A file of
+measured forces, parsed by the proof's own reader, has the force of both tools together. Level K of a pass is
+K to K + 1 steps below the surrounding flat. The force of a spiral's level applies at the middle of its
+height, any other force at the end of its level. Around a level the force is interpolated along straight lines
+in plan from one point to the next.
 """
 
 import csv
@@ -30,9 +31,9 @@ class StatedPassForce:
     """Forces of one pass.
 
     Attributes:
-        height: Heights (L,) [m], ascending.
-        ring: For each height rows (P, 3) of x, y [m] and the force [N]; a single row holds for the whole
-            height.
+        height: Heights z (L,) [m], ascending.
+        ring: For each height an array (P, 3) of points of a closed line, with x, y [m] and the force [N]. A
+            single point stands for the whole height.
     """
 
     height: FloatArray
@@ -48,7 +49,10 @@ class StatedPassForce:
 
 
 def _force_on_ring(ring: FloatArray, plan: FloatArray) -> FloatArray:
-    """Forces (N,) [N] at the nearest points on a closed line to those in plan (N, 2)."""
+    """Forces (N,) [N] at the points of a closed line that are nearest to points in plan (N, 2) [m].
+
+    ``ring`` (P, 3) has x, y [m] and the force [N] at the corners of the line.
+    """
     if len(ring) == 1:
         return np.full(len(plan), ring[0, 2])
     start, edge = ring[:, :2], np.roll(ring[:, :2], -1, axis=0) - ring[:, :2]
@@ -60,21 +64,21 @@ def _force_on_ring(ring: FloatArray, plan: FloatArray) -> FloatArray:
         rest = plan[start_row : start_row + chunk, None] - start
         fraction = np.clip((rest * edge).sum(axis=2) / square, 0.0, 1.0)
         away = ((rest - fraction[..., None] * edge) ** 2).sum(axis=2)
-        side = away.argmin(axis=1)
-        edge_fraction = fraction[np.arange(len(side)), side]
-        out[start_row : start_row + chunk] = ring[side, 2] + edge_fraction * rise[side]
+        edge_index = away.argmin(axis=1)
+        edge_fraction = fraction[np.arange(len(edge_index)), edge_index]
+        out[start_row : start_row + chunk] = ring[edge_index, 2] + edge_fraction * rise[edge_index]
     return out
 
 
 def stated_pass_force(operation: Any, claim: FormsSheet) -> StatedPassForce | None:
-    """Return the forces that an operation states for a pass, or None if a formula is used.
+    """Return the forces that an operation states for a pass, or None if it states none and a formula is used.
 
     Args:
-        operation: Operation.
+        operation: Operation of the problem.
         claim: Claim on the pass.
 
     Raises:
-        ValueError: the error in the file of measured forces.
+        ValueError: If the file of measured forces is invalid; the message states its fault.
     """
     support = float(operation.support_force_n or 0.0)
     if operation.force_n is not None:
@@ -88,6 +92,7 @@ def stated_pass_force(operation: Any, claim: FormsSheet) -> StatedPassForce | No
 
 
 def _measured_force(path: Path, operation: Any, claim: FormsSheet) -> StatedPassForce:
+    """Read the measured forces of a pass; a file that lacks levels or points raises ``ValueError``."""
     name, step = claim.segment.name, float(operation.stepdown_mm) * MM
     levels: dict[int, dict[int, tuple[float, float, float]]] = {}
     for row in _rows(path):
@@ -101,16 +106,16 @@ def _measured_force(path: Path, operation: Any, claim: FormsSheet) -> StatedPass
         if not np.isfinite([force, x, y]).all() or force < 0.0:
             raise ValueError(f"level {level} has the force {row['force_n']}")
         levels.setdefault(level, {})[point] = (x, y, force)
-    deep = abs(claim.end - claim.start)
-    whole = max(int(np.ceil(deep / step - WHOLE_STEP_TOLERANCE)), 1)
-    allowed = {whole, whole + 1} if operation.path == "helical" else {whole}
+    pass_depth = abs(claim.end - claim.start)
+    level_count = max(int(np.ceil(pass_depth / step - WHOLE_STEP_TOLERANCE)), 1)
+    allowed = {level_count, level_count + 1} if operation.path == "helical" else {level_count}
     if len(levels) not in allowed or set(levels) != set(range(len(levels))):
-        raise ValueError(f"it has the levels {sorted(levels)} of {name}, which has {whole}")
+        raise ValueError(f"it has the levels {sorted(levels)} of {name}, which has {level_count}")
     height, rings = [], []
     for number, points in levels.items():
         if set(points) != set(range(len(points))):
             raise ValueError(f"level {number} of {name} has the points {sorted(points)}")
-        level_start, level_end = min(number * step, deep), min((number + 1) * step, deep)
+        level_start, level_end = min(number * step, pass_depth), min((number + 1) * step, pass_depth)
         force_depth = 0.5 * (level_start + level_end) if operation.path == "helical" else level_end
         height.append(claim.start - claim.side * force_depth)
         rings.append(np.array([points[k] for k in range(len(points))]))
@@ -119,6 +124,7 @@ def _measured_force(path: Path, operation: Any, claim: FormsSheet) -> StatedPass
 
 
 def _rows(path: Path) -> list[dict[str, str]]:
+    """Read the rows of a CSV file with the columns level and force_n; faults raise ``ValueError``."""
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
             raise ValueError("it is too large")

@@ -1,9 +1,10 @@
-"""Volumes swept by forming tools: what their balls leave of the required faces, and where their heads go.
+"""Volumes swept by forming tools: how exactly their balls form the required faces, and where their heads go.
 
-Deviations at points, and a mesh, of the final formed sheet; and which part of a face exists while it is being
-formed: all of it down to the lowest point that the forming ball has touched. Below, the sheet still hangs
-from the ball, nearer to the forming tool than the face will be. `HeadPath` determines whether points are
-inside the head of a tool anywhere along its path.
+The first part calculates deviations at points, and a mesh, of the final formed sheet. The second part
+determines which part of a face exists while it is being formed: all of it down to the lowest point that the
+forming ball has touched. Below, the sheet still hangs from the ball, nearer to the forming tool than the face
+will be. The third part, with `HeadPath` and `ToolHead`, determines whether points are inside the head of a
+tool anywhere along its path.
 """
 
 import dataclasses
@@ -29,7 +30,7 @@ from planner.proof.verdict import CutFace
 from planner.runtime.executor import SERIAL
 
 LEVEL_TOLERANCE_M = 1e-5
-"""Triangles whose corners are all this near to a level [m] are flat there."""
+"""Triangles whose corners are all within this distance [m] of a level are flat at that level."""
 _MIN_WALL_SAMPLES = 40_000
 """Approximate minimum number of points of the walls."""
 _MAX_WALL_STEP_M = 0.002
@@ -51,14 +52,15 @@ _NEIGHBOURS = 16
 
 @dataclasses.dataclass(frozen=True)
 class SweptPass:
-    """A pass as its ball sweeps it.
+    """A pass and the path of its forming ball.
 
     Attributes:
         claim: Claim on the pass.
         face: Its face.
-        start: Starts (K, 3) [m] of the straight pieces of the centre's path while it forms.
+        start: Starts (K, 3) [m] of the straight pieces of the path of the ball's centre while it forms.
         end: Ends (K, 3) [m] of the pieces.
-        contour: Height z [m] of the contour that it has to pass if a single level is formed.
+        contour: Height z [m] of the contour along which the ball has to pass if a single level is formed,
+            otherwise None.
     """
 
     claim: FormsSheet
@@ -69,7 +71,7 @@ class SweptPass:
 
     @staticmethod
     def from_formed(formed: FormedPass) -> "SweptPass":
-        """Return the swept pass, without its track, which has many samples for long motions."""
+        """Return the swept pass; the track is left out, because it has many samples for long motions."""
         use = formed.track.is_forming[formed.pieces.first]
         start, end = (formed.track.centre[rows[use], 0] for rows in (formed.pieces.first, formed.pieces.last))
         return SweptPass(
@@ -92,15 +94,16 @@ def _submit_envelopes(context: Context) -> Iterator[CutFace]:
 
 
 ENVELOPES: Final[Fact[Context, Iterator[CutFace]]] = Fact("envelopes", _submit_envelopes)
-"""The :func:`pass_envelope` of each pass, in order, to be consumed once."""
+"""The :func:`pass_envelope` of each pass, in order. The iterator can be consumed only once."""
 
 
 def pass_envelope(swept_pass: SweptPass) -> CutFace:
-    """Return what the swept ball leaves of the walls of a face.
+    """Return the deviations of the formed sheet from the walls of a face, at points of the walls.
 
-    The deviation at their points is positive where the ball stays off, and negative where it cuts in. Flat
-    parts are not included. Where a ball of that size cannot come nearer than the steps leave it, what it
-    cannot reach is allowed, too.
+    The deviation is positive where the ball stays off, and negative where it cuts in. Flat parts of the face
+    are not included. The scallop, which the steps of the path leave, is allowed, and the distance from a wall
+    that no ball of that size can reach. If a single level is formed, only points along its contour are
+    compared.
     """
     claim = swept_pass.claim
     rows = np.flatnonzero(is_wall(claim))
@@ -123,13 +126,16 @@ def pass_envelope(swept_pass: SweptPass) -> CutFace:
     if swept_pass.contour is not None:
         area[exceeding[(unreached > MAX_CORNER_GAP_M) & (deviation[exceeding] > allowed[exceeding])]] = 0.0
     fraction = float(area[deviation <= allowed].sum() / max(float(area.sum()), 1e-30))
-    known = np.isfinite(deviation)
-    rms = float(np.sqrt((area[known] * deviation[known] ** 2).sum() / max(float(area[known].sum()), 1e-30)))
-    largest = float(np.abs(deviation[known]).max(initial=0.0))
+    # the deviation is infinite if the ball never forms
+    finite = np.isfinite(deviation)
+    rms = float(
+        np.sqrt((area[finite] * deviation[finite] ** 2).sum() / max(float(area[finite].sum()), 1e-30))
+    )
+    largest = float(np.abs(deviation[finite]).max(initial=0.0))
     return CutFace(
         claim.segment,
         points,
-        np.where(known, deviation, np.nan),
+        np.where(finite, deviation, np.nan),
         area,
         float(allowed.max(initial=0.0)),
         fraction,
@@ -144,16 +150,16 @@ def pass_envelope(swept_pass: SweptPass) -> CutFace:
 def contour_points(
     corners: FloatArray, heights: FloatArray, step: float
 ) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
-    """Return points along the contours of triangles.
+    """Return points along the contours of triangles at given heights.
 
     Args:
-        corners: Triangles (T, 3, 3).
+        corners: Triangles (T, 3, 3) [m].
         heights: Heights z (H,) [m].
         step: Maximum spacing [m].
 
     Returns:
-        Points (N, 3), the length (N,) [m] that each represents, its triangle (N,) and the row (N,) of its
-        height.
+        Points (N, 3) [m], the length (N,) [m] that each represents, its triangle (N,) and the index (N,) of
+        its height.
     """
     order = np.argsort(heights)
     z = corners[:, :, 2]
@@ -166,6 +172,7 @@ def contour_points(
     ]
     height = heights[level]
     above = z[crossed] > height[:, None]
+    # the contour in a triangle is the line between its two edges that the height cuts
     ends = []
     for first_corner, second_corner in ((0, 1), (1, 2), (2, 0)):
         a, b = corners[crossed, first_corner], corners[crossed, second_corner]
@@ -176,17 +183,19 @@ def contour_points(
     two_ends = all_ends[np.isfinite(all_ends[:, :, 0])].reshape(-1, 2, 3)
     length = lengths(two_ends[:, 1] - two_ends[:, 0])
     pieces = np.maximum(np.ceil(length / step).astype(np.int64), 1)
-    row = np.repeat(np.arange(len(pieces)), pieces)
-    fraction = (np.arange(len(row)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 0.5) / pieces[row]
-    points = two_ends[row, 0] + fraction[:, None] * (two_ends[row, 1] - two_ends[row, 0])
-    return points, (length / pieces)[row], crossed[row], level[row]
+    line_index = np.repeat(np.arange(len(pieces)), pieces)
+    fraction = (np.arange(len(line_index)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 0.5) / pieces[
+        line_index
+    ]
+    points = two_ends[line_index, 0] + fraction[:, None] * (two_ends[line_index, 1] - two_ends[line_index, 0])
+    return points, (length / pieces)[line_index], crossed[line_index], level[line_index]
 
 
 def formed_obj(forming: FormingFacts) -> str:
     """Return the formed faces as OBJ text in mm; empty if nothing is formed.
 
-    The vertices of the walls are moved to where the ball leaves the sheet, at the level at which they are
-    formed.
+    The vertices of the walls are moved along their normals to the surface of the ball where it comes nearest.
+    If a single level is formed, vertices that belong to other levels stay as claimed.
     """
     if not forming.formed:
         return ""
@@ -210,16 +219,16 @@ def formed_obj(forming: FormingFacts) -> str:
 
 
 def is_wall(claim: FormsSheet) -> BoolArray:
-    """Return the triangles (F,) that are flat neither at the level of the start nor at that of the end."""
-    level = claim.vertices[claim.faces][:, :, 2]
-    flat = [(np.abs(level - z) < LEVEL_TOLERANCE_M).all(axis=1) for z in (claim.start, claim.end)]
+    """Return whether (F,) each triangle is a wall: not flat at the level of the start or of the end."""
+    height = claim.vertices[claim.faces][:, :, 2]
+    flat = [(np.abs(height - z) < LEVEL_TOLERANCE_M).all(axis=1) for z in (claim.start, claim.end)]
     return np.asarray(~(flat[0] | flat[1]))
 
 
 def ball_distance(swept_pass: SweptPass, points: FloatArray) -> FloatArray:
-    """Return the distance (N,) [m] of the ball's centre from points while it forms.
+    """Return the minimum distance (N,) [m] of the ball's centre from points while it forms.
 
-    Infinite if it never forms.
+    It is infinite if the ball never forms.
 
     Args:
         swept_pass: Pass.
@@ -249,14 +258,14 @@ def ball_distance(swept_pass: SweptPass, points: FloatArray) -> FloatArray:
 
 
 _SEGMENTS_AT_ONCE = 3_000
-"""Lines that are processed at once."""
+"""Number of lines that are processed at once, to bound memory."""
 
 
 def formed_levels(formed: FormedPass) -> FloatArray:
-    """Return the height (K + 1,) [m] down to which a face is formed at the knots of a pass.
+    """Return the height (K + 1,) [m] down to which the face of a pass is formed at each of its knots.
 
-    The height is measured toward the forming tool. It is that of the start, or of the previous levels, until
-    the ball touches the face. Of points that the ball touches at once the lowest counts.
+    Heights are z times the side of the forming tool. The level is that of the start, or of the previous
+    levels, until the ball touches the face, and then that of the lowest point that the ball has touched.
     """
     claim, nearest = formed.claim, formed.nearest
     # lowest touched point at each knot; the level is the running minimum
@@ -277,8 +286,8 @@ def distance_above_level(
         start: Starts (K, 3) [m].
         end: Ends (K, 3) [m].
         need: Distances (K,) [m] up to which the result is needed.
-        side: Direction in which heights are compared.
-        level: Levels (K,) [m].
+        side: +1 if heights are z, -1 if they are -z.
+        level: Lowest height (K,) [m] of the part of the face that counts, for each line.
 
     Returns:
         Distances (K,) [m], infinite where they are ``need`` or more.
@@ -287,16 +296,16 @@ def distance_above_level(
     for rows in np.array_split(np.arange(len(start)), max(1, len(start) // _SEGMENTS_AT_ONCE)):
         if not len(rows):
             continue
-        which, triangle = face.near_lines(start[rows], end[rows], need[rows])
-        which = rows[which]
-        kept, corners = _clip_above(face.corners[triangle], side, level[which])
-        which = which[kept]
-        np.minimum.at(out, which, _line_triangle_distance(start[which], end[which], corners))
+        line_index, triangle = face.near_lines(start[rows], end[rows], need[rows])
+        line_index = rows[line_index]
+        kept, corners = _clip_above(face.corners[triangle], side, level[line_index])
+        line_index = line_index[kept]
+        np.minimum.at(out, line_index, _line_triangle_distance(start[line_index], end[line_index], corners))
     return np.where(out < need, out, np.inf)
 
 
 def _line_triangle_distance(start: FloatArray, end: FloatArray, corners: FloatArray) -> FloatArray:
-    """Distances (M,) [m] of straight lines (M, 3) from triangles (M, 3, 3), their ends included."""
+    """Distances (M,) [m] of straight lines (M, 3) from triangles (M, 3, 3), with the ends of the lines."""
     distance = line_triangle_distance(start, end, corners)
     for point in (start, end):
         weights = closest_weights(point, *np.moveaxis(corners, 1, 0))
@@ -306,9 +315,9 @@ def _line_triangle_distance(start: FloatArray, end: FloatArray, corners: FloatAr
 
 
 def _clip_above(corners: FloatArray, side: int, level: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Parts of triangles (M, 3, 3) at or above ``level`` (M,) toward ``side``.
+    """Cut off what is below ``level`` (M,) [m] from triangles (M, 3, 3), with the height ``side`` times z.
 
-    Returns them as triangles (L, 3, 3), and their rows (L,).
+    Returns the indices (L,) of the triangles, and the remaining parts as triangles (L, 3, 3).
     """
     height = side * corners[:, :, 2] - level[:, None]
     order = np.argsort(-height, axis=1, kind="stable")
@@ -317,6 +326,7 @@ def _clip_above(corners: FloatArray, side: int, level: FloatArray) -> tuple[IntA
     above_count = (height >= 0.0).sum(axis=1)
 
     def edge_crossing(rows: IntArray, high: int, low: int) -> FloatArray:
+        """Points at the level on the edges between two corners of triangles ``rows``."""
         fraction = height[rows, high] / (height[rows, high] - height[rows, low])
         edge = corners[rows, low] - corners[rows, high]
         return np.asarray(corners[rows, high] + fraction[:, None] * edge)
@@ -339,23 +349,23 @@ MAX_CHECK_STEP_M = 0.001
 BOUND_ERROR_FRACTION = 0.02
 """Fraction by which bounds from the nearest point may be too small."""
 _BLOCK_SAMPLES = 128
-"""Samples of a path that are bounded as one."""
+"""Number of samples of a path that are bounded as one at first."""
 _ROWS_AT_ONCE = 65_536
-"""Rows of a track, or points, that are processed at once."""
+"""Number of samples of a track, or points, that are processed at once, to bound memory."""
 _QUERIES_AT_ONCE = 2000
-"""Samples whose distance is queried at once."""
+"""Number of samples whose near points are queried at once, to bound memory."""
 
 
 @dataclasses.dataclass(frozen=True)
 class HeadPath:
-    """Where a head is checked along its path.
+    """Positions at which the head of a tool is checked along its path.
 
     Attributes:
         rows: Rows (R,) of its track.
-        centre: TCPs (R, 3) there.
-        axis: Axes (R, 3) there.
-        rise: Height (R,) [m] by which the compared points have risen.
-        slide: Path length (R,) [m] of the TCP until then, relative to what rises.
+        centre: TCPs (R, 3) [m] there.
+        axis: Unit z axes (R, 3) of the tool there, which point forward.
+        rise: Height (R,) [m] by which the points that are compared with the head have risen by then.
+        slide: Upper bound (R,) [m] of the path length of the TCP until then, relative to the rising points.
         turn: Rotation (R,) [rad] of the axis until then. A point ``back`` [m] behind the TCP moves by at most
             slide + back * turn.
     """
@@ -369,10 +379,11 @@ class HeadPath:
 
     @staticmethod
     def from_rows(centre: VectorRows, axis: VectorRows, rise: FloatArray, back: float) -> "HeadPath":
-        """Return the rows at which a head is checked.
+        """Select the rows of a track at which a head is checked.
 
-        Between them nothing up to ``back`` [m] behind the TCP moves more than half of ``MAX_CHECK_STEP_M``.
-        Single steps that are longer are kept. ``centre``, ``axis`` and ``rise`` have rows (T, ...).
+        From one to the next no point of the axis up to ``back`` [m] behind the TCP moves more than half of
+        ``MAX_CHECK_STEP_M``, unless a single step of the track is longer. ``centre`` (T, 3) [m], ``axis`` (T,
+        3) and ``rise`` (T,) [m] are those of the attributes for all rows of the track.
         """
         kept: list[tuple[IntArray, FloatArray, FloatArray]] = []
         slide, turn, number = 0.0, 0.0, -1.0  # values of the previous row, carried from block to block
@@ -391,11 +402,11 @@ class HeadPath:
         return HeadPath(rows, centre[rows], RunLengthVectors.of(axis[rows]), rise[rows], travelled, rotation)
 
     def axis_points(self, rows: IntArray, back: float) -> FloatArray:
-        """Return points (M, 3) on the axis at some rows, relative to what rises.
+        """Return a point (M, 3) [m] of the axis at some rows, relative to the rising points.
 
         Args:
-            rows: Rows (M,).
-            back: Distance [m] behind the TCP.
+            rows: Indices (M,) among the R rows.
+            back: Distance [m] of the point behind the TCP.
         """
         out = self.centre[rows] - back * self.axis[rows]
         out[:, 2] -= self.rise[rows]
@@ -404,12 +415,13 @@ class HeadPath:
     def max_distance_behind(
         self, rows: IntArray, back: float, size: float, height: tuple[float, float]
     ) -> FloatArray:
-        """Return how far (M,) [m] behind the TCP points between two heights z [m] are at most.
+        """Return an upper bound (M,) [m] of the distance behind the TCP of points between two heights z [m].
 
-        Only points within ``size`` [m] of the point ``back`` behind the TCP count. A point that far behind
-        the front of a head is no deeper in it: a disk on a flat sheet has nothing of it inside.
+        Only points within ``size`` [m] of the point ``back`` behind the TCP count. A point is never deeper
+        inside a head than it is behind the head's front, so the bound excludes all points of a flat sheet
+        under a disk.
         """
-        # p = point + r: behind = back - r.axis <= back + |r_xy| |axis_xy| - min(r_z axis_z)
+        # p = point + r with |r| <= size: behind = back - r.axis <= back + |r_xy| |axis_xy| - min(r_z axis_z)
         axis, point = self.axis[rows], self.axis_points(rows, back)
         low, high = (np.clip(z - point[:, 2], -size, size) for z in height)
         lateral = size * np.hypot(axis[:, 0], axis[:, 1])
@@ -421,9 +433,10 @@ class ToolHead:
     """A tool's body of revolution.
 
     Attributes:
-        back: Distances (K,) [m] behind the TCP of its outline.
-        radius: Radii (K,) [m] of its outline.
-        balls: Balls that contain it: distance behind the TCP, radius [m].
+        back: Distances (K,) [m] of the points of its outline behind the TCP.
+        radius: Distances (K,) [m] of the points of its outline from the axis.
+        balls: Balls that together contain it, each with the distance of its centre behind the TCP and its
+            radius [m].
     """
 
     back: FloatArray
@@ -432,29 +445,31 @@ class ToolHead:
 
     @staticmethod
     def from_profile(profile: FloatArray, start: float) -> "ToolHead":
-        """Return the part of a tool of radius profile (K, 2) from ``start`` [m] behind its TCP on."""
+        """Return the part from ``start`` [m] behind the TCP on of a tool with a radius profile (K, 2) [m]."""
         back, radius = profile[:, 0], profile[:, 1]
         if start > back[0]:
-            at = float(np.interp(start, back, radius))
+            start_radius = float(np.interp(start, back, radius))
             use = back > start
-            back, radius = np.append(start, back[use]), np.append(at, radius[use])
-        if radius[0] > 0.0:
+            back, radius = np.append(start, back[use]), np.append(start_radius, radius[use])
+        if radius[0] > 0.0:  # close the front
             back, radius = np.append(back[0], back), np.append(0.0, radius)
         return ToolHead(back, radius, _covering_balls(back, radius))
 
     def penetration(
         self, points: FloatArray, path: HeadPath, need: float, existing: tuple[int, FloatArray] | None = None
     ) -> tuple[FloatArray, IntArray]:
-        """Return how deep points are inside the tool along a path.
+        """Return how deep points are inside the tool at the rows of a path.
 
         Args:
             points: Points (P, 3) [m].
             path: Path of the head.
-            need: Rows at which no point is deeper than this [m] may be left out.
-            existing: Side and level (R,) [m]; only points at or above the level toward that side count.
+            need: Depth [m]. Rows at which no point is deeper may be left out.
+            existing: Side and level (R,) [m]: only points whose height, side times z, is at least the level
+                at a row exist there. None if all points exist.
 
         Returns:
-            Depths (M,) [m] and rows (M,) of the track.
+            Depth (M,) [m] of the deepest point at each checked row, and these rows (M,) of the track. It is
+            minus infinity if no point is near.
         """
         if not len(points):
             return np.zeros(0), np.zeros(0, dtype=np.int64)
@@ -488,14 +503,14 @@ class ToolHead:
         return deep[is_checked], path.rows[is_checked]
 
     def _depth(self, near_points: FloatArray, path: HeadPath, which: IntArray) -> FloatArray:
-        """Depth (M,) [m] of points (M, 3) inside the tool at some rows."""
+        """Depth (M,) [m] of points (M, 3) [m] inside the tool at rows ``which`` (M,) of the path."""
         rest = near_points - path.axis_points(which, 0.0)
         distance_behind = -dots(rest, path.axis[which])
         radial_distance = np.sqrt(np.maximum(dots(rest, rest) - distance_behind**2, 0.0))
         return self._outline_depth(distance_behind, radial_distance)
 
     def _outline_depth(self, distance_behind: FloatArray, radial_distance: FloatArray) -> FloatArray:
-        """Depth (M,) [m] of points inside the outline, negative outside; its rear end is open."""
+        """Depth (M,) [m] of points inside the outline, whose rear end is open; negative outside."""
         # signed distance from the outline in the half plane (behind, radial)
         outline_radius = np.interp(distance_behind, self.back, self.radius)
         inside = (
@@ -515,14 +530,14 @@ class ToolHead:
 
 @dataclasses.dataclass(frozen=True)
 class InsideQuery:
-    """Query of a head along a path: which points are deeper in it than ``need`` [m].
+    """Arguments of one call of :meth:`ToolHead.penetration`, which describes them.
 
     Attributes:
         head: Head.
         points: Points (P, 3) [m].
         path: Path of the head.
         need: Depth [m].
-        existing: Restriction of the points as in :meth:`ToolHead.penetration`.
+        existing: Restriction of the points, or None.
     """
 
     head: ToolHead
@@ -539,7 +554,7 @@ def run_inside_queries(queries: Sequence[InsideQuery]) -> Iterator[tuple[FloatAr
 
 
 def _covering_balls(back: FloatArray, radius: FloatArray) -> tuple[tuple[float, float], ...]:
-    """Balls (distance behind the TCP, radius) [m] that contain a body of revolution."""
+    """Balls (centre behind the TCP, radius) [m] that together contain a body of revolution."""
     size = max(float(radius.max()), 1e-3)
     edges = np.linspace(back[0], back[-1], max(int(np.ceil((back[-1] - back[0]) / size)), 1) + 1)
     out = []
@@ -553,16 +568,19 @@ def _covering_balls(back: FloatArray, radius: FloatArray) -> tuple[tuple[float, 
 
 
 def _rows_near_points(tree: cKDTree, path: HeadPath, back: float, size: float) -> IntArray:
-    """Rows of a path at which a point may be within ``size`` [m] of the point ``back`` [m] behind the TCP.
+    """Rows of a path at which a point may be near the point of the head ``back`` [m] behind the TCP.
 
-    Sections are decided by one query each if that point stays farther away than it moves within, or so near
-    that there is a point at all of it.
+    Near is within ``size`` [m].
+
+    A section of the path is decided by one query at its middle if the nearest point is so far from there that
+    the head's point cannot come near it within the section, or so near that it stays near. Other sections are
+    halved.
     """
     count = len(path.rows)
     travelled = path.slide + abs(back) * path.turn
     first = np.arange(0, count, _BLOCK_SAMPLES)
     last = np.minimum(first + _BLOCK_SAMPLES, count) - 1
-    mark = np.zeros(count + 1, dtype=np.int64)
+    change = np.zeros(count + 1, dtype=np.int64)
     while len(first):
         middle = (first + last) // 2
         # |d(row) - d(middle)| <= step: all rows are decided unless size - step < d(middle) < size + step
@@ -582,9 +600,9 @@ def _rows_near_points(tree: cKDTree, path: HeadPath, back: float, size: float) -
             | (travelled[last] - travelled[first] <= MAX_CHECK_STEP_M)
             | (last == first)
         )
-        np.add.at(mark, first[is_small], 1)
-        np.add.at(mark, last[is_small] + 1, -1)
+        np.add.at(change, first[is_small], 1)
+        np.add.at(change, last[is_small] + 1, -1)
         split = undecided & ~is_small
         first, last, middle = first[split], last[split], middle[split]
         first, last = np.concatenate([first, middle + 1]), np.concatenate([middle, last])
-    return np.flatnonzero(np.cumsum(mark[:-1]) > 0)
+    return np.flatnonzero(np.cumsum(change[:-1]) > 0)

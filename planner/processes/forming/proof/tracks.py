@@ -13,11 +13,11 @@ from planner.proof.context import Context
 from planner.proof.replay.motion import Poses, Rows, with_start_stations
 
 _SAMPLES_PER_BLOCK = 32
-"""Samples of a path that are bounded as one."""
+"""Number of samples with which a straight piece starts, before it is halved where it deviates too much."""
 
 
 SAMPLES_AT_ONCE = 65_536
-"""Samples that are processed at once, to bound memory."""
+"""Number of samples that are processed at once, to bound memory."""
 
 
 class VectorRows(Protocol):
@@ -44,11 +44,11 @@ class LazyVectors:
 class LazyCentres:
     """The TCPs of some arms as an array (T, A, 3) [m] in the sheet's frame, calculated when they are indexed.
 
-    All samples of an hour would take as much memory as the motion itself.
+    Stored samples of an hour of motion would take as much memory as the motion itself.
 
     Args:
-        rows: Samples (T,) of the motion.
-        poses: Poses of the arms' TCPs.
+        rows: Indices (T,) of the samples of the motion.
+        poses: Poses of each arm's TCP in the world at all samples of the motion.
         back: Transforms (1 | T, 4, 4) from the world to the sheet.
         lifted: What is added to z (T,) [m] to obtain the tools without springback shifts.
     """
@@ -63,7 +63,7 @@ class LazyCentres:
         return len(self._rows)
 
     def __getitem__(self, index: Rows | tuple[Rows, int]) -> FloatArray:
-        """Return rows of all arms, or of the arm whose column follows the rows."""
+        """Return the TCPs (..., A, 3) at rows, or those (..., 3) of one arm if its column is given, too."""
         chosen, column = index if isinstance(index, tuple) else (index, None)
         if column is None:
             return np.stack([self[chosen, k] for k in range(len(self._poses))], axis=-2)
@@ -87,12 +87,13 @@ class ToolTrack:
         rows: Samples (T,) of the motion.
         centre: TCPs (T, A, 3) [m] in the sheet's frame. With springback compensation they are without the
             shifts.
-        is_forming: Whether (T,) the current move forms and is no approach or retreat.
-        joined: Whether (T - 1,) the next row is the next sample.
-        poses: Poses of the arms' TCPs at all samples in the world.
+        is_forming: Whether (T,) the current move forms and is not part of the approach or retreat.
+        joined: Whether (T - 1,) the next row is the next sample of the motion.
+        poses: Poses of each arm's TCP in the world at all samples of the motion.
         back: Transforms (1 | T, 4, 4) from the world to the sheet.
-        z_correction: What removal of the shifts adds along z (T,) [m], or None.
-        path_distance: Distance (T,) [m] of the forming arm from the path of the problem's file, or None.
+        z_correction: What removal of the shifts adds along z (T,) [m], or None without compensation.
+        path_distance: Distance (T,) [m] of the forming arm from the path in the file of shifts, or None
+            without compensation.
     """
 
     arms: tuple[str, ...]
@@ -106,7 +107,7 @@ class ToolTrack:
     path_distance: FloatArray | None = None
 
     def commanded_tcp(self, column: int, rows: Rows) -> FloatArray:
-        """Return the TCPs (K, 3) [m] of one arm as they are moved, at rows (K,), in the sheet's frame."""
+        """Return the TCPs (K, 3) [m] of one arm at rows (K,), shifts included, in the sheet's frame."""
         out = np.array(self.centre[rows, column])
         if self.z_correction is not None:
             out[..., 2] -= self.z_correction[rows]
@@ -129,9 +130,9 @@ class ToolTrack:
         return _to_sheet_frame(back, self.poses[column].z[self.rows[rows]])
 
     def axis_steps(self, column: int) -> FloatArray:
-        """Return how far (T - 1,) the axis of one arm moves from each row to the next.
+        """Return how far (T - 1,) the z axis of one arm's TCP moves from each row to the next.
 
-        The result is the distance of the unit vectors.
+        The result is the distance between the unit vectors, which for small steps is the angle [rad].
         """
         out = np.zeros(max(len(self.rows) - 1, 0))
         for start in range(0, len(out), SAMPLES_AT_ONCE):
@@ -148,9 +149,9 @@ def make_track(
     arms: tuple[str, ...],
     compensation: CompensatedSegment | None = None,
 ) -> ToolTrack:
-    """Return the track of a segment.
+    """Return the track of a segment, from the sample at which its approach starts to the end of its retreat.
 
-    It has no rows if the programs have none, or if an arm is missing.
+    It has no rows if the programs do not contain the segment, or if they do not move one of the arms.
 
     Args:
         context: Context of the proof.
@@ -170,19 +171,21 @@ def make_track(
         rows = rows[:0]
     joined = np.diff(rows) == 1
     if not len(rows):
-        none = np.zeros((0, len(arms), 3))
-        return ToolTrack(arms, rows, none, is_segment[motion.node[rows]], joined, (), np.zeros((0, 4, 4)))
+        no_centres = np.zeros((0, len(arms), 3))
+        return ToolTrack(
+            arms, rows, no_centres, is_segment[motion.node[rows]], joined, (), np.zeros((0, 4, 4))
+        )
     stock_moves = context.stock_holder(index) is not None
     back = inverse(context.stock_poses(index, rows if stock_moves else rows[:1]))
     poses = tuple(motion.tcp[arm] for arm in arms)
     is_forming = is_segment[motion.node[rows]]
     if compensation is None:
         return ToolTrack(arms, rows, LazyCentres(rows, poses, back), is_forming, joined, poses, back)
-    lifted, aside = _remove_shifts(
+    z_correction, path_distance = _remove_shifts(
         compensation, LazyCentres(rows, (motion.tcp[compensation.forming_arm],), back), is_forming
     )
-    centre = LazyCentres(rows, poses, back, lifted)
-    return ToolTrack(arms, rows, centre, is_forming, joined, poses, back, lifted, aside)
+    centre = LazyCentres(rows, poses, back, z_correction)
+    return ToolTrack(arms, rows, centre, is_forming, joined, poses, back, z_correction, path_distance)
 
 
 MAX_PLAN_OFFSET_M: Final = 1e-4
@@ -192,13 +195,14 @@ MAX_PLAN_OFFSET_M: Final = 1e-4
 def _remove_shifts(
     compensation: CompensatedSegment, forming_centres: LazyCentres, is_forming: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """What is added along z (T,) [m] to compensated tools, and the forming arm's distance (T,) [m].
+    """Calculate what is added along z (T,) [m] to the tools to remove their shifts.
 
-    The distance is that from the file's path.
+    While the segment forms, the shift is that at the nearest point of the file's path. On the approach it is
+    the shift at the start of the path, on the retreat that at its end, but only where the forming tool is
+    straight above that point. Elsewhere tools are not shifted.
 
-    On the approach the first value is the shift at the start of the path, on the retreat that at the end,
-    where the forming tool is straight above that point. Elsewhere the sheet is unchanged, and so are the
-    tools.
+    The second result is the distance (T,) [m] of the forming tool from the file's path while it forms, 0
+    elsewhere.
     """
     shift, aside = np.zeros(len(forming_centres)), np.zeros(len(forming_centres))
     forming_rows = np.flatnonzero(is_forming)
@@ -217,7 +221,7 @@ def _remove_shifts(
 
 
 def _to_sheet_frame(back: FloatArray, directions: FloatArray) -> FloatArray:
-    """Directions (T, 3) of the world in the sheet's frame; ``back`` (1 | T, 4, 4)."""
+    """Rotate directions (T, 3) from the world to the sheet's frame by transforms (1 | T, 4, 4)."""
     if len(back) == 1:
         return directions @ back[0, :3, :3].T
     return np.asarray(np.einsum("sij,sj->si", back[:, :3, :3], directions))
@@ -225,14 +229,14 @@ def _to_sheet_frame(back: FloatArray, directions: FloatArray) -> FloatArray:
 
 @dataclasses.dataclass(frozen=True)
 class TrackPieces:
-    """K straight pieces of a track.
+    """K straight pieces that approximate a track, in its order.
 
     Attributes:
-        first: First rows (K,).
-        last: Last rows (K,).
-        deviation: Maximum deviation (K,) [m] of the path from the straight piece, both arms at the same
+        first: Rows (K,) of the track at their starts.
+        last: Rows (K,) of the track at their ends.
+        deviation: Maximum deviation (K,) [m] of the path from the straight piece, for all arms at the same
             fraction of their pieces.
-        distance_error: Maximum error (K,) [m] of the distance of the first two arms.
+        distance_error: Maximum error (K,) [m] of the distance between the first two arms.
     """
 
     first: IntArray
@@ -244,27 +248,31 @@ class TrackPieces:
 def straight_pieces(tool_track: ToolTrack, within: float) -> TrackPieces:
     """Return a track as straight pieces that deviate from it by at most ``within`` [m] at its samples.
 
-    Between samples the motion bends according to its second differences.
+    A piece ends where samples are missing, and where forming starts or ends. The bounds of the pieces include
+    how much the motion may bend between samples according to its second differences.
     """
     count = len(tool_track.rows)
     if count < 2:
         none = np.zeros(0, dtype=np.int64)
         return TrackPieces(none, none, np.zeros(0), np.zeros(0))
-    cut = np.flatnonzero(~tool_track.joined)
-    turn = (
+    gaps = np.flatnonzero(~tool_track.joined)
+    # a row at which forming starts or ends is the end of one piece and the start of another
+    phase_changes = (
         np.flatnonzero((tool_track.is_forming[1:] != tool_track.is_forming[:-1]) & tool_track.joined) + 1
-    )  # ends one piece and starts another
-    starts = np.sort(np.concatenate([[0], cut + 1, turn]))
-    ends = np.sort(np.concatenate([cut, turn, [count - 1]]))
+    )
+    starts = np.sort(np.concatenate([[0], gaps + 1, phase_changes]))
+    ends = np.sort(np.concatenate([gaps, phase_changes, [count - 1]]))
     first = np.concatenate([np.arange(a, b, _SAMPLES_PER_BLOCK) for a, b in zip(starts, ends, strict=True)])
-    to = np.repeat(ends, [len(range(a, b, _SAMPLES_PER_BLOCK)) for a, b in zip(starts, ends, strict=True)])
-    last = np.minimum(first + _SAMPLES_PER_BLOCK, to)
+    run_end = np.repeat(
+        ends, [len(range(a, b, _SAMPLES_PER_BLOCK)) for a, b in zip(starts, ends, strict=True)]
+    )
+    last = np.minimum(first + _SAMPLES_PER_BLOCK, run_end)
     done_first, done_last = [], []
     while len(first):
-        good = (last - first == 1) | (_chord_deviation(tool_track.centre, first, last) <= within)
-        done_first.append(first[good])
-        done_last.append(last[good])
-        first, last = first[~good], last[~good]
+        is_straight = (last - first == 1) | (_chord_deviation(tool_track.centre, first, last) <= within)
+        done_first.append(first[is_straight])
+        done_last.append(last[is_straight])
+        first, last = first[~is_straight], last[~is_straight]
         middle = (first + last) // 2
         first, last = np.concatenate([first, middle]), np.concatenate([middle, last])
     first, last = np.concatenate(done_first), np.concatenate(done_last)
@@ -274,14 +282,17 @@ def straight_pieces(tool_track: ToolTrack, within: float) -> TrackPieces:
         _bend_deviation(tool_track.centre, tool_track.joined),
         _distance_deviation(tool_track.centre, tool_track.joined),
     )
-    max_bend, between = (
+    max_bend, max_distance_bend = (
         np.maximum.reduceat(np.append(bend, 0.0), first) if len(first) else np.zeros(0) for bend in bends
     )
-    return TrackPieces(first, last, within + max_bend, 2.0 * within + between)
+    return TrackPieces(first, last, within + max_bend, 2.0 * within + max_distance_bend)
 
 
 def _chord_deviation(centre: FloatArray | LazyCentres, first: IntArray, last: IntArray) -> FloatArray:
-    """Deviation (K,) [m] of the rows between two rows from the straight line between these."""
+    """Maximum deviation (K,) [m] of the samples between two rows from the straight line between these.
+
+    ``centre`` is (T, A, 3). All arms are compared at the same fraction of their lines.
+    """
     out = np.zeros(len(first))
     for chunk in np.array_split(np.arange(len(first)), max(1, len(first) // 4000)):
         if not len(chunk):
@@ -300,8 +311,8 @@ def _chord_deviation(centre: FloatArray | LazyCentres, first: IntArray, last: In
 def _bend_deviation(centre: FloatArray | LazyCentres, joined: BoolArray) -> FloatArray:
     """Maximum deviation (T - 1,) [m] of ``centre`` (T, A, 3) from the straight line between samples.
 
-    See `_corner_deviation`. It follows from the components of the second differences at both samples across
-    that line; changes of speed do not bend.
+    It follows from the components of the second differences at both samples across that line, see
+    `_corner_deviation`. Changes of speed alone do not bend the path.
     """
     out = np.zeros(len(centre) - 1)
     for chunk, step_slices in _step_chunks(len(centre)):
@@ -324,8 +335,8 @@ def _bend_deviation(centre: FloatArray | LazyCentres, joined: BoolArray) -> Floa
 def _distance_deviation(centre: FloatArray | LazyCentres, joined: BoolArray) -> FloatArray:
     """Maximum error (T - 1,) [m] of the distance d of the first two centres between two samples.
 
-    ``centre`` is (T, A, 3). A deviation along their line counts fully, a deviation e across it counts e^2 / 2
-    d. Zero for a single arm.
+    ``centre`` is (T, A, 3). A deviation along the line between the two counts fully, a deviation e across it
+    counts e^2 / (2 d). The result is 0 for a single arm.
     """
     out = np.zeros(len(centre) - 1)
     if centre.shape[1] < 2:
@@ -353,11 +364,11 @@ def _distance_deviation(centre: FloatArray | LazyCentres, joined: BoolArray) -> 
 
 @dataclasses.dataclass(frozen=True)
 class _StepSlices:
-    """Steps of a track that are processed together.
+    """Steps from sample to sample of a track that are processed together.
 
     Attributes:
-        kept: The steps within all steps.
-        local: The steps within the processed samples.
+        kept: Their indices among all steps of the track.
+        local: Their indices among the steps of the processed samples.
     """
 
     kept: slice
@@ -365,9 +376,9 @@ class _StepSlices:
 
 
 def _step_chunks(count: int) -> Iterator[tuple[slice, _StepSlices]]:
-    """Steps between ``count`` samples in chunks: the samples, and the steps.
+    """Yield the steps between ``count`` samples in chunks: the samples to process, and the steps.
 
-    The samples include one more at either end if there is one.
+    The samples include one more before and after the steps if there is one, for the second differences.
     """
     for start in range(0, count - 1, SAMPLES_AT_ONCE):
         end = min(start + SAMPLES_AT_ONCE, count - 1)
@@ -381,15 +392,15 @@ def _step_chunks(count: int) -> Iterator[tuple[slice, _StepSlices]]:
 def _corner_deviation(
     previous: FloatArray, following: FloatArray, joined: BoolArray, steps: slice
 ) -> FloatArray:
-    """Deviation (K, A) [m] due to one sharp corner anywhere between two samples.
+    """Deviation (K, A) [m] from the straight line between two samples due to one sharp corner between them.
 
-    With the second differences a (``previous``) and b (``following``) (K, A) at both samples it is a b / (a +
-    b); a uniform bend causes a quarter of that. ``joined`` (T - 1,) tells which steps have a next sample.
+    It is a b / (a + b) for the second differences a (``previous``) and b (``following``) (K, A) [m] at both
+    samples. A uniform bend causes a quarter of that. ``joined`` (T - 1,) tells which steps of the track join
+    subsequent samples of the motion, ``steps`` which of them are the K steps.
     """
     is_joined = joined[steps]
-    previous_joined = np.concatenate([[True], joined[:-1]])[
-        steps
-    ]  # across a gap no second difference is known
+    # across a gap the second difference is unknown, so the motion counts as straight there
+    previous_joined = np.concatenate([[True], joined[:-1]])[steps]
     next_joined = np.concatenate([joined[1:], [True]])[steps]
     a = np.where((is_joined & previous_joined)[:, None], previous, 0.0)
     b = np.where((is_joined & next_joined)[:, None], following, 0.0)

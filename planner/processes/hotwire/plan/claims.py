@@ -5,7 +5,7 @@ in this folder it imports the operation's schema only (a test checks this). The 
 cuts and their order are derived from the problem a second time, by none of the code that plans
 (`straight.order`).
 
-**Kerf, stiffness and weight of a wire** are computed here for the claims. Planning takes the same figures
+**Kerf, stiffness and weight of a wire** are computed here for the claims. Planning takes the same values
 from ``hotwire/plan/kerf/`` and ``hotwire/plan/wire.py``, which this module does not use. Material data come
 from ``data/materials.yaml``, which both sides read.
 
@@ -15,8 +15,8 @@ L [W/m] and moves across itself at v [m/s] leaves a slot of width
     max(chi P / (L rho c (T - 20 C) v) - offset, diameter)
 
 with chi, offset, density rho, specific heat c and melting temperature T of the stock's foam. The width
-depends on the speed between 1 and 50 mm/s and is constant outside: a wire that hardly moves has no width of
-its own.
+depends on the speed between 1 and 50 mm/s. Slower and faster wires count as having the nearer of these
+speeds, because a wire that hardly moves would melt without bound.
 
 Stiffness and weight of a bent wire follow from its section and its material's constants.
 """
@@ -78,7 +78,7 @@ def slot_width_curve(
 ) -> facts.KerfCurve:
     """Return the kerf as a function of the wire's speed across itself.
 
-    The interval of the curve equals its width: the proof uses the expected width alone.
+    The lower and upper bounds of the curve equal its width, because the proof uses the expected width alone.
 
     Args:
         kerf_mm: Stated width [mm]. If given, it alone counts.
@@ -166,18 +166,14 @@ def wire_stiffness(
     shear = young / (2.0 * (1.0 + material.poisson))
     if diameter is not None:
         soft_moment = stiff_moment = math.pi * diameter**4 / 64.0
-        torsion_constant, area, bending_thickness = (
-            math.pi * diameter**4 / 32.0,
-            math.pi * diameter**2 / 4.0,
-            diameter,
-        )
+        torsion_constant = math.pi * diameter**4 / 32.0
+        area = math.pi * diameter**2 / 4.0
+        bending_thickness = diameter
     elif width is not None and thickness is not None:
         soft_moment, stiff_moment = width * thickness**3 / 12.0, thickness * width**3 / 12.0
-        torsion_constant, area, bending_thickness = (
-            rectangle_torsion(width, thickness),
-            width * thickness,
-            thickness,
-        )
+        torsion_constant = rectangle_torsion(width, thickness)
+        area = width * thickness
+        bending_thickness = thickness
     else:
         what = "wire size: got neither a diameter nor a width and a thickness, allowed one of the two"
         hint = "give diameter_mm, or width_mm and thickness_mm"
@@ -221,18 +217,15 @@ def rectangle_torsion(width: float, thickness: float) -> float:
 
 
 def _interpolate_table(table: tuple[tuple[float, float], ...], temperature: float) -> float:
-    """Interpolate a table at a temperature [C]: linear between rows, constant beyond them."""
+    """Interpolate pairs (temperature [C], value) linearly at a temperature, constant beyond the ends."""
     rows = np.array(table)
     return float(np.interp(temperature, rows[:, 0], rows[:, 1]))
 
 
 PARALLEL_TOLERANCE: Final = 1e-6
-"""Tolerance for parallel mean rulings (largest component of the difference of unit vectors).
-
-Surfaces with parallel rulings lie inside one another or next to one another.
-"""
+"""Tolerance for parallel mean rulings (largest component of the difference of unit vectors)."""
 MAX_LEVEL_COSINE: Final = 0.5
-"""An axis of the stock is level if the component of the vertical along it is below this."""
+"""An axis of the stock is level if the vertical has a smaller component along it."""
 SIDE_PLANES: Final = {
     "left": (0, -1.0),
     "right": (0, 1.0),
@@ -322,16 +315,18 @@ def _cutting_order(surfaces: list[RuledSurface], up: FloatArray) -> list[int]:
 def nesting_depths(surfaces: list[RuledSurface]) -> list[int]:
     """Return for each surface in how many other closed surfaces with parallel rulings it lies."""
     depths = [0] * len(surfaces)
-    axes = [_mean_ruling_direction(one) for one in surfaces]
+    axes = [_mean_ruling_direction(surface) for surface in surfaces]
     for i, inner in enumerate(surfaces):
         for o, outer in enumerate(surfaces):
             is_parallel = bool(np.abs(axes[i] - axes[o]).max() < PARALLEL_TOLERANCE)
             if i == o or not (inner.closed and outer.closed and is_parallel):
                 continue
             plane = normal_plane(axes[o])
-            small, large = (0.5 * (one.start + one.end) @ plane for one in (inner, outer))
-            is_nested = points_in_polygon(small, large).mean() > 0.5
-            depths[i] += int(is_nested and abs(signed_area(small)) < abs(signed_area(large)))
+            inner_polygon, outer_polygon = (
+                0.5 * (surface.start + surface.end) @ plane for surface in (inner, outer)
+            )
+            is_nested = points_in_polygon(inner_polygon, outer_polygon).mean() > 0.5
+            depths[i] += int(is_nested and abs(signed_area(inner_polygon)) < abs(signed_area(outer_polygon)))
     return depths
 
 
@@ -352,7 +347,7 @@ def signed_area(polygon: FloatArray) -> float:
 
 
 def points_in_polygon(points: FloatArray, polygon: FloatArray) -> BoolArray:
-    """Return which points (N, 2) lie in a polygon (M, 2).
+    """Return whether each of the points (N, 2) lies in a polygon (M, 2).
 
     A ray from a point inside crosses the border an odd number of times.
     """
@@ -368,7 +363,7 @@ def points_in_polygon(points: FloatArray, polygon: FloatArray) -> BoolArray:
 
 
 def datum_side_surface(op: Straight, stock: Stock, side: str, cut: TrimCut, span: float) -> RuledSurface:
-    """Return a side of the block without its oversize as two rulings. The surface faces away from the block.
+    """Return a side of the datum block (without oversize) as a surface of two rulings that faces outwards.
 
     Args:
         op: Operation with a straight wire.
@@ -392,12 +387,13 @@ def datum_side_surface(op: Straight, stock: Stock, side: str, cut: TrimCut, span
 
 
 def _auto_wire_axis(op: Straight, stock: Stock, axis: int, span: float) -> int:
-    """Choose the axis that the wire is parallel to.
+    """Choose the axis that the wire is parallel to, for the side of the block normal to ``axis``.
 
     Prefers axes along which the stock with its margins is no longer than the wire, then level axes, then the
-    shorter.
+    shorter one.
     """
-    length, is_vertical = stock.upper - stock.lower, np.abs(stock.gravity) >= MAX_LEVEL_COSINE
+    length = stock.upper - stock.lower
+    is_vertical = np.abs(stock.gravity) >= MAX_LEVEL_COSINE
     choice = [k for k in range(3) if k != axis]
     fitting = [k for k in choice if length[k] <= span - 2.0 * op.margin_mm * MM] or choice
     level_axes = [k for k in fitting if not is_vertical[k]] or fitting
@@ -450,9 +446,9 @@ def straight_claims(op: Straight, setup: Setup, part: Part | None) -> tuple[Clai
 
 
 def _straight_dialogue(op: Straight, bow: Bow, setup: Setup, cuts: list[ClaimedCut]) -> OperatorDialogue:
-    """Return the operator dialogue: size and heat of the wire, and spacers.
+    """Return the operator dialogue: size and heat of the wire before the cuts, spacers after some of them.
 
-    Where spacers are inserted, hands come near the wire. It is therefore off and cold meanwhile.
+    The wire is off and cold while hands insert spacers near it.
     """
     material = f" {op.wire_material}" if op.wire_material.strip() else ""
     wire: dict[str, Figure] = {"diameter_mm": 2.0 * bow.radius / MM, "material": material}
@@ -491,6 +487,7 @@ def _mean_normal(ruled: RuledSurface) -> FloatArray:
 
 
 def _bow_of_arm(op: Straight, setup: Setup) -> Bow:
+    """Return the bow on the operation's first arm, or raise ``bow.missing``."""
     tool = setup.cell.arm(op.arms[0]).tool
     if isinstance(tool, Bow):
         return tool
@@ -501,15 +498,15 @@ def _bow_of_arm(op: Straight, setup: Setup) -> Bow:
 def _lead_claims(cuts: list[ClaimedCut], tolerance: float) -> list[facts.LeadsFrom]:
     """Return claims on the lead-in directions that the user states."""
     return [
-        facts.LeadsFrom(one.segment, np.array(one.cut.lead, dtype=np.float64), tolerance)
-        for one in cuts
-        if isinstance(one.cut, SurfaceCut) and not isinstance(one.cut.lead, str)
+        facts.LeadsFrom(item.segment, np.array(item.cut.lead, dtype=np.float64), tolerance)
+        for item in cuts
+        if isinstance(item.cut, SurfaceCut) and not isinstance(item.cut.lead, str)
     ]
 
 
 def _slit_claims(cuts: list[ClaimedCut], part: Part | None, box: FloatArray) -> list[facts.SlitsAllowed]:
     """Return the claim on slits through the part, if it has holes and a closed surface is cut."""
-    segment_by_name = {one.ruled.name: one.segment for one in cuts if one.ruled.closed}
+    segment_by_name = {item.ruled.name: item.segment for item in cuts if item.ruled.closed}
     closed = [ruled for ruled in (() if part is None else part.ruled) if ruled.closed]
     if not segment_by_name or not any(ruled.hole for ruled in closed):
         return []
@@ -518,7 +515,7 @@ def _slit_claims(cuts: list[ClaimedCut], part: Part | None, box: FloatArray) -> 
 
 
 def _guide_lines(ruled: RuledSurface) -> tuple[FloatArray, FloatArray]:
-    """Return the guide lines of a surface. Those of a closed surface end at their first point."""
+    """Return both guide lines (M, 3) of a surface. Those of a closed surface end at their first point."""
     if not ruled.closed:
         return ruled.start, ruled.end
     return np.concatenate([ruled.start, ruled.start[:1]]), np.concatenate([ruled.end, ruled.end[:1]])
@@ -527,8 +524,8 @@ def _guide_lines(ruled: RuledSurface) -> tuple[FloatArray, FloatArray]:
 def elastic_claims(op: ElasticWire, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
     """Return the claims on the wire, on each face in order, and on the contact.
 
-    If the operation leaves the wire open, the result is one alternative for each available wire. The programs
-    tell the operator one of them.
+    If the operation leaves the wire open, there is one alternative for each available wire. The dialogue of
+    the programs states which one they use.
 
     Args:
         op: Operation with a bent wire.
@@ -546,6 +543,7 @@ def elastic_claims(op: ElasticWire, setup: Setup, part: Part | None) -> tuple[Cl
 def _claims_for_wire(
     op: ElasticWire, wire_file: WireFile, setup: Setup, part: Part | None
 ) -> tuple[Claim, ...]:
+    """Return the claims of an operation with a given wire."""
     length = wire_file.length_mm * MM
     diameter, width, thickness = (
         None if size is None else size * MM
@@ -605,6 +603,7 @@ def _elastic_dialogue(op: ElasticWire, wire_file: WireFile) -> OperatorDialogue:
 
 
 def _required_face(op: ElasticWire, name: str, part: Part | None) -> Mesh:
+    """Return the front or back face of the part, or raise ``part.missing_face``."""
     faces = {} if part is None else {"front": part.front, "back": part.back}
     face = faces.get(name)
     if face is None:

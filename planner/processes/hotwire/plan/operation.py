@@ -27,7 +27,7 @@ MAX_AIR_STEP_M: Final = 0.012
 KERF_SPEED_RANGE_M_S: Final = (1e-3, 50e-3)
 """Range of speeds [m/s] of a kerf curve.
 
-A wire that hardly moves has no kerf of its own and counts as 1 mm/s.
+A slower wire counts as 1 mm/s, because a wire at rest would melt without bound.
 """
 RESTING_COSINE: Final = 0.7
 """Material above a slot rests on it if the cosine of the slot's tilt exceeds this."""
@@ -72,9 +72,9 @@ class Heat(Strict):
         if self.kerf_mm is not None:
             return KerfCurve.constant(self.kerf_mm * MM)
         if self.power_w is None or foam is None:
-            what = "power_w is given, but the kerf depends on the foam, which is not stated; state "
-            what += "stock.foam, or give kerf_mm instead"
-            raise issue_error("stock.foam_missing", what, field="stock.foam")
+            message = "power_w is given, but the kerf depends on the foam, which is not stated; state "
+            message += "stock.foam, or give kerf_mm instead"
+            raise issue_error("stock.foam_missing", message, field="stock.foam")
         wire = width.HotWire(diameter, length)
         return width.curve(foam, wire, self.power_w, thickness, np.array(KERF_SPEED_RANGE_M_S))
 
@@ -191,13 +191,16 @@ class ElasticWire(HotWireOperation):
 
     def with_wire(self, wire: WireFile, sweep: float | None = None) -> "ElasticWire":
         """Return this operation with a given wire and, if given, a sweep direction [deg from x]."""
-        return self.model_copy(update={"wire": wire} | ({} if sweep is None else {"sweep": sweep}))
+        changes: dict[str, object] = {"wire": wire}
+        if sweep is not None:
+            changes["sweep"] = sweep
+        return self.model_copy(update=changes)
 
     @property
     def has_normal_sections(self) -> bool:
         """Whether sections are normal to the spine of the face.
 
-        The width of a strip has to follow the sweep.
+        By default they are for a strip, because its width has to follow the sweep.
         """
         return self.sections == "normal" or (self.sections == "auto" and not self.chosen_wire.is_round)
 
@@ -277,6 +280,7 @@ def _cut_kind(value: object) -> str:
 
 
 def _cuts_kind(value: object) -> str:
+    """Return whether ``cuts`` is a word or a list, so that errors are reported for that form alone."""
     return "word" if isinstance(value, str) else "list"
 
 
@@ -362,7 +366,7 @@ class Straight(HotWireOperation):
         return (self.feed_mm_s if cut.feed_mm_s is None else cut.feed_mm_s) * MM
 
     def leaves(self, stock: Stock) -> Stock:
-        """Return the stock without the oversize of the trimmed sides."""
+        """Return the stock after the operation: without the oversize of the trimmed sides."""
         oversize = stock.oversize.copy()
         for cut in () if self.cuts == "all" else self.cuts:
             if isinstance(cut, TrimCut):

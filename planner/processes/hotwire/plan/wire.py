@@ -118,7 +118,7 @@ def make_wire(
         temperature_c: Temperature of the hot wire [C].
 
     Raises:
-        TandemError: wire.unknown_material, wire.size, wire.temperature.
+        TandemError: ``wire.unknown_material``, ``wire.size``, ``wire.temperature``.
     """
     data = wire_material(material)
     issues = []

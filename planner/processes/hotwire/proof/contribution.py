@@ -22,9 +22,7 @@ from planner.proof.contribution import ParallelGroup, ProofOfProcess, WorkingEdg
 
 
 def cutting_edges(group: Sequence[Claim], arm: str) -> WorkingEdges | None:
-    """Return the cutting edge of a bow, whose straight wire touches the stock where it cuts.
-
-    None for other arms.
+    """Return the segments in which the wire of an arm's bow may touch the stock, or None without a bow.
 
     Args:
         group: Claims of one operation.
@@ -36,25 +34,25 @@ def cutting_edges(group: Sequence[Claim], arm: str) -> WorkingEdges | None:
 
 
 def wire_series(context: Context) -> Mapping[str, Any]:
-    """Return shape, depth and feed of each wire over its stations.
+    """Return series over the stations of each wire that could be followed, by name ``wire/<n>/<quantity>``.
 
-    Bent wires also have stability and curvature.
+    These are time, segment, shape, depth and feed. Bent wires also have stability and curvature.
     """
     out: dict[str, Any] = {}
-    for n, one in enumerate(context.get(WIRES) if context.has(WIRES) else (), 1):
-        if one.fault:
+    for n, wire_motion in enumerate(context.get(WIRES) if context.has(WIRES) else (), 1):
+        if wire_motion.fault:
             continue
         out |= {
-            f"wire/{n}/time": context.motion.time[one.sample],
-            f"wire/{n}/label": one.labels,
-            f"wire/{n}/points": one.points,
-            f"wire/{n}/depth": one.depth,
-            f"wire/{n}/feed": wire.feed_speed(context, one),
+            f"wire/{n}/time": context.motion.time[wire_motion.sample],
+            f"wire/{n}/label": wire_motion.labels,
+            f"wire/{n}/points": wire_motion.points,
+            f"wire/{n}/depth": wire_motion.depth,
+            f"wire/{n}/feed": wire.feed_speed(context, wire_motion),
         }
-        if one.path is not None:
+        if wire_motion.path is not None:
             out |= {
-                f"wire/{n}/stability": one.path.min_eigenvalue,
-                f"wire/{n}/curvature": np.linalg.norm(one.path.curvature, axis=2).max(axis=1),
+                f"wire/{n}/stability": wire_motion.path.min_eigenvalue,
+                f"wire/{n}/curvature": np.linalg.norm(wire_motion.path.curvature, axis=2).max(axis=1),
             }
     return out
 

@@ -5,12 +5,12 @@ arc length. For each sample of the nominal face the nearest point on that grid's
 grid point first, then the triangles around it). A wire that cuts exactly right passes at half the kerf on the
 outer side.
 
-What the slot of a round wire cannot reach of a ruled surface follows from the part alone: in an acute inner
-corner, or in a groove narrower than the slot, foam stays on the part for every path of the wire. In the plane
-across the wire the surface is a polyline. The centre of a slot may be wherever no part of the line is closer
-than half the slot. The distance of the nearest such position from a point of the surface is found among
-positions that lie densely along the line's parallel. A position on the other side of a wall of the part does
-not count, because a cut there removes nothing on this side.
+Some of a ruled surface cannot be reached by the slot of a round wire: in an acute inner corner, or in a
+groove narrower than the slot, foam stays on the part for every path of the wire. In the plane across the wire
+the surface is a polyline. The centre of a slot may be wherever no part of the line is closer than half the
+slot. The nearest such position to a point of the surface is found among positions that lie densely along the
+offset curve of the line. A position on the other side of a wall of the part does not count, because a cut
+there removes nothing on this side.
 """
 
 import dataclasses
@@ -39,9 +39,9 @@ MAX_RULING_DISTANCE_M = 0.020
 _REFINEMENT = 2
 """Number of steps between two points along a wire. Points in between follow a cubic."""
 _NORMAL_WEIGHT_M = 0.003
-"""Weight [m] of a rotation of the normal against distance in the search for the nearest point of a sheet."""
+"""Distance [m] that weighs as much as a unit change of the normal in the search for the nearest point."""
 _MAX_TILT_SINE = 0.2
-"""Maximum sine of the tilt of a sheet beyond 90 degrees that still faces the nominal face's direction."""
+"""A sheet faces as the nominal face does up to a tilt of 90 degrees plus the angle with this sine."""
 _EDGE_TOLERANCE = 1e-9
 """A barycentric coordinate below this is that of a point on the edge."""
 CREASE_COSINE = float(np.cos(np.deg2rad(20.0)))
@@ -72,11 +72,11 @@ class WireSweep:
 
 
 def make_cut_face(claim: CutsSurface, sweep: WireSweep) -> CutFace:
-    """Return the cut of one segment."""
+    """Compare the nominal face of a claim with the surface that a sweep leaves, half a kerf inside it."""
     points, normals, area = sample_face(claim.vertices, claim.faces)
     distance, speed = distance_to_sweep(points, normals, sweep)
     deviation = distance - 0.5 * claim.kerf.at(speed)
-    good = np.abs(deviation) <= claim.tolerance  # NaN compares as not good
+    is_within = np.abs(deviation) <= claim.tolerance  # NaN compares as False
     is_known = np.isfinite(deviation)
     weight = area[is_known] / max(float(area[is_known].sum()), 1e-30)
     return CutFace(
@@ -85,7 +85,7 @@ def make_cut_face(claim: CutsSurface, sweep: WireSweep) -> CutFace:
         deviation=deviation,
         area=area,
         tolerance=claim.tolerance,
-        share=float(area[good].sum() / max(area.sum(), 1e-30)),
+        share=float(area[is_within].sum() / max(area.sum(), 1e-30)),
         wanted_share=claim.fraction,
         rms=float(np.sqrt((weight * deviation[is_known] ** 2).sum())) if is_known.any() else float("nan"),
         largest=float(np.abs(deviation[is_known]).max()) if is_known.any() else float("nan"),
@@ -94,7 +94,7 @@ def make_cut_face(claim: CutsSurface, sweep: WireSweep) -> CutFace:
 
 
 def sample_face(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return samples of a face: centroids of a fine subdivision.
+    """Return samples of a face: the centroids of its triangles after subdivision.
 
     Args:
         vertices: Vertices (V, 3) [m].
@@ -144,9 +144,9 @@ def distance_to_sweep(
 ) -> tuple[FloatArray, FloatArray]:
     """Return signed distances (M,) [m] from points of a face to the swept sheet, and the wire's speeds.
 
-    Distances are positive where the sheet lies outwards. Sheets that face in the other direction belong to
-    another side of the part and do not count. NaN where the nearest point is on the border of the sweep: the
-    wire did not pass there.
+    Distances are positive where the sheet is on the outer side of the face. Sheets that face in the other
+    direction belong to another side of the part and are ignored. Both results are NaN where the nearest point
+    is on the border of the sweep, because the wire did not pass there.
 
     Args:
         points: Points of the face (M, 3) [m].
@@ -174,7 +174,7 @@ def distance_to_sweep(
     border = np.zeros(len(points), dtype=bool)
     row, column = np.divmod(nearest, width)
     is_open = np.concatenate([[True], ~sheet.joined, [True]])
-    for down in (0, -1, 1, -2):  # nearest cells first
+    for down in (0, -1, 1, -2):  # cells around the nearest grid point, nearest first
         for right in (-1, 0):
             a = np.clip(row + down, 0, count - 2)
             b = np.clip(column + right, 0, width - 2)
@@ -196,7 +196,7 @@ def distance_to_sweep(
                 ends = [end[candidates] for end in (corner_1, corner_2, corner_3)]
                 closest_points, weights = closest_on_triangle(points[candidates], *ends)
                 distance = np.linalg.norm(points[candidates] - closest_points, axis=1)
-                outward = np.cross(ends[2] - ends[0], ends[1] - ends[0])  # path x wire, as in _facings
+                outward = np.cross(ends[2] - ends[0], ends[1] - ends[0])  # path x wire, as in _sheet_normals
                 faces_same_side = side_sign * dots(
                     outward, normals[candidates]
                 ) >= -_MAX_TILT_SINE * np.linalg.norm(outward, axis=1)
@@ -231,16 +231,15 @@ def distance_to_sweep(
 
 
 def max_excess_depth(claim: CutsSurface, sweep: WireSweep, inside: BoolArray) -> tuple[float, int]:
-    """Return how much too deep [m] the wire enters the part, and the station.
+    """Return by how much [m] the slot reaches below the nominal face at most, and the index of the station.
 
-    The depth counts from half the kerf off the nominal face. Only points of the block that are above the face
-    count, not those next to it. The function is for faces with small curvature: they are taken as flat around
-    each sample.
+    Only points of the wire inside the block and above or below the face count, not those beside it. The face
+    is taken as flat around each sample, so the function is for faces with small curvature.
 
     Args:
         claim: Claim on the cut.
         sweep: Sweep of the wire.
-        inside: Points that are in the block (T, P).
+        inside: Whether each point of the wire is in the block (T, P).
     """
     points, normals, _ = sample_face(claim.vertices, claim.faces)
     facing = _sheet_normals(sweep).reshape(-1, 3)
@@ -248,17 +247,19 @@ def max_excess_depth(claim: CutsSurface, sweep: WireSweep, inside: BoolArray) ->
     _, nearest = cKDTree(flat).query(points, k=1)
     side = -1.0 if float(dots(facing[nearest], normals).sum()) < 0.0 else 1.0
     tree = cKDTree(np.concatenate([points, _NORMAL_WEIGHT_M * normals], axis=1))
-    rows = np.flatnonzero(inside)
-    if not len(rows):
+    selected = np.flatnonzero(inside)
+    if not len(selected):
         return 0.0, 0
-    _, sample = tree.query(np.concatenate([flat[rows], _NORMAL_WEIGHT_M * side * facing[rows]], axis=1), k=1)
-    offset = flat[rows] - points[sample]
+    _, sample = tree.query(
+        np.concatenate([flat[selected], _NORMAL_WEIGHT_M * side * facing[selected]], axis=1), k=1
+    )
+    offset = flat[selected] - points[sample]
     height = dots(offset, normals[sample])
     is_aside = np.linalg.norm(offset - height[:, None] * normals[sample], axis=1) > MAX_SAMPLE_EDGE_M
-    depth = 0.5 * claim.kerf.at(sweep.speed.reshape(-1)[rows]) - height
+    depth = 0.5 * claim.kerf.at(sweep.speed.reshape(-1)[selected]) - height
     depth[is_aside] = -np.inf
     k = int(np.argmax(depth))
-    return float(max(depth[k], 0.0)), int(rows[k] // sweep.points.shape[1])
+    return float(max(depth[k], 0.0)), int(selected[k] // sweep.points.shape[1])
 
 
 def closest_on_triangle(
@@ -306,8 +307,8 @@ def part_obj(
 ) -> str:
     """Return the simulated part as OBJ text in mm.
 
-    The vertices of each nominal face are moved to the cut surface. Faces with rulings also have vertices
-    along and between them, because vertices at their ends alone would not show what the wire left in between.
+    The vertices of each nominal face are moved along their normals to the cut surface. Faces with rulings get
+    additional vertices along and between the rulings, which show the surface there.
 
     Args:
         claims: Claims on the cuts.
@@ -370,18 +371,19 @@ def _ruled_grid(claim: FollowsRulings) -> tuple[FloatArray, IntArray]:
 
 
 def _refine_sweep(sweep: WireSweep) -> WireSweep:
-    """Return the sweep without stations at which the wire did not move, with cubic points between its points.
+    """Return the sweep with cubically interpolated points between those of the wire.
 
-    Triangles then follow the curve of the wire.
+    Triangles then follow the curve of the wire. Stations to which the wire did not move are dropped.
     """
     step = np.linalg.norm(np.diff(sweep.points, axis=0), axis=2).max(axis=1)
     is_moving = np.concatenate([[True], (step > 1e-7) | ~sweep.joined])
     visit = np.concatenate([[0], np.cumsum(~sweep.joined)])[is_moving]
-    rows, speed = sweep.points[is_moving], sweep.speed[is_moving]
-    padded = np.concatenate([2 * rows[:, :1] - rows[:, 1:2], rows, 2 * rows[:, -1:] - rows[:, -2:-1]], axis=1)
+    wires, speed = sweep.points[is_moving], sweep.speed[is_moving]
+    first_extended, last_extended = 2 * wires[:, :1] - wires[:, 1:2], 2 * wires[:, -1:] - wires[:, -2:-1]
+    padded = np.concatenate([first_extended, wires, last_extended], axis=1)
     middle = (-padded[:, :-3] + 9.0 * padded[:, 1:-2] + 9.0 * padded[:, 2:-1] - padded[:, 3:]) / 16.0
-    out = np.empty((rows.shape[0], _REFINEMENT * rows.shape[1] - 1, 3))
-    out[:, ::2], out[:, 1::2] = rows, middle
+    out = np.empty((wires.shape[0], _REFINEMENT * wires.shape[1] - 1, 3))
+    out[:, ::2], out[:, 1::2] = wires, middle
     fine_speed = np.empty(out.shape[:2])
     fine_speed[:, ::2], fine_speed[:, 1::2] = speed, 0.5 * (speed[:, :-1] + speed[:, 1:])
     return WireSweep(out, fine_speed, visit[1:] == visit[:-1])
@@ -406,9 +408,9 @@ def _triangle_normals(corners: FloatArray) -> FloatArray:
 
 
 POSITION_SPACING_M: Final = 5e-5
-"""Spacing of the positions that are tried [m]."""
+"""Spacing of the positions of a slot's centre that are tried [m]."""
 HALF_SLOT_TOLERANCE_M: Final = 2e-6
-"""Tolerance [m] by which a position may be closer to the line than half a slot."""
+"""Tolerance [m] by which the centre of a slot may be closer to the surface than half the slot."""
 CORNER_FAN_STEP_RAD: Final = np.deg2rad(3.0)
 """Angle [rad] between the positions that are tried around an outer corner."""
 
@@ -416,7 +418,7 @@ CORNER_FAN_STEP_RAD: Final = np.deg2rad(3.0)
 def unreachable_distance(claim: FollowsRulings, points: FloatArray, half: float) -> FloatArray:
     """Return how much farther (N,) [m] than half a slot the slot's centre must stay from points of a surface.
 
-    The result is infinite if it is far beyond what the claim allows to be left.
+    This is the depth of foam that remains there. It is infinite far beyond the depth that the claim allows.
 
     Args:
         claim: Claim on the rulings of the surface.
@@ -438,21 +440,22 @@ def unreachable_distance(claim: FollowsRulings, points: FloatArray, half: float)
 def _section_polyline(
     claim: FollowsRulings, rulings: FloatArray, point: FloatArray, axis: FloatArray
 ) -> FloatArray:
-    """Return the surface (M, 2) across ``axis`` relative to a point.
+    """Return the section (M, 2) [m] of a surface across ``axis`` through a point, which is the origin.
 
-    The part is to the left of its direction.
+    The part is to the left of the polyline's direction.
     """
     fraction = (point - claim.start) @ axis / (rulings @ axis)
-    row = claim.start + fraction[:, None] * rulings - point
+    section = claim.start + fraction[:, None] * rulings - point
     plane_axis = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     plane_axis /= np.linalg.norm(plane_axis)
-    return np.stack([row @ plane_axis, row @ np.cross(axis, plane_axis)], axis=1)
+    return np.stack([section @ plane_axis, section @ np.cross(axis, plane_axis)], axis=1)
 
 
 def _nearest_admissible_excess(line: FloatArray, half: float, left: float, max_wall: float) -> float:
-    """Return how much farther than ``half`` the nearest admissible position is from the origin.
+    """Return how much farther than ``half`` the nearest admissible centre of a slot is from the origin.
 
-    The origin is a point of the line. Positions behind more than ``max_wall`` of the part do not count.
+    The origin is a point of the line. Positions do not count if more than ``max_wall`` of the part is between
+    them and the origin. The search ends somewhat beyond ``left``, the depth that may remain. All are in m.
     """
     reach = 2.0 * half + left + 1e-3
     a, b = line[:-1], line[1:]
@@ -464,9 +467,9 @@ def _nearest_admissible_excess(line: FloatArray, half: float, left: float, max_w
     direction = (b - a) / size[:, None]
     normal = np.stack([direction[:, 1], -direction[:, 0]], axis=1)
     candidates = [_corner_fans(a, b, normal, half)]
-    for start, end, out, length in zip(a, b, normal, size, strict=True):
+    for start, end, outward, length in zip(a, b, normal, size, strict=True):
         fraction = np.linspace(0.0, 1.0, max(int(np.ceil(length / POSITION_SPACING_M)), 1) + 1)[:, None]
-        candidates.append(start + fraction * (end - start) + half * out)
+        candidates.append(start + fraction * (end - start) + half * outward)
     positions = np.concatenate(candidates)
     distance = np.linalg.norm(positions, axis=1)
     order = np.argsort(distance, kind="stable")
@@ -481,10 +484,10 @@ def _nearest_admissible_excess(line: FloatArray, half: float, left: float, max_w
 
 
 def _length_in_part(point: FloatArray, a: FloatArray, b: FloatArray) -> float:
-    """Return the length of the path from the origin to an outside point that is within the part.
+    """Return the length [m] in the part of the straight path from the origin to a point outside the part.
 
-    The border of the part consists of pieces ``a`` to ``b`` (M, 2). The length lies between crossings,
-    counted from the outside point.
+    The border of the part consists of pieces ``a`` to ``b`` (M, 2). Seen from the outside point, the path is
+    in the part from each odd crossing to the next one.
     """
     edge = b - a
     cross = point[0] * edge[:, 1] - point[1] * edge[:, 0]
@@ -506,7 +509,7 @@ def _length_in_part(point: FloatArray, a: FloatArray, b: FloatArray) -> float:
 
 
 def _corner_fans(a: FloatArray, b: FloatArray, normal: FloatArray, half: float) -> FloatArray:
-    """Return positions (F, 2) around corners between consecutive pieces, from one normal to the other."""
+    """Return positions (F, 2) on arcs of radius ``half`` around corners between consecutive pieces."""
     joined = np.flatnonzero(np.linalg.norm(b[:-1] - a[1:], axis=1) < 1e-9)
     out = [np.zeros((0, 2))]
     for k in joined:

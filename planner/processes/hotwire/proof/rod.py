@@ -1,10 +1,10 @@
-"""The wire as the real one moves: a discrete elastic rod with weight, followed from the mounted state.
+"""Quasi-static motion of a real wire: a discrete elastic rod with weight, followed from its mounted shape.
 
-It is clamped at both ends to full frames (x along the wire, z the section plane's normal) and has a fixed
-length. `mount_rod` finds the shape of the wire when it is mounted. `follow_rod` carries it through the motion
-of its ends. Where the shape stops being stable, the real wire snaps to another one: that instant is marked,
-and the rod continues from the shape that it falls into. No closed form is used: see `rod_energy` for the
-model.
+The rod is clamped at both ends to full frames (x along the wire, z the section plane's normal) and has a
+fixed length. `mount_rod` finds the shape of the wire when it is mounted. `follow_rod` carries it through the
+motion of its ends. Where the shape stops being stable, the real wire snaps to another one: that instant is
+marked, and the rod continues from the shape that it falls into. No closed form is used: see `rod_energy` for
+the model.
 
 The shapes give points, frames, curvature, twist, tension and stability margins in the world. The discrete rod
 is of second order in h = L / N. The same shapes are found again with half the segments, and both results are
@@ -109,9 +109,9 @@ class RodPath:
         twist: Twist (T, N+1) [1/m].
         tension: Tension (T, N+1) [N].
         residual: Position error of the end (T,) [m].
-        error: Displacement of the points by refinement (T,) [m]. This is the discretisation error before
-            refinement; the remaining error is far smaller. inf if the coarser rod did not hold the shape and
-            nothing was refined.
+        error: Largest displacement of the points by Richardson extrapolation (T,) [m]. It estimates the
+            discretisation error before the extrapolation. The remaining error is far smaller. Infinite if the
+            coarser rod does not have this shape, so that nothing was extrapolated.
         is_stable: Whether the shape is a strict minimum of energy (T,).
         min_eigenvalue: Smallest eigenvalue of the second variation over that of the first bending mode of a
             straight clamped rod (4 pi^2 EI / L^2 with ``soft_bending``) (T,). 0 where stability is lost.
@@ -166,15 +166,16 @@ class EndMotion:
         self.ends = self._relative(*self.positions, *self.attitudes)
 
     def _relative(self, pa: FloatArray, pb: FloatArray, qa: FloatArray, qb: FloatArray) -> RodEnds:
+        """Return the end clamp (position pb, attitude qb) as seen from the start clamp (pa, qa)."""
         rotation = rotation_matrix(qa)
         position = np.einsum("jit,jt->it", rotation, pb - pa) / self.length
         weight = np.einsum("jit,j->it", rotation, self.weight)
         return RodEnds(position, quaternion_product(quaternion_conjugate(qa), qb), weight)
 
     def at(self, time: float) -> RodEnds:
-        """Return the ends at a time between instants.
+        """Return the ends at a time that counts instants: 3.5 is halfway from instant 3 to instant 4.
 
-        Positions are linear, attitudes follow the shortest rotation.
+        Positions are interpolated linearly, attitudes along the shortest rotation.
         """
         k = min(int(time), self.start.shape[0] - 1)
         fraction = time - k
@@ -229,7 +230,7 @@ def mount_rod(
         end: Frame of the end clamp (4, 4).
         gravity: Direction of gravity (3,).
         turning: Rotation about the plane's normal [rad]. Default: the smallest rotation between the frames.
-        bow: Side of the bow, +1 towards y or -1 away. Default: the side with less bending.
+        bow: Side of the bow, +1 towards y or -1 away. Default: the side with less energy.
 
     Raises:
         RodError: If no stable shape is found.
@@ -238,9 +239,11 @@ def mount_rod(
     goal = drive.ends
     distance = float(np.linalg.norm(goal.position))
     if distance >= 1.0:
-        got = f"{distance * rod.length * 1e3:.4f} mm apart"
-        raise RodError(f"the ends are {got}; a rod of {rod.length * 1e3:.4f} mm must be longer than that")
-    # A planar curve to either side is moved to the clamps; the stable shape of least energy counts.
+        raise RodError(
+            f"the ends are {distance * rod.length * 1e3:.4f} mm apart; a rod of {rod.length * 1e3:.4f} mm "
+            "must be longer than that"
+        )
+    # A planar curve to either side is moved to the clamps. The stable shape of least energy is returned.
     rotation = _closest_rotation(quaternion_log(goal.attitude)[:, 0], turning)
     sides = (1.0, -1.0) if bow is None else (math.copysign(1.0, bow),)
     candidates: list[tuple[float, RodShape]] = []
@@ -248,17 +251,20 @@ def mount_rod(
         outcome = _move_to_goal(rod, _initial_state(rod, rotation, distance, side), goal)
         if outcome.is_stable[0]:
             state = outcome.state
-            value = float(rod_energy(rod.stiffness, state.attitudes, goal)[0])
-            candidates.append((value, RodShape(state.attitudes[..., 0], state.force[:, 0])))
+            energy = float(rod_energy(rod.stiffness, state.attitudes, goal)[0])
+            candidates.append((energy, RodShape(state.attitudes[..., 0], state.force[:, 0])))
     if not candidates:
         raise RodError(
             "no stable shape found for the mounted rod; give another turning or bow, or other end frames"
         )
-    min_energy = min(value for value, _ in candidates)
-    return next(shape for value, shape in candidates if value <= min_energy + 1e-9 * (1.0 + abs(min_energy)))
+    # with a tolerance, so that of two equal sides always the first one is returned
+    min_energy = min(energy for energy, _ in candidates)
+    max_energy = min_energy + 1e-9 * (1.0 + abs(min_energy))
+    return next(shape for energy, shape in candidates if energy <= max_energy)
 
 
 def _initial_state(rod: Rod, rotation: FloatArray, distance: float, side: float) -> RodState:
+    """Return a curve that rotates evenly by ``rotation`` (3,) and bows so that its ends have a distance."""
     middle = (np.arange(rod.segments) + 0.5) / rod.segments
     size = _bow_amplitude(rotation[2], distance, middle, side)
     wave = np.outer([0.0, 0.0, 1.0], size * np.sin(2.0 * np.pi * middle))
@@ -267,10 +273,7 @@ def _initial_state(rod: Rod, rotation: FloatArray, distance: float, side: float)
 
 
 def _move_to_goal(rod: Rod, state: RodState, goal: RodEnds) -> NewtonResult:
-    """Return the shape after the end moved to the required position.
-
-    The weight grows from 0 meanwhile.
-    """
+    """Move the end of a rod to its required position, while the weight grows from 0."""
     first = rotation_matrix(state.attitudes)[:, 0].mean(axis=1)
     outcome = descend(rod.stiffness, state, RodEnds(first, goal.attitude, 0.0 * goal.weight))
     reached, step = 0.0, 0.1
@@ -298,12 +301,13 @@ def _closest_rotation(vector: FloatArray, turning: float | None) -> FloatArray:
 
 
 def _bow_amplitude(turning: float, distance: float, middle: FloatArray, side: float) -> float:
-    """Return the amplitude a [rad] of theta = turning s + a sin(2 pi s) for a distance of the ends.
+    """Return the amplitude a [rad] of theta = turning s + a sin(2 pi s) with a given distance of the ends.
 
-    The curve bows to one side.
+    Its sign is that of ``side``. If no amplitude gives the distance, the one that comes closest is returned.
     """
 
     def distance_excess(size: float) -> float:
+        """Return by how much the ends are too far apart for an amplitude."""
         theta = turning * middle + size * np.sin(2.0 * np.pi * middle)
         return math.hypot(float(np.cos(theta).mean()), float(np.sin(theta).mean())) - distance
 
@@ -316,13 +320,11 @@ def _bow_amplitude(turning: float, distance: float, middle: FloatArray, side: fl
 
 
 _INSTANT_BATCH_SIZE = 512  # instants in one batch, for bounded memory
-_MAX_COARSE_DIFFERENCE_RAD = (
-    0.2  # maximum difference between the shapes of the coarser and the finer rod [rad]
-)
+_MAX_COARSE_DIFFERENCE_RAD = 0.2  # largest difference of coarser and finer rod in one shape [rad]
 
 
 class _RodMeasures(NamedTuple):
-    """Results in the start frame and in units of the rod.
+    """Properties of shapes in the start clamp's frame and in units of the rod.
 
     Attributes:
         nodes: Points (3, N+1, T).
@@ -343,7 +345,7 @@ def make_path(
     has_jumped: BoolArray,
     jump_distance: FloatArray,
 ) -> RodPath:
-    """Return the path of the shapes at all instants.
+    """Compute points, curvature, tension and stability of the shapes at all instants.
 
     Args:
         rod: The rod.
@@ -355,8 +357,8 @@ def make_path(
     """
     ends, length, count = end_motion.ends, rod.length, state.attitudes.shape[2]
     parts, eigenvalues, errors = [], [], []
-    for at in range(0, count, _INSTANT_BATCH_SIZE):
-        batch = slice(at, at + _INSTANT_BATCH_SIZE)
+    for first in range(0, count, _INSTANT_BATCH_SIZE):
+        batch = slice(first, first + _INSTANT_BATCH_SIZE)
         batch_state, batch_ends = RodState(state.attitudes[..., batch], state.force[:, batch]), ends.at(batch)
         eigenvalues.append(weakest_eigenvalues(rod.stiffness, batch_state, batch_ends))
         measures, error = _extrapolate(rod.stiffness, batch_state, batch_ends)
@@ -388,6 +390,7 @@ def make_path(
 
 
 def _extrapolate(stiffness: FloatArray, state: RodState, ends: RodEnds) -> tuple[_RodMeasures, FloatArray]:
+    """Return Richardson-extrapolated measures, and the largest displacement of the points by it (T,)."""
     fine = _measure_state(state, ends)
     # coarse rod: each attitude is the mean of two; only the same shape may be combined
     left, right = state.attitudes[:, ::2], state.attitudes[:, 1::2]
@@ -402,11 +405,11 @@ def _extrapolate(stiffness: FloatArray, state: RodState, ends: RodEnds) -> tuple
     coarse = _measure_state(outcome.state, ends)
     n = state.attitudes.shape[1]
     # Richardson: fine + (fine - coarse) / 3 at common points, the difference interpolated between them
-    even, every = np.linspace(0.0, 1.0, n // 2 + 1), np.linspace(0.0, 1.0, n + 1)
+    coarse_s, fine_s = np.linspace(0.0, 1.0, n // 2 + 1), np.linspace(0.0, 1.0, n + 1)
     improved = []
     for a, b in zip(fine, coarse, strict=True):
         change = np.where(is_same_shape, (a[..., ::2, :] - b) / 3.0, 0.0)
-        improved.append(a + CubicSpline(even, change, axis=-2)(every))
+        improved.append(a + CubicSpline(coarse_s, change, axis=-2)(fine_s))
     shift = improved[0] - fine.nodes
     return _RodMeasures(*improved), np.where(
         is_same_shape, np.sqrt((shift * shift).sum(axis=0)).max(axis=0), np.inf
@@ -414,7 +417,7 @@ def _extrapolate(stiffness: FloatArray, state: RodState, ends: RodEnds) -> tuple
 
 
 def _node_attitudes(q: FloatArray, ends: RodEnds) -> FloatArray:
-    """Return attitudes (4, N + 1, T) at the points.
+    """Return attitudes (4, N + 1, T) at the points, for attitudes ``q`` (4, N, T) of the segments.
 
     The outer ones are those of the clamps, the inner ones are halfway between neighbouring segments.
     """
@@ -427,6 +430,7 @@ def _node_attitudes(q: FloatArray, ends: RodEnds) -> FloatArray:
 
 
 def _measure_state(state: RodState, ends: RodEnds) -> _RodMeasures:
+    """Return points, twist, curvature and tension of a discrete rod."""
     n = state.attitudes.shape[1]
     steps = rotation_matrix(state.attitudes)[:, 0] / n
     nodes = np.concatenate([np.zeros_like(steps[:, :1]), np.cumsum(steps, axis=1)], axis=1)
@@ -442,7 +446,7 @@ def _measure_state(state: RodState, ends: RodEnds) -> _RodMeasures:
 
 
 _FOLLOW_STRIDE = 8  # instants between those that are followed one after another
-_MAX_GUESS_DIFFERENCE_RAD = 0.15  # maximum difference of a shape from the one between its neighbours [rad]
+_MAX_GUESS_DIFFERENCE_RAD = 0.15  # maximum difference of a shape from the mean of its neighbours [rad]
 _MIN_STEP_FRACTION = 1.0 / 64.0  # minimum step, as a fraction of the move from one instant to the next
 
 
@@ -456,10 +460,13 @@ class _FollowedStates:
     jump_distance: FloatArray
     is_stable: BoolArray
 
-    def put(self, k: int, state: RodState, good: bool) -> None:
-        self.q[..., k], self.force[:, k], self.is_stable[k] = state.attitudes[..., 0], state.force[:, 0], good
+    def put(self, k: int, state: RodState, is_stable: bool) -> None:
+        """Store the state of instant k."""
+        self.q[..., k], self.force[:, k] = state.attitudes[..., 0], state.force[:, 0]
+        self.is_stable[k] = is_stable
 
     def get(self, k: int) -> RodState:
+        """Return the state of instant k."""
         return RodState(self.q[..., k : k + 1], self.force[:, k : k + 1])
 
 
@@ -471,19 +478,19 @@ def follow_rod(
     initial: RodShape,
     stride: int = _FOLLOW_STRIDE,
 ) -> RodPath:
-    """Carry the rod from a shape through the frames of its ends.
+    """Follow the shape of a rod from an initial shape through the motion of its ends.
 
-    Every ``stride``-th instant is found from the previous one, in smaller steps where the shape changes fast.
-    The instants between are found all at once. They belong to the same branch: they are near the shape
-    between their neighbours, and stable.
+    Every ``stride``-th instant is solved from the previous one, in smaller steps where the shape changes
+    fast. The instants in between are solved all at once, from interpolated shapes. A solution that is stable
+    and close to its interpolated shape belongs to the same branch. Other instants are followed stepwise.
 
     Args:
         rod: The rod.
         start_frames: Frames of the start clamp (T, 4, 4).
         end_frames: Frames of the end clamp (T, 4, 4).
-        gravity: Direction of gravity (3,). Its length does not count.
+        gravity: Direction of gravity (3,) of any length.
         initial: Shape at the first instant.
-        stride: Number of instants between those found one after another.
+        stride: Instants from one to the next that are solved one after another.
 
     Raises:
         RodError: If the inputs are invalid.
@@ -492,9 +499,9 @@ def follow_rod(
     count, n = len(end_motion.start), initial.attitudes.shape[1]
     if n != rod.segments:
         raise RodError(f"the initial shape has {n} segments, the rod {rod.segments}")
-    flags = np.zeros(count, dtype=bool)
+    no_flags = np.zeros(count, dtype=bool)
     states = _FollowedStates(
-        np.zeros((4, n, count)), np.zeros((3, count)), flags, np.zeros(count), flags.copy()
+        np.zeros((4, n, count)), np.zeros((3, count)), no_flags, np.zeros(count), no_flags.copy()
     )
     state = RodState(initial.attitudes[..., None], initial.force[:, None])
     _settle_instant(rod, end_motion, states, 0, state)
@@ -525,7 +532,7 @@ def follow_rod(
 def _settle_instant(
     rod: Rod, end_motion: EndMotion, states: _FollowedStates, k: int, state: RodState
 ) -> None:
-    """Move a state to the ends of instant k. It is a jump if this gives another shape."""
+    """Solve for the shape at instant k from a guess, and store it. A different shape is stored as a jump."""
     ends = end_motion.at(float(k))
     outcome = solve_newton(rod.stiffness, state, ends)
     if _ends_too_far(ends):
@@ -551,9 +558,7 @@ def _follow_stepwise(rod: Rod, end_motion: EndMotion, states: _FollowedStates, a
                 state, time, step, is_stable = outcome.state, goal, 2.0 * step, True
             elif step > _MIN_STEP_FRACTION:
                 step *= 0.5
-            elif _ends_too_far(
-                end_motion.at(goal)
-            ):  # the ends are farther apart than the length: no shape exists
+            elif _ends_too_far(end_motion.at(goal)):
                 time, is_stable = goal, False
             else:
                 settled = descend(rod.stiffness, _falling_state(state, outcome), end_motion.at(goal))
@@ -572,6 +577,7 @@ def _is_continuation(state: RodState, outcome: NewtonResult) -> bool:
 
 
 def _ends_too_far(ends: RodEnds) -> bool:
+    """Return whether the ends are farther apart than the length of the rod, so that no shape exists."""
     return float(np.linalg.norm(ends.position)) >= 1.0 - 1e-12
 
 
@@ -594,7 +600,7 @@ def _max_point_distance(a: RodState, b: RodState) -> float:
 def _fill_spans(
     rod: Rod, end_motion: EndMotion, states: _FollowedStates, spans: list[tuple[int, int]]
 ) -> list[tuple[int, int]]:
-    """Find all instants inside the spans at once. Returns the spans where this failed."""
+    """Solve for all instants inside spans (first, last) at once. Return the spans in which this failed."""
     inside = [np.arange(a + 1, b) for a, b in spans]
     if not inside:
         return []
@@ -609,24 +615,22 @@ def _fill_spans(
         fraction * (states.force[:, right] - states.force[:, left]),
     )
     failed: list[tuple[int, int]] = []
-    good = np.zeros(len(instants), dtype=bool)
-    for at in range(0, len(instants), 512):  # bounded memory
-        batch = slice(at, at + 512)
+    is_valid = np.zeros(len(instants), dtype=bool)
+    for first in range(0, len(instants), 512):  # bounded memory
+        batch = slice(first, first + 512)
         outcome = solve_newton_many(
             rod.stiffness,
             RodState(guess.attitudes[..., batch], guess.force[:, batch]),
             end_motion.ends.at(instants[batch]),
         )
-        good[batch] = (
+        is_valid[batch] = (
             outcome.is_stable
             & outcome.is_continuation
             & (max_angles(guess.attitudes[..., batch], outcome.state.attitudes) < _MAX_GUESS_DIFFERENCE_RAD)
         )
-        states.q[..., instants[batch]], states.force[:, instants[batch]] = (
-            outcome.state.attitudes,
-            outcome.state.force,
-        )
-    states.is_stable[instants] = good
+        states.q[..., instants[batch]] = outcome.state.attitudes
+        states.force[:, instants[batch]] = outcome.state.force
+    states.is_stable[instants] = is_valid
     for a, b in spans:
         if not states.is_stable[a + 1 : b].all():
             failed.append((a, b))

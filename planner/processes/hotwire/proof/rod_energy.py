@@ -1,9 +1,9 @@
 """Energy of a discrete Kirchhoff rod with its first and second derivatives, for many rods at once.
 
 The rod of length 1 has N straight segments of length h = 1/N. The unknowns are the segments' attitudes (unit
-quaternions). Positions follow by summation, so the rod cannot stretch. Neighbouring segments are h apart
-(middle to middle), the clamped end frames h/2 from the first and last middle. This is second order in h. The
-end's position is held by three multipliers F, the force in the rod at its end.
+quaternions). Positions follow by summation, so the rod cannot stretch. The middles of neighbouring segments
+are h apart, and the clamps are h/2 from the first and the last middle. The discretisation is of second order
+in h. Three multipliers F, the force in the rod at its end, hold the end's position.
 
     Lagrangian = sum_j K.phi_j^2 / (2 D_j) - h sum_k t_k.(F + w (1 - s_k)) + F.d
 
@@ -21,7 +21,7 @@ import numpy as np
 from planner.geometry.arrays import FloatArray, IndexArray
 
 _LEVI_CIVITA = np.zeros((3, 3, 3))
-"""Signs of permutations (3, 3, 3): the cross product."""
+"""Levi-Civita symbol (3, 3, 3), which expresses cross products as sums."""
 for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
     _LEVI_CIVITA[_i, _j, _k], _LEVI_CIVITA[_i, _k, _j] = 1.0, -1.0
 
@@ -52,7 +52,7 @@ def quaternion_exp(rotation: FloatArray) -> FloatArray:
 
 
 def quaternion_log(q: FloatArray) -> FloatArray:
-    """Return rotation vectors (3, ...) of at most half a turn of unit quaternions (4, ...)."""
+    """Return the rotation vectors (3, ...) of unit quaternions (4, ...), with angles of at most pi."""
     q = np.where(q[0] < 0.0, -q, q)
     sine = np.sqrt((q[1:] * q[1:]).sum(axis=0))
     angle = 2.0 * np.arctan2(sine, q[0])
@@ -78,7 +78,7 @@ def quaternion_from_matrix(rotation: FloatArray) -> FloatArray:
     r = rotation
     trace = r[0, 0] + r[1, 1] + r[2, 2]
     four = np.stack([trace, *(2.0 * r[i, i] - trace for i in range(3))]) + 1.0  # 4 q_i^2
-    a, b, c = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+    a, b, c = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]  # 4 q_0 q_i; below 4 q_i q_j
     xy, yz, zx = r[0, 1] + r[1, 0], r[1, 2] + r[2, 1], r[2, 0] + r[0, 2]
     rows = np.stack(
         [
@@ -115,14 +115,14 @@ class RodEnds:
 
 @dataclass(frozen=True)
 class RodDerivatives:
-    """Derivatives of the Lagrangian.
+    """Derivatives of the Lagrangian with respect to rotations of the segments.
 
     Attributes:
         gradient: Gradient (3, N, T).
         diagonal: Diagonal blocks of the Hessian (3, 3, N, T).
         off_diagonal: Blocks of the Hessian in row k, column k+1 (3, 3, N-1, T).
         end_jacobian: Jacobian of the end's position (3, 3, N, T).
-        end_error: Error of the end's position (3, T).
+        end_error: Position of the end minus its required position (3, T).
     """
 
     gradient: FloatArray
@@ -142,7 +142,7 @@ def joint_spacing(n: int) -> FloatArray:
 def joint_quaternions(q: FloatArray, end_attitude: FloatArray) -> FloatArray:
     """Return relative quaternions (4, N + 1, T) between neighbours, clamps included.
 
-    Their scalar parts are positive.
+    Their scalar parts are not negative.
 
     Args:
         q: Attitudes of the segments (4, N, T).
@@ -162,7 +162,7 @@ def segment_force(force: FloatArray, weight: FloatArray, n: int) -> FloatArray:
 
     Args:
         force: Force at the end (3, T).
-        weight: Weight (3, T).
+        weight: Weight of the whole rod (3, T).
         n: Number of segments.
     """
     remaining = 1.0 - (np.arange(n) + 0.5) / n
@@ -183,8 +183,8 @@ def rod_energy(stiffness: FloatArray, q: FloatArray, ends: RodEnds) -> FloatArra
     phi = p[1:] * ((8.0 - 2.0 * p[0]) / 3.0)
     elastic = 0.5 * np.einsum("i,ijt,j->t", stiffness, phi * phi, 1.0 / joint_spacing(n))
     load = segment_force(np.zeros_like(ends.position), ends.weight, n)
-    total: FloatArray = elastic - (rotation_matrix(q)[:, 0] * load).sum(axis=(0, 1)) / n
-    return total
+    energy: FloatArray = elastic - (rotation_matrix(q)[:, 0] * load).sum(axis=(0, 1)) / n
+    return energy
 
 
 def rod_derivatives(stiffness: FloatArray, q: FloatArray, force: FloatArray, ends: RodEnds) -> RodDerivatives:
@@ -257,12 +257,12 @@ def _quadratic_form(
 
 
 def _bracket_derivative(w: FloatArray, v: FloatArray, dw: FloatArray, dv: FloatArray) -> FloatArray:
-    """Return the derivative along e_i p e_j, (3, 3, ...).
+    """Return the directional derivatives (3, 3, ...) of the joint energy along the quaternions e_i p e_j.
 
-    The scalar part is -w d_ij + v.(e_i x e_j), the vector part is derived below.
+    p = (w, v) is the relative quaternion. dw and dv are the derivatives of the energy with respect to it.
     """
-    # e_i (w, v) e_j = (-v_i, w e_i + e_i x v) e_j = (-w d_ij - (e_i x v)_j, -v_i e_j + w e_i x e_j + (e_i x
-    # v) x e_j)
+    # e_i (w, v) e_j = (-v_i, w e_i + e_i x v) e_j
+    #                = (-w d_ij - (e_i x v)_j, -v_i e_j + w e_i x e_j + (e_i x v) x e_j)
     # and (e_i x v) x e_j = v d_ij - e_i v_j
     eye = np.eye(3)[:, :, None, None]
     rotated = np.einsum("jik,k...->ij...", _LEVI_CIVITA, v)  # (e_i x v)_j = eps_{j i k} v_k

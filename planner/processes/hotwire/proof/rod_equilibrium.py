@@ -1,7 +1,7 @@
 """Equilibria of the discrete rod by Newton's method.
 
-For one instant the matrix is dense and factored with pivots, for many instants it is factored by block
-elimination.
+For one instant the Newton matrix is dense and factored with pivots. For many instants at once it is factored
+by block elimination.
 
 Stability follows from the inertia of the saddle-point matrix: the energy has a strict minimum under the three
 conditions on the end's position if and only if the matrix has exactly three negative eigenvalues (Gould,
@@ -25,10 +25,10 @@ from planner.processes.hotwire.proof.rod_energy import (
     rotation_matrix,
 )
 
-ROTATION_TOLERANCE_RAD = (
-    1e-9  # rotation [rad] of the last Newton step; the remaining error is of the order of its square
-)
-# raises all eigenvalues slightly: neutral shapes count as stable, and Newton does not drift along them
+# largest rotation [rad] in the last Newton step; the remaining error is of the order of its square
+ROTATION_TOLERANCE_RAD = 1e-9
+# raises all eigenvalues slightly (by 1e-6 of the first bending mode of a straight clamped rod): neutral
+# shapes count as stable, and Newton does not drift along them
 EIGENVALUE_LIFT = 1e-6 * 4.0 * np.pi**2
 _MAX_ROTATION_RAD = 0.5  # maximum rotation [rad] of a segment in one Newton step
 _MAX_SECOND_STEP_RATIO = 0.3  # maximum ratio of the second to the first Newton step of a steady solution
@@ -55,7 +55,8 @@ class NewtonResult:
     Attributes:
         state: The states.
         converged: Whether Newton converged (T,).
-        excess_negatives: Number of negative eigenvalues beyond the three of the conditions (T,).
+        excess_negatives: Number of negative eigenvalues of the saddle-point matrix, minus the three that the
+            conditions on the end's position cause (T,). 0 for a stable shape.
         is_continuation: Whether the second Newton step was much shorter than the first, so that the shape is
             the continuation of the guess (T,).
     """
@@ -85,7 +86,7 @@ def saddle_matrix(parts: RodDerivatives, lift: float = 0.0) -> FloatArray:
 
     Args:
         parts: Derivatives of one instant.
-        lift: Amount by which the second variation is raised.
+        lift: Amount that is added to all eigenvalues of the second variation, as `weakest_mode` scales them.
     """
     # (H + lift h 1, -C^T; -C, 0) (rotations; force) = (-gradient; end error), C = d(end position)
     n = parts.gradient.shape[1]
@@ -97,8 +98,8 @@ def saddle_matrix(parts: RodDerivatives, lift: float = 0.0) -> FloatArray:
     blocks[index[:-1], :, index[1:], :] = off_diagonal
     blocks[index[1:], :, index[:-1], :] = off_diagonal.transpose(0, 2, 1)
     slope = parts.end_jacobian[..., 0].transpose(0, 2, 1).reshape(3, 3 * n)
-    inside = np.arange(3 * n)
-    full[inside, inside] += lift / n
+    unknown = np.arange(3 * n)
+    full[unknown, unknown] += lift / n
     full[3 * n :, : 3 * n] = -slope
     full[: 3 * n, 3 * n :] = -slope.T
     return full
@@ -123,18 +124,18 @@ def solve_newton(stiffness: FloatArray, state: RodState, ends: RodEnds, rounds: 
     """
     n = state.attitudes.shape[1]
     first_step, is_continuation = 0.0, True
-    for count in range(rounds):
+    for iteration in range(rounds):
         parts = rod_derivatives(stiffness, state.attitudes, state.force, ends)
         ldu, pivots, negatives = factorise(saddle_matrix(parts, EIGENVALUE_LIFT))
-        right = np.concatenate([-parts.gradient[..., 0].T.ravel(), parts.end_error[:, 0]])
-        step, fault = lapack.dsytrs(ldu, pivots, right, lower=1)
+        right_side = np.concatenate([-parts.gradient[..., 0].T.ravel(), parts.end_error[:, 0]])
+        step, fault = lapack.dsytrs(ldu, pivots, right_side, lower=1)
         if fault or not np.isfinite(step).all():
             break
         rotation = step[: 3 * n].reshape(n, 3).T[..., None]
         largest = float(np.abs(rotation).max())
-        first_step = largest if count == 0 else first_step
+        first_step = largest if iteration == 0 else first_step
         is_continuation = is_continuation and (
-            count != 1 or largest <= max(_MAX_SECOND_STEP_RATIO * first_step, _MAX_STEADY_ROTATION_RAD)
+            iteration != 1 or largest <= max(_MAX_SECOND_STEP_RATIO * first_step, _MAX_STEADY_ROTATION_RAD)
         )
         step_factor = min(1.0, _MAX_ROTATION_RAD / max(largest, 1e-300))
         state = apply_step(state, step_factor * rotation, step_factor * step[3 * n :, None])
@@ -146,10 +147,10 @@ def solve_newton(stiffness: FloatArray, state: RodState, ends: RodEnds, rounds: 
 
 
 def weakest_mode(stiffness: FloatArray, state: RodState, ends: RodEnds) -> tuple[float, FloatArray]:
-    """Return the smallest eigenvalue of the second variation, and its mode (3, N).
+    """Return the smallest eigenvalue of the second variation, and its mode: rotations of segments (3, N).
 
-    Only shapes that keep the end's position count. The eigenvalue is normalised by int |rotation|^2 ds, in
-    units of EI / L^2. The mode consists of rotations.
+    Only modes that keep the end's position count. The eigenvalue is normalised by int |rotation|^2 ds, in
+    units of EI / L^2.
 
     Args:
         stiffness: Torsion and bending stiffnesses (3,).
@@ -168,9 +169,10 @@ def weakest_mode(stiffness: FloatArray, state: RodState, ends: RodEnds) -> tuple
 def descend(stiffness: FloatArray, state: RodState, ends: RodEnds, rounds: int = 200) -> NewtonResult:
     """Descend to a stable shape for one instant, from a state that need not be near one.
 
-    Newton steps use the Hessian raised until it is positive on the conditions and the energy decreases. After
-    each step the end is moved back to its position. From an unstable equilibrium the first step goes along
-    its weakest mode.
+    A multiple of the unit matrix is added to the Hessian of each Newton step until the Hessian is positive
+    for all rotations that keep the end's position, and until the step lowers the energy. After each step the
+    end is moved back to its position. From an unstable equilibrium the first step goes along its weakest
+    mode.
 
     Args:
         stiffness: Torsion and bending stiffnesses (3,).
@@ -186,16 +188,16 @@ def descend(stiffness: FloatArray, state: RodState, ends: RodEnds, rounds: int =
         mode = weakest_mode(stiffness, result.state, ends)[1]
         state = apply_step(result.state, (0.05 / np.abs(mode).max() * mode)[..., None], np.zeros((3, 1)))
     state = _restore_end(state, ends)
-    # raise the Hessian until it is positive on the conditions and the step lowers the energy
-    lift, last_energy = 0.0, float(rod_energy(stiffness, state.attitudes, ends)[0])
+    lift = 0.0
+    last_energy = float(rod_energy(stiffness, state.attitudes, ends)[0])
     parts = rod_derivatives(stiffness, state.attitudes, state.force, ends)
     for _ in range(rounds):
         ldu, pivots, negatives = factorise(saddle_matrix(parts, EIGENVALUE_LIFT + lift * n))
         while negatives != 3 and lift < 1e6:
             lift = max(4.0 * lift, 0.1 / n)
             ldu, pivots, negatives = factorise(saddle_matrix(parts, EIGENVALUE_LIFT + lift * n))
-        right = np.concatenate([-parts.gradient[..., 0].T.ravel(), parts.end_error[:, 0]])
-        step, _ = lapack.dsytrs(ldu, pivots, right, lower=1)
+        right_side = np.concatenate([-parts.gradient[..., 0].T.ravel(), parts.end_error[:, 0]])
+        step, _ = lapack.dsytrs(ldu, pivots, right_side, lower=1)
         rotation, force = step[: 3 * n].reshape(n, 3).T[..., None], step[3 * n :, None]
         largest = float(np.abs(rotation).max())
         if (largest < 1e-3 and lift == 0.0) or lift >= 1e6:
@@ -215,12 +217,12 @@ def _restore_end(state: RodState, ends: RodEnds) -> RodState:
     """Return the state with its end moved to its position by the smallest rotations."""
     n = state.attitudes.shape[1]
     for _ in range(40):
-        turn = rotation_matrix(state.attitudes)
-        end_error = turn[:, 0].sum(axis=1) / n - ends.position
+        axes = rotation_matrix(state.attitudes)
+        end_error = axes[:, 0].sum(axis=1) / n - ends.position
         if float(np.abs(end_error).max()) < 1e-11:
             break
         # smallest rotations: r = -C^T (C C^T)^-1 error
-        slope = np.stack([0.0 * turn[:, 0], -turn[:, 2], turn[:, 1]], axis=1) / n
+        slope = np.stack([0.0 * axes[:, 0], -axes[:, 2], axes[:, 1]], axis=1) / n
         square = np.einsum("ijkt,ljkt->il", slope, slope)
         rotation = -np.einsum("ijkt,i->jkt", slope, np.linalg.lstsq(square, end_error[:, 0], rcond=1e-12)[0])
         rotation *= min(1.0, 0.3 / max(float(np.abs(rotation).max()), 1e-300))
@@ -236,7 +238,7 @@ class BlockElimination:
 
     Args:
         parts: Derivatives of T instants.
-        lift: Amount by which the second variation is raised.
+        lift: Amount that is added to all eigenvalues of the second variation.
     """
 
     def __init__(self, parts: RodDerivatives, lift: float = EIGENVALUE_LIFT) -> None:
@@ -281,7 +283,7 @@ class BlockElimination:
         return result
 
     def solve(self, right: FloatArray, gap: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return rotations (3, N, T) and forces (3, T) of H r - C^T f = right, -C r = gap."""
+        """Solve H r - C^T f = right, -C r = gap for rotations r (3, N, T) and forces f (3, T)."""
         # f = -S^-1 (gap + C H^-1 right), r = H^-1 (right + C^T f)
         free = self.solve_blocks(right[:, None])[:, 0]
         miss = gap + np.einsum("ijkt,jkt->it", self.slope, free)
@@ -300,34 +302,36 @@ def solve_newton_many(stiffness: FloatArray, state: RodState, ends: RodEnds, rou
     """
     converged = np.zeros(ends.position.shape[1], dtype=bool)
     negatives = np.zeros(ends.position.shape[1], dtype=np.intp)
-    q, total = state.attitudes.copy(), state.force.copy()
+    attitudes, forces = state.attitudes.copy(), state.force.copy()
     active = np.arange(len(converged))
-    first, is_continuation = np.zeros(len(active)), np.ones(len(active), dtype=bool)
-    for count in range(rounds):
+    first_step = np.zeros(len(active))
+    is_continuation = np.ones(len(active), dtype=bool)
+    for iteration in range(rounds):
         if len(active) == 0:
             break
-        active_state, active_ends = RodState(q[:, :, active], total[:, active]), ends.at(active)
+        active_state = RodState(attitudes[:, :, active], forces[:, active])
+        active_ends = ends.at(active)
         parts = rod_derivatives(stiffness, active_state.attitudes, active_state.force, active_ends)
         with np.errstate(all="ignore"):
-            work = BlockElimination(parts)
-            rotation, force = work.solve(-parts.gradient, parts.end_error)
+            elimination = BlockElimination(parts)
+            rotation, force = elimination.solve(-parts.gradient, parts.end_error)
         is_finite = np.isfinite(rotation).all(axis=(0, 1)) & np.isfinite(force).all(axis=0)
         rotation, force = np.where(is_finite, rotation, 0.0), np.where(is_finite, force, 0.0)
         largest = np.abs(rotation).max(axis=(0, 1))
-        if count == 0:
-            first[active] = largest
-        if count == 1:
+        if iteration == 0:
+            first_step[active] = largest
+        if iteration == 1:
             is_continuation[active] = largest <= np.maximum(
-                _MAX_SECOND_STEP_RATIO * first[active], _MAX_STEADY_ROTATION_RAD
+                _MAX_SECOND_STEP_RATIO * first_step[active], _MAX_STEADY_ROTATION_RAD
             )
         step_factor = np.minimum(1.0, _MAX_ROTATION_RAD / np.maximum(largest, 1e-300))
         active_state = apply_step(active_state, step_factor * rotation, step_factor * force)
-        q[:, :, active], total[:, active] = active_state.attitudes, active_state.force
+        attitudes[:, :, active], forces[:, active] = active_state.attitudes, active_state.force
         done = is_finite & (largest < ROTATION_TOLERANCE_RAD)
         converged[active[done]] = True
-        negatives[active[done]] = work.negatives[done]
+        negatives[active[done]] = elimination.negatives[done]
         active = active[is_finite & ~done]
-    return NewtonResult(RodState(q, total), converged, negatives, is_continuation)
+    return NewtonResult(RodState(attitudes, forces), converged, negatives, is_continuation)
 
 
 def weakest_eigenvalues(
@@ -344,17 +348,17 @@ def weakest_eigenvalues(
         rounds: Number of iterations.
     """
     parts = rod_derivatives(stiffness, state.attitudes, state.force, ends)
-    work = BlockElimination(parts)
+    elimination = BlockElimination(parts)
     n, instants = state.attitudes.shape[1], state.attitudes.shape[2]
     s = (np.arange(n) + 0.5) / n
     mode = np.stack([np.sin(3.0 * s + i) + s * (1.0 + i) for i in range(3)])[..., None] * np.ones(instants)
     value = np.zeros(instants)
     for _ in range(rounds):
         mode /= np.sqrt((mode * mode).sum(axis=(0, 1)) / n)
-        after, _ = work.solve(mode / n, np.zeros((3, instants)))
-        # H after = mode / n, so 1 / (mode.after / n) tends to the eigenvalue nearest to 0
-        value = 1.0 / ((mode * after).sum(axis=(0, 1)) / n)
-        mode = after
+        next_mode, _ = elimination.solve(mode / n, np.zeros((3, instants)))
+        # H next_mode = mode / n, so 1 / (mode.next_mode / n) tends to the eigenvalue nearest to 0
+        value = 1.0 / ((mode * next_mode).sum(axis=(0, 1)) / n)
+        mode = next_mode
     return value - EIGENVALUE_LIFT
 
 

@@ -1,8 +1,8 @@
-"""Lead-ins and lead-outs of a straight wire's cuts, as the programs state them: the slits in the part.
+"""Slits that lead-ins and lead-outs of straight wires cut through the part, as the programs state them.
 
-The module finds where the wire makes a slit on its way to a contour, and compares it with the slit that the
-part makes necessary. The part is projected along the rulings of one of its contours, on the plane normal to
-the contour's mean ruling. Every contour is the polygon of its rulings' middles there. The smallest contour
+The module finds the slit that the wire cuts on its way to a contour, and compares its length in the part with
+that of the shortest slit. The part is projected along the rulings of one of its contours, on the plane normal
+to the contour's mean ruling. Every contour is the polygon of its rulings' middles there. The smallest contour
 around a point decides whether it is solid: the part is inside outlines and outside holes. If no contour is
 around it, the block is solid if the part has only holes.
 """
@@ -25,19 +25,19 @@ SLIT_START_SAMPLES: Final = 36
 SLIT_DIRECTION_SAMPLES: Final = 36
 """Number of directions that are tried at each point."""
 MAX_LENGTH_PER_CROSSING: Final = 8.0
-"""Length of a slit next to another contour that is allowed at each crossing, in half slots.
+"""Allowed length of a slit close to another contour at each crossing, in half slots.
 
-It corresponds to crossings at 15 degrees or more.
+A slit is within half a slot of a straight contour for 2 / sin(angle) half slots: 8 at about 15 degrees.
 """
 OWN_CONTOUR_TOLERANCE_M: Final = 1e-6
-"""Anything that a slit passes within this distance [m] of its end is the contour itself."""
+"""Edges that a slit crosses within this distance [m] of its start belong to the contour that it leads to."""
 _PAIR_BATCH_SIZE: Final = 2_000_000
 """Number of pairs of a point and an edge that are processed in one batch."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ContourSection:
-    """Contour ``index`` and all others as polygons with E edges.
+    """Contour ``index`` and all others in a plane across its rulings, as polygons with E edges in total.
 
     Attributes:
         index: Number of the contour.
@@ -46,11 +46,11 @@ class ContourSection:
         level: Position of the polygons along ``axis`` [m].
         edge_start: Start of each edge (E, 2) [m].
         edge_end: End of each edge (E, 2) [m].
-        owner: Contour of each edge (E,).
+        owner: Index of the contour of each edge (E,).
         holes: Whether each contour is a hole (C,).
         areas: Area of each contour (C,) [m^2].
-        corner: Corners of the contour itself (M,).
-        block: Sides of the block's outline (K, 3): unit normal and offset, negative inside.
+        corner: Whether each vertex of contour ``index`` is a corner (M,).
+        block: Sides of the block's outline (K, 3): unit normal n and offset d, with n.x + d < 0 inside.
         diagonal: Diagonal of the block [m].
     """
 
@@ -99,12 +99,12 @@ class ContourSection:
 
     @property
     def polygon(self) -> FloatArray:
-        """The contour itself (M, 2)."""
+        """Contour ``index`` (M, 2) [m]."""
         return np.asarray(self.edge_start[self.owner == self.index])
 
     @property
     def is_surrounded(self) -> bool:
-        """Whether the part lies around the contour: it is a hole, or lies in one."""
+        """Whether the part lies around contour ``index``: it is a hole, or lies in a larger one."""
         if self.holes[self.index]:
             return True
         ring = self.polygon
@@ -117,8 +117,10 @@ class ContourSection:
     @property
     def length(self) -> float:
         """Length of the contour [m]."""
-        mine = self.owner == self.index
-        return float(np.linalg.norm(self.edge_end[mine] - self.edge_start[mine], axis=1).sum())
+        contour_edges = self.owner == self.index
+        return float(
+            np.linalg.norm(self.edge_end[contour_edges] - self.edge_start[contour_edges], axis=1).sum()
+        )
 
     def intersect(self, start: FloatArray, end: FloatArray) -> FloatArray:
         """Return the intersection (..., 2) of lines from ``start`` to ``end`` (..., 3) with the plane."""
@@ -138,13 +140,14 @@ class ContourSection:
         out = np.zeros(len(base))
         step = max(1, _PAIR_BATCH_SIZE // max(len(self.edge_start), 1))
         for low in range(0, len(base), step):
-            part = slice(low, low + step)
-            out[part] = self._batch_length_in_part(base[part], direction[part], length[part])
+            batch = slice(low, low + step)
+            out[batch] = self._batch_length_in_part(base[batch], direction[batch], length[batch])
         return out
 
     def _batch_length_in_part(
         self, base: FloatArray, direction: FloatArray, length: FloatArray
     ) -> FloatArray:
+        """Return `length_in_part` of one batch: sort each slit's crossings and add up its solid pieces."""
         edge = self.edge_end - self.edge_start
         to_edge = self.edge_start[None] - base[:, None]
         cross = direction[:, None, 0] * edge[None, :, 1] - direction[:, None, 1] * edge[None, :, 0]
@@ -161,14 +164,10 @@ class ContourSection:
         count = np.bincount(row, minlength=len(base))
         crossing_index = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
         max_crossings = int(count.max(initial=0))
-        crossing_distance, crossing_owner = (
-            np.full((len(base), max_crossings), np.inf),
-            np.full((len(base), max_crossings), -1),
-        )
-        crossing_distance[row, crossing_index], crossing_owner[row, crossing_index] = (
-            distances[row, column],
-            self.owner[column],
-        )
+        crossing_distance = np.full((len(base), max_crossings), np.inf)
+        crossing_owner = np.full((len(base), max_crossings), -1)
+        crossing_distance[row, crossing_index] = distances[row, column]
+        crossing_owner[row, crossing_index] = self.owner[column]
         # far outside no contour is around the point; each border passed on the way back enters or leaves one
         toggles = crossing_owner[:, ::-1, None] == np.argsort(self.areas)[None, None]
         is_around = np.concatenate(
@@ -188,9 +187,9 @@ class ContourSection:
     def excess_length_alongside(
         self, start: FloatArray, end: FloatArray, half: float, max_distance: float
     ) -> float:
-        """Return the largest excess length [m] that a slit runs near another contour.
+        """Return the length [m] that a slit runs near another contour, minus what its crossings need.
 
-        The length that it needs to cross the contour is subtracted.
+        It is the largest value over all other contours, at least 0.
 
         Args:
             start: Start of the slit (2,) [m].
@@ -201,25 +200,27 @@ class ContourSection:
         length = float(np.linalg.norm(end - start))
         count = max(int(np.ceil(length / (0.25 * max_distance))), 2)
         points = start + ((np.arange(count) + 0.5) / count)[:, None] * (end - start)
-        worst = 0.0
+        max_excess = 0.0
         for other in np.flatnonzero(np.arange(len(self.areas)) != self.index):
             a, b = self.edge_start[self.owner == other], self.edge_end[self.owner == other]
-            edge, to = b - a, points[:, None] - a
-            fraction = (to * edge).sum(axis=2) / np.maximum((edge * edge).sum(axis=1), 1e-30)
-            distance = np.linalg.norm(to - np.clip(fraction, 0.0, 1.0)[..., None] * edge, axis=2).min(axis=1)
+            edge, gap = b - a, points[:, None] - a
+            fraction = (gap * edge).sum(axis=2) / np.maximum((edge * edge).sum(axis=1), 1e-30)
+            distance = np.linalg.norm(gap - np.clip(fraction, 0.0, 1.0)[..., None] * edge, axis=2).min(axis=1)
+            # an edge is crossed if its ends are on different sides of the slit and vice versa
             is_left = [_cross_2d(end - start, corner - start) > 0.0 for corner in (a, b)]
             is_over = [_cross_2d(edge, point - a) > 0.0 for point in (start, end)]
             crossings = int(((is_left[0] != is_left[1]) & (is_over[0] != is_over[1])).sum())
-            worst = max(
-                worst,
+            max_excess = max(
+                max_excess,
                 float((distance < max_distance).mean()) * length - MAX_LENGTH_PER_CROSSING * half * crossings,
             )
-        return worst
+        return max_excess
 
     def min_length_in_part(self, lead: FloatArray | None) -> float:
         """Return the smallest length [m] in the part that a slit to the contour needs.
 
-        Slits are tried over points and directions. An outline is started at its outer corners, if it has any.
+        Slits are tried at points of the contour and in several directions. A slit to an outline starts at one
+        of its outer corners, if it has any.
 
         Args:
             lead: The only direction to try (3,), or None for all.
@@ -235,6 +236,7 @@ class ContourSection:
         return float(self.length_in_part(base, direction, np.full(len(base), np.inf)).min())
 
     def _slit_starts(self) -> FloatArray:
+        """Return the points (K, 2) [m] of the contour at which slits are tried."""
         ring = self.polygon
         if not self.holes[self.index]:
             incoming, outgoing = ring - np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0) - ring
@@ -264,7 +266,7 @@ def _signed_area(polygon: FloatArray) -> float:
 
 
 def _encloses(points: FloatArray, polygon: FloatArray) -> BoolArray:
-    """Return which points (N, 2) a polygon (M, 2) encloses, by the angle that it covers as seen from them."""
+    """Return whether a polygon (M, 2) encloses each point (N, 2), by the angle that it covers from there."""
     spoke = polygon[None] - points[:, None]
     following = np.roll(spoke, -1, axis=1)
     rotation = np.arctan2(_cross_2d(spoke, following), np.sum(spoke * following, axis=2)).sum(axis=1)
@@ -272,7 +274,7 @@ def _encloses(points: FloatArray, polygon: FloatArray) -> BoolArray:
 
 
 SLIT_LENGTH_FACTOR: Final = 1.25
-"""Factor by which a slit may be longer in the part than the shortest that is found."""
+"""Factor by which a slit may be longer in the part than the shortest one that is found."""
 SLIT_CONTOUR_FRACTION: Final = 0.02
 """Additional length of a slit, as a fraction of its contour. The planner starts at one of a few points."""
 SLIT_DIAGONAL_FRACTION: Final = 0.0025
@@ -289,7 +291,7 @@ class LeadPath:
     """A lead-in or lead-out.
 
     Attributes:
-        rows: Stations (N,): the wire next to the contour first, then away from it.
+        rows: Indices of its N stations (N,), from the wire next to the contour outwards.
         wire_point: A point of that wire (3,) [m].
         wire_direction: Direction of that wire (3,).
         lead_direction: Unit vector across that wire to where the wire comes from (3,).
@@ -320,7 +322,7 @@ class Slit:
         lead_out_deviation: Largest distance of the lead-out from the plane of the lead-in [m].
         length_in_part: Length of the slit in the part [m].
         section: Section across the contour.
-        ends: Ends of both leads in the section.
+        ends: Start at the contour and end (2,) [m] in the section, for both leads.
         tolerance: Tolerance of the cut [m].
         lead: Required direction (3,), or None.
     """
@@ -337,10 +339,9 @@ class Slit:
 
     @property
     def excess_length_alongside(self) -> float:
-        """Largest excess length [m] that the slit runs along another contour.
+        """Length [m] that the slit runs along another contour, minus what its crossings need.
 
-        It counts where the contour loses more than the tolerance. The length that a crossing needs is
-        subtracted.
+        The slit runs along a contour where it removes more of it than the tolerance.
         """
         lengths = [
             self.section.excess_length_alongside(*ends, lead.half, lead.half - self.tolerance)
@@ -372,7 +373,7 @@ def lead_path(
         context: Context of the proof.
         wire: The wire.
         claim: Claim on the cut.
-        phase: Which of both.
+        phase: ``in`` for the lead-in, ``out`` for the lead-out.
     """
     rows = np.flatnonzero(wire.labels == claim.segment.at(phase).key)
     if not len(rows):
@@ -385,6 +386,7 @@ def lead_path(
 def _make_lead_path(
     context: Context, wire: WireMotion, rows: IntArray, claim: CutsSurface
 ) -> LeadPath | None:
+    """Return the lead at stations ``rows`` (N,), or None if the wire does not move across itself on it."""
     points = wire.points[rows]
     foot, along = points[0, 0], points[0, -1] - points[0, 0]
     along = along / np.linalg.norm(along)
@@ -406,19 +408,19 @@ def find_slits(context: Context, wire: WireMotion) -> dict[str, Slit]:
     if wire.fault:
         return out
     surfaces = {claim.segment: claim for claim in context.claims_of(CutsSurface)}
-    for claim in context.setup_claims[wire.setup].groups:
-        lead = {claimed.segment: claimed.direction for claimed in claim if isinstance(claimed, LeadsFrom)}
-        for allowed in (claimed for claimed in claim if isinstance(claimed, SlitsAllowed)):
+    for group in context.setup_claims[wire.setup].groups:
+        directions = {claim.segment: claim.direction for claim in group if isinstance(claim, LeadsFrom)}
+        for allowed in (claim for claim in group if isinstance(claim, SlitsAllowed)):
             for number, contour in enumerate(allowed.contours):
                 surface = None if contour.segment is None else surfaces.get(contour.segment)
                 if surface is None:
                     continue
                 section = ContourSection.across(allowed.contours, number, allowed.box)
                 into = lead_path(context, wire, surface, "in")
-                back = lead_path(context, wire, surface, "out")
-                if into is None or back is None or not section.is_surrounded:
+                lead_out = lead_path(context, wire, surface, "out")
+                if into is None or lead_out is None or not section.is_surrounded:
                     continue
-                slit = _make_slit(section, wire, surface, (into, back), lead.get(surface.segment))
+                slit = _make_slit(section, wire, surface, (into, lead_out), directions.get(surface.segment))
                 out[surface.segment.key] = slit
     return out
 
@@ -430,7 +432,9 @@ def _make_slit(
     leads: tuple[LeadPath, LeadPath],
     lead: FloatArray | None,
 ) -> Slit:
-    length_in_part, ends = 0.0, []
+    """Return the slit of a lead-in and a lead-out. Its length in the part is that of the longer one."""
+    length_in_part = 0.0
+    ends = []
     for path in leads:
         first, last = (
             section.intersect(wire.points[path.rows[k], 0], wire.points[path.rows[k], -1]) for k in (0, -1)
@@ -448,7 +452,7 @@ def _make_slit(
 
 
 def points_in_slit(slit: Slit, label: str, points: FloatArray, within: FloatArray) -> BoolArray:
-    """Return which points (N, 3) of a lead lie in its slit, on the outer side of its contour.
+    """Return whether each point (N, 3) of a lead lies in its slit, on the outer side of its contour.
 
     Args:
         slit: The slit.
@@ -464,10 +468,10 @@ def points_in_slit(slit: Slit, label: str, points: FloatArray, within: FloatArra
 
 
 def lead_deviation(claim: LeadsFrom, wire: WireMotion, lead_in: LeadPath) -> tuple[float, int]:
-    """Return the largest deviation [m] of a lead-in from the stated direction, and the station.
+    """Return the largest deviation [m] of a lead-in from the stated direction, and the index of the station.
 
     The deviation is the distance from the plane through the first wire next to the surface and the stated
-    direction, or the distance behind that wire. Half the slot is subtracted.
+    direction, or the distance beyond that wire against the direction. Half the slot is subtracted.
 
     Args:
         claim: Claim on the direction.

@@ -1,4 +1,4 @@
-"""Surfaces of the part that wires cut."""
+"""Surfaces of the part that wires cut, for the proof that all required surfaces are produced."""
 
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -17,9 +17,9 @@ from planner.proof.part_files.produced import ALL_RULED, ProducedSurface, Requir
 
 
 def cut_deviation(claim: CutsSurface, swept: WireSweep, points: Samples) -> FloatArray:
-    """Return how far (N,) [m] the cut surface is from points, positive outside the part.
+    """Return the distance (N,) [m] of the cut surface from points, positive outside the part.
 
-    NaN where no wire passed.
+    It is NaN where no wire passed.
 
     Args:
         claim: Claim on the cut.
@@ -31,7 +31,7 @@ def cut_deviation(claim: CutsSurface, swept: WireSweep, points: Samples) -> Floa
 
 
 def required_surfaces(operation: Any) -> Iterator[RequiredSurface]:
-    """Yield the surfaces that an operation is to cut."""
+    """Yield the surfaces that an operation has to cut, none for operations of other processes."""
     if operation.process == "elastic_wire":
         names = tuple(operation.faces)
     elif operation.process == "straight_wire":
@@ -45,7 +45,9 @@ def required_surfaces(operation: Any) -> Iterator[RequiredSurface]:
 
 
 def made_surfaces(context: Context, required: RequiredSurface, name: str) -> Sequence[ProducedSurface]:
-    """Return the cut of a required surface. If two claims have the same segment, the last one counts.
+    """Return the cut that produces a required surface, or nothing if it is not cut by a wire.
+
+    If two claims have the same segment, the last one is returned.
 
     Args:
         context: Context of the proof.

@@ -1,9 +1,9 @@
-"""Nominal surfaces of a part as walls, and what the slot of a wire removes from them.
+"""Nominal surfaces of a part as triangulated walls, and how deep the slot of a wire cuts into them.
 
 The module finds the distance of points to the nearest wall, and on which side they are. A slot may remove
-material from surfaces other than the one next to which it cuts. Each surface is divided until its pieces are
-small or too far from the wires to matter, because distances change by no more than the positions do. What the
-sheets of wires leave of a surface does not depend on the order of the cuts.
+material from surfaces other than the one next to which it cuts. To find the deepest point of a straight slot
+in another surface, the surface is divided until its pieces are small, or so far from the wires that no point
+of them can be in the slot. The order of the cuts does not matter.
 """
 
 import dataclasses
@@ -27,9 +27,9 @@ MAX_WALL_EDGE_M = 0.004
 MAX_WALL_TRIANGLES = 40_000
 """Maximum number of triangles of a wall."""
 _PAIR_BATCH_SIZE = 400_000
-"""Number of pairs of triangles that are processed in one batch."""
+"""Number of pairs of a point and a triangle that are processed in one batch."""
 _MIN_TRIANGLE_SIZE_M = 1e-7
-"""Minimum size [m] of triangles in searches."""
+"""Tolerance [m] of searches, and the size that smaller triangles count as."""
 _MEETING_TOLERANCE_M = 1e-9
 """Triangles meet in points that are no farther apart than this [m]."""
 
@@ -42,7 +42,7 @@ class SurfaceWalls:
         corners: Corners (F, 3, 3) [m].
         normal: Unit normals away from the part (F, 3).
         owner: Index of the surface of each triangle (F,).
-        border: Edges, each after a corner, that no other triangle shares (F, 3).
+        border: Whether the edge from each corner to the next one belongs to no other triangle (F, 3).
     """
 
     corners: FloatArray
@@ -54,7 +54,7 @@ class SurfaceWalls:
         """Return signed distances (N,) [m] of points (N, 3) to the nearest wall, and its surface (N,).
 
         Distances are negative on the part's side. They are NaN where the nearest point is on the border of a
-        surface: it ends there, and what is beyond it is unknown.
+        surface, because the sides beyond its end are unknown.
         """
         best = np.full(len(points), np.inf)
         for group, tree, _ in self._size_groups:
@@ -82,9 +82,9 @@ class SurfaceWalls:
         return distance, owner
 
     def _close_pairs(self, points: FloatArray, reach: FloatArray, row: IntArray, tri: IntArray) -> IntArray:
-        """Return which pairs (K,) of points ``row`` and triangles ``tri`` may be close, by bounding boxes.
+        """Return the indices of pairs whose point may be within its ``reach`` (N,) [m] of the triangle's box.
 
-        Close is within ``reach`` (N,) [m] of points (N, 3).
+        Pairs consist of an index ``row`` (K,) of points (N, 3) and an index ``tri`` (K,) of triangles.
         """
         squared_distance = np.zeros(len(row))
         for at, low, high in zip(points.T, *self._boxes, strict=True):
@@ -101,9 +101,9 @@ class SurfaceWalls:
 
     @functools.cached_property
     def _size_groups(self) -> list[tuple[IntArray, cKDTree, float]]:
-        """Triangles grouped by size, each group with a tree of their centroids.
+        """Triangles grouped by size: their indices, a tree of their centroids, and their largest radius [m].
 
-        The number is the largest distance [m] of corners from centroids in the group.
+        The radius is the distance of a corner from its centroid.
         """
         middle = self.corners.mean(axis=1)
         radius = np.linalg.norm(self.corners - middle[:, None], axis=2).max(axis=1)
@@ -117,9 +117,9 @@ class SurfaceWalls:
     def _nearest_of_pairs(
         self, points: FloatArray, row: IntArray, tri: IntArray
     ) -> tuple[FloatArray, IntArray]:
-        """Return the result of :meth:`signed_distance` for candidate pairs.
+        """Return the result of :meth:`signed_distance` from candidate pairs of points and triangles.
 
-        Points ``row`` (K,) ascend and none of the N points is left out. ``tri`` (K,) are the triangles.
+        Indices ``row`` (K,) of points (N, 3) ascend and include each point. ``tri`` (K,) are the triangles.
         """
         points_on_wall, barycentric = closest_on_triangle(points[row], *np.moveaxis(self.corners[tri], 1, 0))
         vector = points[row] - points_on_wall
@@ -147,7 +147,7 @@ class SurfaceWalls:
     def _pseudonormal_angle(self, barycentric: FloatArray, tri: IntArray) -> FloatArray:
         """Return the angle (K,) [rad] that triangles cover around points with barycentric weights (K, 3).
 
-        Normals weighted by it give the side of edges and corners, however sharp.
+        The sum of normals weighted by this angle separates the sides of edges and corners, however sharp.
 
         Source: Baerentzen and Aanaes, Signed distance computation using the angle weighted pseudonormal
         (2005).
@@ -162,13 +162,13 @@ class SurfaceWalls:
 
 
 def _triangle_distance(points: FloatArray, corners: FloatArray) -> FloatArray:
-    """Return the distance (N,) [m] of points (N, 3) to one triangle (N, 3, 3) each."""
+    """Return the distance (N,) [m] of each point (N, 3) to its triangle (N, 3, 3)."""
     closest_point, _ = closest_on_triangle(points, *np.moveaxis(corners, 1, 0))
     return np.asarray(np.linalg.norm(points - closest_point, axis=1))
 
 
 def make_walls(claims: tuple[CutsSurface, ...]) -> SurfaceWalls:
-    """Return the nominal surfaces as triangles small enough to be found by their centroids."""
+    """Return the nominal surfaces as triangles that are small enough to be searched by their centroids."""
     corners, border, owner = [], [], []
     for number, claim in enumerate(claims):
         triangles = claim.vertices[claim.faces]
@@ -186,7 +186,7 @@ def make_walls(claims: tuple[CutsSurface, ...]) -> SurfaceWalls:
 
 
 def _border_edges(claim: CutsSurface) -> BoolArray:
-    """Return which edges (F, 3), each from a corner to the next, belong to one triangle only.
+    """Return whether the edge from each corner to the next one (F, 3) belongs to one triangle only.
 
     Vertices at the same position count as one.
     """
@@ -198,9 +198,9 @@ def _border_edges(claim: CutsSurface) -> BoolArray:
 
 
 def _subdivide(corners: FloatArray, border: BoolArray) -> tuple[FloatArray, BoolArray]:
-    """Halve triangles (F, 3, 3) across their longest edges until these are short.
+    """Halve triangles (F, 3, 3) across their longest edges until all edges are short.
 
-    Returns them with their borders (F, 3).
+    Return the triangles with their border edges (F, 3), as `SurfaceWalls` has them.
     """
     for _ in range(40):
         edge = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
@@ -209,37 +209,35 @@ def _subdivide(corners: FloatArray, border: BoolArray) -> tuple[FloatArray, Bool
             break
         corner_order = (np.argmax(edge[is_long], axis=1)[:, None] + np.arange(3)) % 3
         row = np.arange(len(corner_order))[:, None]
-        (a, b, c), is_border = (
-            np.moveaxis(corners[is_long][row, corner_order], 1, 0),
-            border[is_long][row, corner_order],
-        )
+        a, b, c = np.moveaxis(corners[is_long][row, corner_order], 1, 0)
+        is_border = border[is_long][row, corner_order]
         middle = 0.5 * (a + b)
         not_border = np.zeros(len(a), dtype=np.bool_)
         halves = np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)
         corners = np.concatenate([corners[~is_long], *halves])
-        ends = (
+        border_of_halves = (
             np.stack([is_border[:, 0], not_border, is_border[:, 2]], axis=1),
             np.stack([is_border[:, 0], is_border[:, 1], not_border], axis=1),
         )
-        border = np.concatenate([border[~is_long], *ends])
+        border = np.concatenate([border[~is_long], *border_of_halves])
     return corners, border
 
 
 SMALL_PIECE_M: Final = 5e-4
-"""Pieces of a surface with corners within this distance [m] of their centroid are checked there alone."""
+"""Pieces of a surface with corners within this distance [m] of their centroid are not divided further."""
 PIECE_BATCH_SIZE: Final = 20_000
 """Number of pieces that are processed in one batch."""
 WIRE_POINT_SPACING_M: Final = 0.003
-"""Largest spacing along the wire [m] of the points by which near wires are found."""
+"""Largest spacing along the wire [m] of the points by which nearby wires are found."""
 MIN_BENEATH_COSINE: Final = 0.7
-"""Minimum cosine between the direction to a wire and the normal of a surface that it is beneath.
+"""Minimum cosine between a surface's normal and the direction from a wire for a surface above the wire.
 
-Other wires are next to the surface's rim.
+Other wires are beside the rim of the surface.
 """
 MIN_CROSSING_DEPTH_M: Final = 1e-5
 """A surface crosses another if it is on both sides of it by more than this [m]."""
 MEETING_ROUNDING_M: Final = 1e-7
-"""Rounding [m] where surfaces meet."""
+"""Tolerance for rounding errors [m] where surfaces meet."""
 CROSSING_SAMPLES: Final = 600
 """Number of points of a surface that decide whether it crosses another."""
 _POINT_BATCH_SIZE: Final = 500
@@ -248,12 +246,12 @@ _POINT_BATCH_SIZE: Final = 500
 
 @dataclasses.dataclass(frozen=True)
 class SlotOverlap:
-    """What one cut removes from another surface.
+    """Deepest point at which the slot of one cut removes material of another surface.
 
     Attributes:
         depth: Largest depth [m].
         point: Point of the largest depth (3,) [m].
-        row: Row of the wire in its sweep.
+        row: Index of the wire's station in its sweep.
         half: Half the slot there [m].
     """
 
@@ -285,7 +283,7 @@ class PartWalls:
         return self._walls[id(claim)][1]
 
     def crossing_surfaces(self, claim: CutsSurface) -> tuple[CutsSurface, ...]:
-        """Return those of ``claims`` that have the surface on both sides."""
+        """Return those of ``claims`` whose surface has points of the given surface on both sides."""
         if id(claim) not in self._crossed:
             others = (other for other in self.claims if other is not claim)
             crossing = tuple(other for other in others if crosses(claim, self.wall(other), self.block))
@@ -296,10 +294,10 @@ class PartWalls:
 def straight_slot_overlap(
     claim: CutsSurface, sweep: WireSweep, other: CutsSurface, part: PartWalls
 ) -> SlotOverlap | None:
-    """Return what the slot of a straight wire removes from another surface inside the block, or None.
+    """Return where the slot of a straight wire cuts most deeply into another surface, or None.
 
-    Only depths beyond that surface's tolerance count. Where a surface continues outside one that it crosses,
-    it bounds nothing: both bound the part together.
+    Only points inside the block with depths beyond that surface's tolerance count. Where the surface
+    continues outside another one that it crosses, it does not bound the part and may be cut.
 
     Args:
         claim: Claim on the cut.
@@ -312,7 +310,7 @@ def straight_slot_overlap(
     corners = other.vertices[other.faces]
     corners = corners[np.linalg.norm(_triangle_cross(corners), axis=1) > 0.0]
     wall = part.wall(claim)
-    worst: list[tuple[FloatArray, FloatArray, FloatArray, IntArray]] = []
+    too_deep: list[tuple[FloatArray, FloatArray, FloatArray, IntArray]] = []
     pending = [corners]
     while pending:
         corners = pending.pop()
@@ -340,13 +338,13 @@ def straight_slot_overlap(
         depth = half - np.where(is_beyond, normal_distance, distance)
         is_too_deep = inside & (depth > other.tolerance)
         if is_too_deep.any():
-            worst.append((depth[is_too_deep], middle[is_too_deep], half[is_too_deep], row[is_too_deep]))
+            too_deep.append((depth[is_too_deep], middle[is_too_deep], half[is_too_deep], row[is_too_deep]))
         needs_division = ~is_too_deep & (size > SMALL_PIECE_M) & (distance - size < half - other.tolerance)
         if needs_division.any():
             pending.append(_quarter(corners[needs_division]))
-    if not worst:
+    if not too_deep:
         return None
-    depth, points, half, row = (np.concatenate([batch[k] for batch in worst]) for k in range(4))
+    depth, points, half, row = (np.concatenate([batch[k] for batch in too_deep]) for k in range(4))
     bounds_part = _bounds_the_part(points, other, part)
     if not bounds_part.any():
         return None
@@ -357,12 +355,11 @@ def straight_slot_overlap(
 def bent_slot_overlap(
     claim: CutsSurface, sweep: WireSweep, other: CutsSurface, part: PartWalls
 ) -> SlotOverlap | None:
-    """Return what the slot of a bent wire removes from another surface, as :func:`straight_slot_overlap`.
+    """Return where the slot of a bent wire cuts most deeply into another surface, or None.
 
-    Points of the wire count that come closer to the other surface than half their slot, or pass through it
-    between stations. If a point is outside the surface that it cuts, its slot only reaches what is outside
-    the part or on this side of that surface. What counts is therefore beyond the rim of that surface, or deep
-    below it.
+    It finds points of the wire that come closer to the other surface than half their slot, or pass through it
+    between stations. Points on the outer side of the surface that the wire cuts do not count: their slot only
+    reaches foam outside the part, or next to that surface. Points beyond its rim or on the part's side count.
 
     Args:
         claim: Claim on the cut.
@@ -428,7 +425,7 @@ class _StraightSheet:
         self.tree = cKDTree(self.points) if len(self.points) else None
 
     def may_reach(self, points: FloatArray, size: FloatArray) -> BoolArray:
-        """Return which points (N, 3) have something within ``size`` (N,) [m] that the slot might reach."""
+        """Return whether the slot might reach something within ``size`` (N,) [m] of each point (N, 3)."""
         if self.tree is None:
             return np.zeros(len(points), dtype=np.bool_)
         reach = size + self.max_half + self.gap
@@ -436,10 +433,11 @@ class _StraightSheet:
         return np.asarray(distance <= reach)  # the distance is infinite beyond the upper bound
 
     def nearest(self, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-        """Return the nearest point of the sheet for points (N, 3) that may be near.
+        """Return the nearest point of the sheet for each point (N, 3) that may be near it.
 
         Returns:
-            Distance (N,) [m], nearest point (N, 3), half the slot there (N,) [m], station (N,).
+            Distance (N,) [m], infinite if nothing is near; nearest point (N, 3) [m]; half the slot there (N,)
+            [m]; and index of the station from which the nearest move starts (N,).
         """
         distance, half = np.full(len(points), np.inf), np.zeros(len(points))
         foot, row = np.zeros((len(points), 3)), np.zeros(len(points), dtype=np.int64)
@@ -489,14 +487,16 @@ class _StraightSheet:
 
 
 def _bounds_the_part(points: FloatArray, surface: CutsSurface, part: PartWalls) -> BoolArray:
-    """Return which points (N, 3) of a surface bound the part.
+    """Return whether each point (N, 3) of a surface belongs to the boundary of the part.
 
-    These are the points that are not outside another surface that it crosses in the block.
+    A point does not if it is outside another surface that crosses this one in the block.
     """
     bounds_part = np.ones(len(points), dtype=np.bool_)
     for other in part.crossing_surfaces(surface):
-        rows = np.flatnonzero(bounds_part)
-        bounds_part[rows] &= ~(part.wall(other).signed_distance(points[rows])[0] > -MEETING_ROUNDING_M)
+        remaining = np.flatnonzero(bounds_part)
+        bounds_part[remaining] &= ~(
+            part.wall(other).signed_distance(points[remaining])[0] > -MEETING_ROUNDING_M
+        )
     return bounds_part
 
 

@@ -1,6 +1,6 @@
-"""The wire along the replayed motion, at stations along its path.
+"""Shapes of the wires during the replayed motion, at stations along their paths.
 
-It is a discrete rod followed from the mounted state, or the straight wire of a bow.
+A bent wire is a discrete rod that is followed from its mounted shape. The wire of a bow is straight.
 """
 
 import dataclasses
@@ -23,13 +23,13 @@ from planner.proof.setups import JoinedPhase, SetupClaims
 ROD_SEGMENTS = 64
 """Number of segments of the rod that models a wire."""
 STATION_SPACING_M = 0.004
-"""Path of a wire end between stations [m]."""
+"""Largest path of a wire's end between stations [m]."""
 _ROTATION_LEVER_M = 0.25
-"""Path that one radian of rotation of a clamp counts as [m/rad]."""
+"""Length [m/rad] by which a rotation of a clamp is converted to a path for the spacing of stations."""
 _DOWN = np.array([0.0, 0.0, -1.0])
 """Direction of gravity in the world."""
 _REFINEMENT = 4
-"""Number of steps between two points of a wire for its distances."""
+"""Number of steps into which each piece between two points of a wire is divided to find its depth."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,14 +41,14 @@ class WireMotion:
         arms: Arms that hold it.
         setup: Index of the setup.
         radius: Half its thickness [m].
-        sample: Samples of the motion (T,).
+        sample: Index of the motion's sample at each station (T,).
         world_points: Points in the world at equal arc lengths (T, P, 3) [m].
         points: The same points in the block's frame (T, P, 3) [m].
-        depth: Depth of the wire, with its half thickness, in the block (T,) [m]. If negative, minus the
-            distance.
-        inside: Points that are in the block (T, P).
-        labels: Segment of the moves (T,).
-        cut_segments: Segments in which it may be in the foam.
+        depth: Depth of the wire, with its half thickness, in the block (T,) [m]. For a wire outside it is
+            minus the distance.
+        inside: Whether each point is in the block (T, P).
+        labels: Key of the segment of the move to each station (T,).
+        cut_segments: Keys of the segments in which it may be in the foam.
         fault: Reason why it cannot be followed, or empty.
         phase: Phase in which a bent wire is mounted, None for a straight one.
         path: Shapes of a bent wire, None for a straight one.
@@ -71,7 +71,7 @@ class WireMotion:
 
     @property
     def is_cutting(self) -> BoolArray:
-        """Stations (T,) at which it may be in the foam."""
+        """Whether the wire may be in the foam at each station (T,)."""
         return np.isin(self.labels, list(self.cut_segments))
 
 
@@ -87,7 +87,7 @@ def all_wires(context: Context) -> tuple[WireMotion, ...]:
 
 
 def mounted_phases(context: Context) -> tuple[tuple[JoinedPhase, WireJoins], ...]:
-    """Find when bent wires are mounted, with the claims about them."""
+    """Return the phases during which bent wires are mounted, with the claim on each wire."""
     return tuple((phase, phase.claim) for phase in context.phases if isinstance(phase.claim, WireJoins))
 
 
@@ -105,14 +105,15 @@ def straight_claims(setup: SetupClaims) -> dict[str, tuple[StraightWire, ...]]:
 
 
 def cut_segments(group: Sequence[Claim], arms: tuple[str, ...]) -> frozenset[str]:
-    """Find the segments in which the wire of ``arms`` may be in the foam.
+    """Return the keys of the segments in which the wire of ``arms`` may be in the foam.
 
-    They have a feed window, in an operation that has this wire and allows contact in segments of that kind.
+    These segments have a feed window and a kind in which contact is allowed. The result is empty if the
+    operation, whose claims are ``group``, does not have this wire.
     """
-    hands = {c.arms for c in group if isinstance(c, WireJoins)} | {
+    wire_arms = {c.arms for c in group if isinstance(c, WireJoins)} | {
         (c.arm,) for c in group if isinstance(c, StraightWire)
     }
-    if arms not in hands:
+    if arms not in wire_arms:
         return frozenset()
     kinds = {kind for c in group if isinstance(c, ContactOnlyIn) for kind in c.kinds}
     fed = (c.segment for c in group if isinstance(c, FeedWindow))
@@ -120,12 +121,13 @@ def cut_segments(group: Sequence[Claim], arms: tuple[str, ...]) -> frozenset[str
 
 
 def _cuts(context: Context, index: int, arms: tuple[str, ...]) -> frozenset[str]:
+    """Return the `cut_segments` of all operations of setup ``index``."""
     groups = context.setup_claims[index].groups
     return frozenset[str]().union(*(cut_segments(group, arms) for group in groups))
 
 
 def phase_samples(context: Context, phase: JoinedPhase) -> IntArray:
-    """Return the samples of the motion while the wire of a phase is moved."""
+    """Return the indices of the motion's samples while the arms move the wire of a phase together."""
     stages = context.motion.stage
     synchronised = np.array(
         [stage.synchronised and not stage.is_synchronised_approach for stage in context.job.stages]
@@ -134,7 +136,7 @@ def phase_samples(context: Context, phase: JoinedPhase) -> IntArray:
 
 
 def station_samples(context: Context, rows: IntArray, arms: tuple[str, str]) -> IntArray:
-    """Return the samples at which the wire is checked.
+    """Return the indices of the motion's samples at which the wire is checked (its stations).
 
     These are all targets, and between them every `STATION_SPACING_M` of the path of its ends.
 
@@ -172,26 +174,26 @@ def _spaced_samples(context: Context, rows: IntArray, step_length: FloatArray) -
 def follow_wire(context: Context, phase: JoinedPhase, claim: WireJoins) -> WireMotion:
     """Follow the wire of one phase.
 
-    If it cannot be mounted or its ends are lost, ``path`` is None and ``fault`` states why.
+    If it cannot be mounted or followed, ``path`` is None and ``fault`` states why.
     """
     motion = context.motion
-    rows = phase_samples(context, phase)
+    samples = phase_samples(context, phase)
     missing = [arm for arm in claim.arms if arm not in motion.tcp]
-    if not len(rows) or missing:
+    if not len(samples) or missing:
         fault = f"no program for arm {missing[0]}" if missing else "the wire is never moved"
-        return _unfollowed_wire(context, claim, phase.setup, rows[:0], fault, phase)
+        return _unfollowed_wire(context, claim, phase.setup, samples[:0], fault, phase)
     max_distance = float(end_distances(context, phase).max())
     if max_distance >= claim.length:
         fault = f"its ends are {max_distance * 1e3:.3f} mm apart; it is {claim.length * 1e3:.3f} mm long"
-        return _unfollowed_wire(context, claim, phase.setup, rows[:0], fault, phase)
-    sample = station_samples(context, rows, claim.arms)
+        return _unfollowed_wire(context, claim, phase.setup, samples[:0], fault, phase)
+    sample = station_samples(context, samples, claim.arms)
     start, end = (motion.tcp[arm][sample] for arm in claim.arms)
     rod = make_rod(claim)
     try:
         mounted_shape = mount_rod(rod, start[0], end[0], _DOWN)
         path = follow_rod(rod, start, end, _DOWN, mounted_shape)
-    except (RodError, np.linalg.LinAlgError, ValueError) as wrong:
-        return _unfollowed_wire(context, claim, phase.setup, sample, str(wrong), phase)
+    except (RodError, np.linalg.LinAlgError, ValueError) as error:
+        return _unfollowed_wire(context, claim, phase.setup, sample, str(error), phase)
     radius = 0.5 * claim.thickness
     points = context.to_stock_frame(phase.setup, sample, path.points)
     depth, inside = depth_in_block(points, context.stock_at(phase.setup), radius)
@@ -205,14 +207,14 @@ def straight_wire_motion(
 ) -> WireMotion:
     """Return the wire of the bow that ``arm`` carries in setup ``index``, over the whole setup."""
     motion, claim = context.motion, claims[0]
-    rows = np.flatnonzero(context.sample_setup == index)
-    if arm not in motion.tcp or not len(rows):
+    samples = np.flatnonzero(context.sample_setup == index)
+    if arm not in motion.tcp or not len(samples):
         fault = f"no program for arm {arm} in setup {index + 1}"
         return _unfollowed_wire(context, claim, index, np.zeros(0, dtype=np.int64), fault)
     ends = np.stack([claim.start, claim.end])
-    ends_in_stock = context.to_stock_frame(index, rows, _transform_points(motion.tcp[arm][rows], ends))
+    ends_in_stock = context.to_stock_frame(index, samples, _transform_points(motion.tcp[arm][samples], ends))
     step_length = np.linalg.norm(np.diff(ends_in_stock, axis=0), axis=2).max(axis=1, initial=0.0)
-    sample = _spaced_samples(context, rows, np.concatenate([[0.0], step_length]))
+    sample = _spaced_samples(context, samples, np.concatenate([[0.0], step_length]))
     fraction = np.linspace(0.0, 1.0, ROD_SEGMENTS + 1)[:, None]
     world = _transform_points(motion.tcp[arm][sample], claim.start * (1.0 - fraction) + claim.end * fraction)
     points = context.to_stock_frame(index, sample, world)
@@ -259,12 +261,12 @@ def _unfollowed_wire(
 
 
 def depth_in_block(points: FloatArray, stock: Stock, radius: float) -> tuple[FloatArray, BoolArray]:
-    """Return the depth (T,) [m] of curves in the block and which points (T, P) are inside.
+    """Return the depth (T,) [m] of wires in the block, and whether each point (T, P) is inside.
 
     A negative depth is minus the distance to the block.
 
     Args:
-        points: Curves (T, P, 3) [m].
+        points: Wires in the stock frame (T, P, 3) [m].
         stock: The block.
         radius: Half the thickness of the wire [m].
     """
@@ -296,8 +298,8 @@ def end_error_deviation(context: Context, wire: WireMotion, selected: IntArray) 
     """Return the possible deviation (T,) [m] of the wire inside the block by the stated error of its ends.
 
     Each end is displaced by the claim's end error along and across its tangent in the section plane, one at a
-    time. The displacements of the wire across itself add as squares, because the errors are independent. 0 if
-    nothing is inside.
+    time. The squares of the wire's displacements across itself add, because the errors are independent. The
+    result is 0 if no point is inside.
 
     Args:
         context: Context of the proof.
@@ -317,8 +319,8 @@ def end_error_deviation(context: Context, wire: WireMotion, selected: IntArray) 
         tangent = np.gradient(wire.path.points[k], axis=0)
         tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
         displaced_ends = [np.repeat(pose, 4, axis=0) for pose in ends]
-        for row, (end, axis) in enumerate(itertools.product((0, 1), (0, 1))):
-            displaced_ends[end][row, :3, 3] += claim.end_error * ends[end][0, :3, axis]
+        for number, (end, axis) in enumerate(itertools.product((0, 1), (0, 1))):
+            displaced_ends[end][number, :3, 3] += claim.end_error * ends[end][0, :3, axis]
         displacement = (
             follow_rod(rod, displaced_ends[0], displaced_ends[1], _DOWN, wire.path.shapes[int(k)]).points
             - wire.path.points[k]

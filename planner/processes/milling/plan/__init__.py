@@ -1,4 +1,4 @@
 """Planning of the process ``milling``: a cutter on one arm cuts with its flank or its end.
 
-No robot model is needed here.
+It needs no robot model.
 """

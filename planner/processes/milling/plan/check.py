@@ -1,7 +1,7 @@
 """Checks of a milling job before motion planning: deviations, cutters that do not fit, and tools in the part.
 
-A tool is a body of revolution (``sections``). The checks compute distances of points from it, and how deep
-the part is inside it along a path.
+A tool is a body of revolution (``sections``). The checks compute distances of points from the tool, and the
+depth of points of the part inside the tool along a path.
 """
 
 import dataclasses
@@ -23,16 +23,16 @@ from planner.processes.milling.plan.tool_path import CutterPass
 from planner.tooling import Cutter
 
 PATH_SPACING_FACTOR: Final = 0.15
-"""Distance of samples along the path, as a factor of the section's radius. Chosen."""
+"""Distance of samples along the path, as a factor of the radius of the tool's section. Chosen."""
 MIN_SPACING_M: Final = 0.5e-3
 """Minimum distance of samples along the path [m]. Chosen."""
 MAX_QUERY_DISTANCE_M: Final = 2e-3
-"""Points farther from the tool than this [m] are not distinguished from one another."""
+"""Distance from the tool [m] above which distances are not computed. Farther points get this distance."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ToolSection:
-    """Cylinder about the tool's axis, with a rounded front edge.
+    """One cylindrical section of a tool, about the tool's axis, with a rounded front edge.
 
     Attributes:
         name: Name in messages, such as "holder".
@@ -52,18 +52,19 @@ class ToolSection:
         """Return the signed distance [m] of points from the section, negative inside.
 
         Args:
-            axial: Distance of the points behind the tip along the axis [m].
+            axial: Coordinate of the points along the axis, from the tip [m].
             radial_distance: Distance of the points from the axis [m], of the same shape.
         """
+        # Coordinates relative to the centre of the front edge's rounding.
         radial = radial_distance - (self.radius - self.corner)
         front = self.start + self.corner - axial
-        # the front edge is rounded, the rear edge is sharp
+        # The front edge is rounded, the rear edge is sharp.
         outer = np.hypot(np.maximum(radial, 0.0), np.maximum(front, 0.0)) - self.corner
         inner = np.minimum(np.maximum(radial, front), 0.0)
         rear = axial - self.end
         body = outer + inner
-        both = np.hypot(np.maximum(body, 0.0), np.maximum(rear, 0.0))
-        return np.asarray(np.where((body > 0.0) & (rear > 0.0), both, np.maximum(body, rear)))
+        rear_corner = np.hypot(np.maximum(body, 0.0), np.maximum(rear, 0.0))
+        return np.asarray(np.where((body > 0.0) & (rear > 0.0), rear_corner, np.maximum(body, rear)))
 
     @property
     def round_body(self) -> RoundBody:
@@ -72,7 +73,7 @@ class ToolSection:
 
 
 def sections(cutter: Cutter) -> tuple[ToolSection, ...]:
-    """Return the tool's cylinders from the tip to the end of the spindle."""
+    """Return the sections of the tool from the tip to the end of the spindle."""
     out = [ToolSection("cutter", 0.0, cutter.flute, cutter.radius, cutter.corner)]
     if cutter.overhang > cutter.flute:
         out.append(ToolSection("shank", cutter.flute, cutter.overhang, cutter.shank))
@@ -95,7 +96,7 @@ def subdivide_moves(
         step: Maximum distance [m] between samples, of the faster end of the tool.
 
     Returns:
-        Tips and axes (M, 3), and the row (M,) of ``tip`` that each move leads to.
+        Tips (M, 3) [m] and axes (M, 3), and the index (M,) of the tip at the end of the current move.
     """
     ends = np.stack([tip, tip + reach * axis], axis=1)
     lengths = np.linalg.norm(np.diff(ends, axis=0), axis=2).max(axis=1)
@@ -115,7 +116,7 @@ def may_touch(vertices: FloatArray, tip: FloatArray, axis: FloatArray, section: 
     """Return whether a section on a path may touch a face, by bounding boxes.
 
     The boxes are enlarged by ``MAX_QUERY_DISTANCE_M``. Between two tips the section stays in the box of its
-    ends, plus what a rotating axis adds.
+    ends, enlarged by the sagitta of the arc on which a rotating end moves.
 
     Args:
         vertices: Vertices of the face (V, 3) [m].
@@ -135,10 +136,10 @@ def may_touch(vertices: FloatArray, tip: FloatArray, axis: FloatArray, section: 
 def sample_section(
     tip: FloatArray, axis: FloatArray, section: ToolSection
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Return samples of a section on a path (N,).
+    """Return samples of a section on a path with tips and axes (N, 3).
 
     Returns:
-        Tips and axes (M, 3), and the row (M,) of the path that each move leads to.
+        As :func:`subdivide_moves`.
     """
     return subdivide_moves(tip, axis, section.end, max(PATH_SPACING_FACTOR * section.radius, MIN_SPACING_M))
 
@@ -157,17 +158,17 @@ def path_distance(
             large.
 
     Returns:
-        Smallest distances (P,) [m], negative inside and at most ``MAX_QUERY_DISTANCE_M``, and the row (P,) of
-        the path whose move has it.
+        Smallest distances (P,) [m], negative inside and at most ``MAX_QUERY_DISTANCE_M``, and the index (P,)
+        of the tip at the end of the move with the smallest distance.
     """
-    tips, axes, to = sample_section(tip, axis, section)
+    tips, axes, target_rows = sample_section(tip, axis, section)
     swept = SweptBody(tips, axes, section.round_body)
     distances, nearest = least_distances(points, swept, MAX_QUERY_DISTANCE_M, exact_below)
-    return distances, np.where(distances < MAX_QUERY_DISTANCE_M, to[nearest], 0)
+    return distances, np.where(distances < MAX_QUERY_DISTANCE_M, target_rows[nearest], 0)
 
 
 MAX_FACE_POINTS: Final = 3_000_000
-"""Maximum number of face points near one section of the tool. The proof uses some more."""
+"""Maximum number of face points near one section of the tool. The proof allows some more."""
 EDGE_DEPTH_M: Final = 5.0 * MM
 """Length [m] behind a sharp edge of a tool that is checked with finer points."""
 EDGE_SPACING_FACTOR: Final = 2.0
@@ -175,20 +176,19 @@ EDGE_SPACING_FACTOR: Final = 2.0
 MIN_EDGE_SPACING_M: Final = 0.4 * MM
 """Minimum distance of face points near a sharp edge [m]. Chosen."""
 SPACING_FRACTION: Final = 0.5
-"""Fraction of the tolerance that may be hidden between face points."""
+"""Fraction of the tolerance by which the tool may be deeper between face points than at them."""
 RISE_LENGTH_M: Final = 0.2
-"""Length of approach and retreat along the tool's own axis that is checked [m]."""
+"""Length [m] of approach and retreat along the tool's own axis that is checked."""
 BOUND_SPACING_FACTOR: Final = 0.25
 """Minimum distance of face points that bound a ball, as a factor of the cutter's radius."""
 MAX_TWIST_FRACTION: Final = 0.1
-"""Maximum deviation from a twisted surface, as a fraction of the cutter's radius.
-
-Beyond it the cutter does not fit, whether or not the surface is twisted.
+"""Maximum deviation from a twisted surface, as a fraction of the cutter's radius, for which twist is reported
+as the cause. With a larger deviation the cutter does not fit anyway.
 """
 LEVEL_TOLERANCE_M: Final = 0.5 * MM
-"""Points whose positions along an axis differ by less than this [m] count as one level."""
+"""Difference [m] of positions along an axis below which points count as on one level."""
 CHORD_ALLOWANCE_M: Final = 2e-5
-"""Deviation [m] that facets of the part and of the path may hide."""
+"""Depth [m] that is allowed in addition, because facets of the part and moves of the path are chords."""
 
 HOLDER_SECTIONS: Final = ("holder", "spindle")
 """Names of the tool's sections behind the cutter."""
@@ -197,7 +197,7 @@ OVERHANG_TRIALS_M: Final = (5.0 * MM, 10.0 * MM, 20.0 * MM, 40.0 * MM, 80.0 * MM
 
 
 def check_work(work: MillingPlan) -> list[Issue]:
-    """Return the issues of all cuts."""
+    """Return the issues of all cuts of a milling job, with its notes."""
     out = list(work.notes)
     for face in work.faces:
         for planned in work.cuts:
@@ -220,16 +220,18 @@ def _twist_issues(work: MillingPlan, planned: PlannedCut) -> list[Issue]:
         if planned.fitting_radius
         else ""
     )
-    what = f"flank {planned.cut.flank}: its rulings are twisted, and a cutter of radius {radius / MM:g} mm "
-    what += f"deviates {planned.deviation / MM:.3f} mm from them, allowed {planned.tolerance / MM:g}. "
-    what += (
+    message = (
+        f"flank {planned.cut.flank}: its rulings are twisted, and a cutter of radius {radius / MM:g} mm "
+    )
+    message += f"deviates {planned.deviation / MM:.3f} mm from them, allowed {planned.tolerance / MM:g}. "
+    message += (
         f"Use {slim}a shape_tol_mm of {np.ceil(1.02e3 * planned.deviation / MM) / 1e3:.3f} or more, or "
         "divide it"
     )
     return [
         Issue(
             "milling.twist",
-            what,
+            message,
             field=f"operations.cuts.{planned.cut.flank}",
             **measurement(planned.deviation / MM, planned.tolerance / MM, "mm"),
         )
@@ -237,10 +239,15 @@ def _twist_issues(work: MillingPlan, planned: PlannedCut) -> list[Issue]:
 
 
 def _gouge_issues(work: MillingPlan, planned: PlannedCut, face: PartFace) -> list[Issue]:
-    """Return the gouges of one cut into a face, one issue for each section, or faces too large to check."""
+    """Return issues about gouges of one cut into a face, or about a face that is too large to check.
+
+    Each section of the tool has at most one issue about a gouge.
+    """
     out: list[Issue] = []
     reported: set[str] = set()
-    depth = planned.engraving_depth if face.name == "front" else 0.0
+    depth = (
+        planned.engraving_depth if face.name == "front" else 0.0
+    )  # the cutter may go as deep as it engraves
     corners = face.mesh.vertices[face.mesh.faces]
     for section in sections(work.cutter):
         paths = [(run, *_pass_with_rises(run)) for run in planned.passes]
@@ -249,6 +256,7 @@ def _gouge_issues(work: MillingPlan, planned: PlannedCut, face: PartFace) -> lis
             continue
         samples = [sample_section(*path[1:], section) for path in paths]
         tips, axes = (np.concatenate([sample[k] for sample in samples]) for k in (0, 1))
+        # A sphere of radius r is deeper by s^2 / (8 r) between points at the distance s than at these points.
         size = max(float(np.sqrt(8.0 * section.radius * SPACING_FRACTION * planned.tolerance)), 0.3 * MM)
         swept = SweptBody(tips, axes, section.round_body)
         points, owner, count = points_near(corners, swept, MAX_QUERY_DISTANCE_M, size, MAX_FACE_POINTS)
@@ -276,7 +284,7 @@ def _gouge_issues(work: MillingPlan, planned: PlannedCut, face: PartFace) -> lis
 
 
 def _overhang_hint(work: MillingPlan, planned: PlannedCut, points: FloatArray, allowed: float) -> str:
-    """Return a hint that keeps holder and spindle out of a face: the first overhang that helps."""
+    """Return a hint that keeps holder and spindle out of a face: the first larger overhang that helps."""
     cutter = work.cutter
     paths = [_pass_with_rises(run) for run in planned.passes]
     holder_sections = [section for section in sections(cutter) if section.name in HOLDER_SECTIONS]
@@ -297,7 +305,7 @@ def _is_clear(
     tool: Sequence[ToolSection],
     allowed: float,
 ) -> bool:
-    """Return whether no point is deeper than ``allowed`` [m] in these sections of a tool along all paths."""
+    """Return whether no point is deeper than ``allowed`` [m] in any section of a tool along any path."""
     return all(
         float(path_distance(points, *path, section, -allowed)[0].min()) >= -allowed
         for path in paths
@@ -306,6 +314,7 @@ def _is_clear(
 
 
 def _edge_sections(section: ToolSection) -> tuple[ToolSection, ...]:
+    """Return the parts of a section next to its sharp edges, near which face points must be closer."""
     front = dataclasses.replace(section, end=min(section.end, section.start + EDGE_DEPTH_M))
     back = dataclasses.replace(section, start=max(section.start, section.end - EDGE_DEPTH_M), corner=0.0)
     return (back,) if section.corner > 0.0 else (front, back)
@@ -323,22 +332,23 @@ def _too_large_issue(
         count: Number of points that the face would need.
         size: Distance between them [m].
     """
-    fewer = 1.05 * size * float(np.sqrt(count / MAX_FACE_POINTS))
+    allowed_spacing = 1.05 * size * float(np.sqrt(count / MAX_FACE_POINTS))  # with as many points as allowed
     is_edge_spacing = size <= max(EDGE_SPACING_FACTOR * planned.tolerance, MIN_EDGE_SPACING_M)
+    # The tolerance with which the spacing of :func:`_gouge_issues` is the allowed one.
     required_tolerance = (
-        fewer / EDGE_SPACING_FACTOR
+        allowed_spacing / EDGE_SPACING_FACTOR
         if is_edge_spacing
-        else fewer**2 / (8.0 * section.radius * SPACING_FRACTION)
+        else allowed_spacing**2 / (8.0 * section.radius * SPACING_FRACTION)
     )
-    what = f"{planned.passes[0].name}: near the {section.name}, {face.name} would have to be checked at "
-    what += f"{count} points, {size / MM:.2f} mm apart, so that no gouge is missed, allowed "
-    what += (
+    message = f"{planned.passes[0].name}: near the {section.name}, {face.name} would have to be checked at "
+    message += f"{count} points, {size / MM:.2f} mm apart, so that no gouge is missed, allowed "
+    message += (
         f"{MAX_FACE_POINTS}. Use a shape_tol_mm of {np.ceil(required_tolerance / MM * 100.0) / 100.0:.2f} or "
         "more "
     )
-    what += "or divide the surface and mill it in several operations"
+    message += "or divide the surface and mill it in several operations"
     value, limit = float(count), float(MAX_FACE_POINTS)
-    return Issue("milling.too_large", what, field="operations.cuts", value=value, limit=limit)
+    return Issue("milling.too_large", message, field="operations.cuts", value=value, limit=limit)
 
 
 def _pass_with_rises(run: CutterPass) -> tuple[FloatArray, FloatArray]:
@@ -370,7 +380,8 @@ class DeepestPoint:
 
     Attributes:
         index: Index of the point.
-        row: Row of the path with approach and retreat whose move has it.
+        row: Index of the tip at the end of the move in which it is deepest, on the path with approach and
+            retreat.
         distance: Signed distance from the section [m], negative inside.
     """
 
@@ -414,35 +425,35 @@ def _gouge_issue(
         and fitting_radius < section.radius
         and (makes_face or planned.engraving_depth > 0.0)
     ):
-        what = f"{run.name}: the cutter of radius {section.radius / MM:g} mm does not fit into "
-        what += f"{face.name} at {point_text} mm, "
-        what += f"it would take {-gouge.distance / MM:.2f} mm too much; the largest radius that fits "
-        what += f"there is {fitting_radius / MM:.2f} mm"
-        return Issue("milling.tool_radius", what, target=target, **measure)
-    what = f"{run.name}: the {section.name} goes {-gouge.distance / MM:.2f} mm into {face.name} at "
-    what += f"{point_text} mm (target {target}); "
-    what += f"allowed: {allowed / MM:.2f} mm; "
+        message = f"{run.name}: the cutter of radius {section.radius / MM:g} mm does not fit into "
+        message += f"{face.name} at {point_text} mm, "
+        message += f"it would take {-gouge.distance / MM:.2f} mm too much; the largest radius that fits "
+        message += f"there is {fitting_radius / MM:.2f} mm"
+        return Issue("milling.tool_radius", message, target=target, **measure)
+    message = f"{run.name}: the {section.name} goes {-gouge.distance / MM:.2f} mm into {face.name} at "
+    message += f"{point_text} mm (target {target}); "
+    message += f"allowed: {allowed / MM:.2f} mm; "
     in_lead = flank and not run.first < row - 1 <= run.last
     if section.name == "shank":
-        what += "use a longer flute or a slimmer shank, or tilt the tool's axis away"
+        message += "use a longer flute or a slimmer shank, or tilt the tool's axis away"
     elif section.name in HOLDER_SECTIONS:
-        what = what.removesuffix("; ")
+        message = message.removesuffix("; ")
     elif in_lead:
-        what += "it happens in a lead: set a lead_mm that ends before (0: down and up at the wall)"
+        message += "it happens in a lead: set a lead_mm that ends before (0: down and up at the wall)"
     else:
-        what += "use a thinner cutter, another axis, or other leads"
-    return Issue("milling.gouge", what, target=target, **measure)
+        message += "use a thinner cutter, another axis, or other leads"
+    return Issue("milling.gouge", message, target=target, **measure)
 
 
 def _target_name(run: CutterPass, row: int) -> str:
-    """Return the name of the target at a row of the pass.
+    """Return the name of the target at index ``row`` of a pass.
 
-    Rows -1 and one past the end are those of approach and retreat.
+    -1 is the start of the approach, one past the last index the end of the retreat.
     """
     if row <= run.first:
         return f"mill/{run.name}_in/{max(row + 1, 1)}"
-    out = row > run.last
-    return f"mill/{run.name}{'_out' if out else ''}/{row - (run.last if out else run.first)}"
+    is_lead_out = row > run.last
+    return f"mill/{run.name}{'_out' if is_lead_out else ''}/{row - (run.last if is_lead_out else run.first)}"
 
 
 def largest_fitting_radius(
@@ -482,7 +493,7 @@ def largest_fitting_radius(
     offsets = points[nearby][None] - points[nearby][:, None]
     height = np.einsum("ijd,id->ij", offsets, normal)
     square = dots(offsets, offsets)
-    # facets are chords: points close together would see corners where the face is smooth
+    # Facets are chords, so for points close together a smooth face would seem to have corners.
     level = (
         np.abs(offsets @ along) < LEVEL_TOLERANCE_M
         if along is not None

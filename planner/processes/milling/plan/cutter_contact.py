@@ -1,12 +1,12 @@
 """Contact of a cutter with a surface: a ball on a face, a cylindrical flank along rulings.
 
-**Face seen from above.** `inner_area` returns the face without the strip along its edge that a cut leaves
-out.
+**Face seen from above.** `inner_area` returns the area of the face without the strip along its edge that a
+cut leaves out.
 
-**What a ball cannot reach** follows from the part alone. Before a line is planned, the ball is placed at
-every point of the face. A ball of radius R that touches a point p with the normal n has its centre at p + R
-n. Where the face is concave with a smaller radius than the ball's, another point of it is closer to that
-centre than R. There the ball would cut in, so it leaves a fillet of its own radius instead.
+**The region that a ball cannot reach** follows from the part alone. Before a line is planned, the ball is
+placed at every point of the face. A ball of radius R that touches a point p with the normal n has its centre
+at p + R n. Where the face is concave with a smaller radius than the ball's, another point of it is closer to
+that centre than R. There the ball would cut in, so it leaves a fillet of its own radius instead.
 
 **A flank on a ruled surface.** Along a ruling of a developable surface the normal is constant, and a cylinder
 touches all of the ruling. It can touch a twisted ruling only in part. Here the cylinder touches both guides,
@@ -37,20 +37,20 @@ from planner.geometry.units import MM, measurement
 from planner.issues import Issue
 
 INNER_EDGE_SIZE_M: Final = 0.5 * MM
-"""Triangles across the strip's inner edge are subdivided to this size [m].
+"""Size [m] of the pieces into which triangles across the inner edge of the strip are divided.
 
-Those that are not completely inside are left out.
+Pieces that are not completely inside the edge are left out.
 """
 MAX_PIECES: Final = 400_000
-"""Maximum number of pieces of these triangles."""
+"""Maximum number of pieces of the triangles across the inner edge of the strip."""
 
 
 def inner_area(front: Mesh, margin: float) -> shapely.Geometry:
-    """Return the area in plan [m] that is farther than ``margin`` inside the edge; empty if there is none.
+    """Return the area of a face in plan [m] without the strip along its edge, empty if nothing remains.
 
     Args:
         front: Face whose normals point upwards.
-        margin: Width of the strip along its edge [m].
+        margin: Width of the strip [m].
     """
     rings = boundary_rings(TriangleMesh(front.vertices, front.faces))
     flat = [front.vertices[ring][:, :2] for ring in rings if len(ring) > 2]
@@ -67,34 +67,39 @@ def contains_points(area: shapely.Geometry, xy: FloatArray) -> BoolArray:
 
 
 def clip_face(front: Mesh, area: shapely.Geometry) -> Mesh:
-    """Return the triangles of a face over the area, each with vertices of its own."""
+    """Return the triangles of a face that are over an area in plan. Each has vertices of its own.
+
+    Triangles across the border of the area are divided, and their pieces inside are kept.
+    """
     corners = front.vertices[front.faces]
     shapely.prepare(area)
-    whole = _contains_triangles(area, corners)
-    rest = corners[~whole]
-    crossing = rest[shapely.intersects(area, shapely.polygons(rest[..., :2]))]
-    parts = [corners[whole]]
+    is_inside = _contains_triangles(area, corners)
+    remaining = corners[~is_inside]
+    crossing = remaining[shapely.intersects(area, shapely.polygons(remaining[..., :2]))]
+    parts = [corners[is_inside]]
     if len(crossing):
         pieces, _ = bisect_triangles(crossing, INNER_EDGE_SIZE_M, MAX_PIECES)
         parts.append(pieces[_contains_triangles(area, pieces)])
-    kept = np.concatenate(parts)
-    return Mesh(kept.reshape(-1, 3), np.arange(3 * len(kept), dtype=np.int64).reshape(-1, 3))
+    inside_triangles = np.concatenate(parts)
+    return Mesh(
+        inside_triangles.reshape(-1, 3), np.arange(3 * len(inside_triangles), dtype=np.int64).reshape(-1, 3)
+    )
 
 
 def _contains_triangles(area: shapely.Geometry, corners: FloatArray) -> BoolArray:
-    """Return whether triangles (T, 3, 3) are completely in the area."""
+    """Return whether (T,) triangles (T, 3, 3), seen from above, are completely in the area."""
     return np.asarray(shapely.contains(area, shapely.polygons(corners[..., :2])))
 
 
 MAX_BOUNDING_POINTS: Final = 40_000
-"""Maximum number of face points that bound a ball."""
+"""Maximum number of face points that a ball must not contain."""
 MAX_TRIAL_POINTS: Final = 5000
-"""Number of these points at which the ball is tried.
+"""Maximum number of these points at which the ball is placed.
 
 Lines are checked against all points once they are planned.
 """
 SPACING_FRACTION: Final = 0.4
-"""Fraction of the tolerance that may be hidden between points."""
+"""Fraction of the tolerance by which the ball may cut deeper between points than at them."""
 DISTANCE_FRACTION: Final = 0.1
 """Accuracy of distances, as a fraction of the tolerance."""
 CUT_IN_FRACTION: Final = 0.8
@@ -102,7 +107,7 @@ CUT_IN_FRACTION: Final = 0.8
 RADIUS_BISECTIONS: Final = 9
 """Bisection steps in the search for the largest fitting ball."""
 MAX_SMALLER_BALL_POINTS: Final = 800
-"""Number of points at which smaller balls are tried."""
+"""Maximum number of points at which smaller balls are tried."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,11 +115,11 @@ class UnreachedArea:
     """Region of a face that a ball cannot reach.
 
     Attributes:
-        depth: Largest cut-in elsewhere when the ball touches the face [m].
-        point: Point (3,) [m] at which the ball then touches.
-        area: Area where the cut-in exceeds the tolerance [m^2].
-        area_fraction: That area as a fraction of the face.
-        fitting_radius: Radius [m] of the largest ball that reaches all of the face, None if it is negligible.
+        depth: Largest depth [m] to which a ball that touches the face at one point cuts into it elsewhere.
+        point: Point (3,) [m] that the ball touches then.
+        area: Area [m^2] of the points at which the touching ball cuts in by more than the tolerance.
+        area_fraction: This area as a fraction of the face.
+        fitting_radius: Radius [m] of the largest ball that reaches the whole face, None if it is negligible.
     """
 
     depth: float
@@ -127,7 +132,7 @@ class UnreachedArea:
 def find_unreached(
     face: Mesh, radius: float, tolerance: float, area: shapely.Geometry | None = None
 ) -> UnreachedArea | None:
-    """Find what a ball cannot reach of a face.
+    """Find the region of a face that a ball cannot reach.
 
     Args:
         face: Face of the part.
@@ -166,19 +171,22 @@ def find_unreached(
     fitting_radius = _largest_fitting_radius(
         tree, points[trial], normal[trial], radius, CUT_IN_FRACTION * tolerance
     )
-    worst = int(np.argmax(np.where(required, depths, 0.0)))
+    worst_index = int(np.argmax(np.where(required, depths, 0.0)))
     fraction = float(size[blocked].sum()) / max(float(size[required].sum()), 1e-30)
-    return UnreachedArea(float(depths[worst]), points[worst], fraction * total_area, fraction, fitting_radius)
+    return UnreachedArea(
+        float(depths[worst_index]), points[worst_index], fraction * total_area, fraction, fitting_radius
+    )
 
 
 def _cut_in_depths(
     tree: cKDTree, points: FloatArray, normal: FloatArray, radius: float, hidden: float
 ) -> FloatArray:
-    """Return how deep (N,) [m] balls that touch points (N, 3) cut into the face elsewhere.
+    """Return the depths (N,) [m] to which balls that touch the face cut into it elsewhere.
 
-    The values are at most ``hidden`` [m] too small.
+    They touch it at ``points`` (N, 3) with unit normals ``normal``. Depths are at most ``hidden`` [m] too
+    small.
     """
-    # most of the face is nearly equidistant from a centre: an approximate query avoids comparing all of it
+    # Most of the face is nearly equidistant from a centre. An approximate query avoids comparing all of it.
     nearest = tree.query(points + radius * normal, eps=hidden / radius, distance_upper_bound=radius - hidden)[
         0
     ]
@@ -208,7 +216,7 @@ def _largest_fitting_radius(
 def unreached_issue(name: str, region: UnreachedArea, radius: float, tolerance: float) -> Issue:
     """Return the issue ``milling.tool_radius`` of the cut ``name``."""
     point_text = ", ".join(f"{v / MM:.1f}" for v in region.point)
-    what = (
+    message = (
         f"{name}: a ball of {radius / MM:g} mm radius does not fit into front at {point_text} mm, where it "
         f"would cut {region.depth / MM:.2f} mm too deep. It cannot touch {region.area / MM**2:.0f} mm2, "
         f"{100.0 * region.area_fraction:.1f} % of the face, allowed {tolerance / MM:g} mm (shape_tol_mm)"
@@ -222,7 +230,7 @@ def unreached_issue(name: str, region: UnreachedArea, radius: float, tolerance: 
         )
     return Issue(
         "milling.tool_radius",
-        what,
+        message,
         field="cell.arms.tool.diameter_mm",
         **measurement(region.depth / MM, tolerance / MM, "mm"),
         hint=hint,
@@ -237,7 +245,8 @@ class RulingStrip:
         low: Ends of the rulings at the tip (M, 3) [m].
         high: Other ends (M, 3) [m].
         outward_sign: +1 if the outward normal is tangent x (high - low), else -1.
-        is_closed: Whether it is a whole closed surface without corners; its last ruling equals its first one.
+        is_closed: Whether the piece is a whole closed surface without corners. Then its last ruling equals
+            its first one.
     """
 
     low: FloatArray
@@ -246,18 +255,18 @@ class RulingStrip:
     is_closed: bool = False
 
     def tangents(self) -> tuple[FloatArray, FloatArray]:
-        """Return unit tangents (M, 3) of both guides.
+        """Return unit tangents (M, 3) of the low and of the high guide.
 
-        Where one guide does not move, that of the other is used.
+        Where one guide does not move, the tangent of the other one is used for both.
         """
         low, high = (np.gradient(side, axis=0) for side in (self.low, self.high))
-        sizes = [np.linalg.norm(t, axis=1, keepdims=True) for t in (low, high)]
-        min_size = 1e-3 * np.maximum(*sizes)
-        low, high = np.where(sizes[0] > min_size, low, high), np.where(sizes[1] > min_size, high, low)
+        lengths = [np.linalg.norm(t, axis=1, keepdims=True) for t in (low, high)]
+        min_length = 1e-3 * np.maximum(*lengths)
+        low, high = np.where(lengths[0] > min_length, low, high), np.where(lengths[1] > min_length, high, low)
         return unit(low), unit(high)
 
     def normals(self) -> tuple[FloatArray, FloatArray]:
-        """Return outward unit normals (M, 3) of the surface at both guides."""
+        """Return outward unit normals (M, 3) of the surface at the low and at the high guide."""
         along = self.high - self.low
         first, second = self.tangents()
         return unit(self.outward_sign * np.cross(first, along)), unit(
@@ -274,7 +283,7 @@ def smooth_strips(ruled: RuledSurface, tip_at_start: bool, chord: float, step: f
 
     Args:
         ruled: Ruled surface.
-        tip_at_start: Whether the tip is at the start guide.
+        tip_at_start: Whether the cutter's tip is at the start guide, rather than at the end guide.
         chord: Chord error of the resampled guides [m].
         step: Maximum distance of rulings [m].
     """
@@ -300,17 +309,16 @@ SHIFT_RULINGS: Final = 72
 SHIFT_TRIALS: Final = 9
 """Number of shifts that are tried at once at each of these rulings."""
 SHIFT_ZOOMS: Final = 4
-"""Number of refinements, each between the neighbours of the best shift."""
+"""Number of rounds in which shifts are tried, each between the neighbours of the best one before."""
 MAX_AXIS_ITERATIONS: Final = 40
 """Maximum number of fixed-point iterations for the axis of a cylinder that touches both guides."""
 AXIS_TOLERANCE: Final = 1e-12
-"""Convergence limit of that iteration: largest change of a component of the axis, a unit vector."""
+"""Largest change of a component of the axis, a unit vector, at which the fixed-point iteration ends."""
 RULING_WINDOW: Final = 20
 """Number of rulings on either side that are searched for the nearest point of the surface."""
 SHIFT_COST_FACTOR: Final = 1e-4
-"""Cost of a shift by one radius, as a fraction of the radius.
-
-It decides where the surface leaves the shift open.
+"""Cost of a shift by one radius, as a fraction of the radius. It selects small shifts where all shifts fit
+equally.
 """
 SMOOTHING_RULINGS: Final = 3.0
 """Standard deviation of the Gaussian filter over the shift, in rulings."""
@@ -335,9 +343,9 @@ def cutter_axes(strip: RulingStrip, radius: float) -> tuple[FloatArray, FloatArr
 
 
 def flank_deviation(strip: RulingStrip, radius: float, low: FloatArray, high: FloatArray) -> FloatArray:
-    """Return signed distances (M, K) [m] between cylinders and the surface at ``RULING_FRACTIONS``.
+    """Return signed distances (M, K) [m] between cylinders and the surface at the K ``RULING_FRACTIONS``.
 
-    Positive values are material that is left, negative values are cut too deep.
+    Where they are positive, material is left. Where they are negative, the cutter cuts too deep.
 
     Args:
         strip: Strip with M rulings.
@@ -371,9 +379,9 @@ def _extend_guide(side: FloatArray) -> FloatArray:
 
 
 def _guide_shift(strip: RulingStrip, radius: float, is_closed: bool) -> FloatArray:
-    """Choose the shift (M,) of the contact on the upper guide, in rulings.
+    """Choose the shift (M,) of the contact on the upper guide against that on the lower guide, in rulings.
 
-    ``is_closed``: the strip is an extended closed one.
+    ``is_closed``: the strip was closed before it was extended.
     """
     count = len(strip.low)
     if count < 5:
@@ -388,14 +396,16 @@ def _guide_shift(strip: RulingStrip, radius: float, is_closed: bool) -> FloatArr
         trials = np.clip(trials, -max_shift, max_shift)
         trial_rows, trial_shifts = np.repeat(rows, SHIFT_TRIALS), trials.ravel()
         low, high = _contact_axes(strip, radius, trial_rows, trial_shifts)
-        worst = np.abs(_cylinder_distances(strip, radius, low, high, trial_rows + 0.5 * trial_shifts)).max(
-            axis=1
+        max_deviation = np.abs(
+            _cylinder_distances(strip, radius, low, high, trial_rows + 0.5 * trial_shifts)
+        ).max(axis=1)
+        cost = max_deviation.reshape(trials.shape) + SHIFT_COST_FACTOR * radius * np.square(
+            trials * step / radius
         )
-        cost = worst.reshape(trials.shape) + SHIFT_COST_FACTOR * radius * np.square(trials * step / radius)
         best = trials[np.arange(len(rows)), cost.argmin(axis=1)]
         width *= 2.0 / (SHIFT_TRIALS - 1)
     shift = np.interp(np.arange(count), rows, best)
-    # no shift beyond the last ruling: the guides end there
+    # No shift goes beyond the last ruling, where the guides end.
     limit = np.minimum(np.arange(count), np.arange(count)[::-1]).astype(np.float64)
     if is_closed:
         shift = gaussian_filter1d(shift[RULING_WINDOW : -RULING_WINDOW - 1], SMOOTHING_RULINGS, mode="wrap")
@@ -408,17 +418,15 @@ def _guide_shift(strip: RulingStrip, radius: float, is_closed: bool) -> FloatArr
 def _contact_axes(
     strip: RulingStrip, radius: float, rows: IntArray, shift: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return axes (N, 3) of cylinders that touch both guides.
+    """Return lower and upper points (N, 3) [m] of the axes of cylinders that touch both guides.
 
-    They touch the lower guide at ``rows`` and the upper one ``shift`` (N,) rulings farther.
+    They touch the lower guide at the rulings ``rows`` (N,), the upper one ``shift`` (N,) rulings farther.
     """
     first, second = strip.tangents()
     low_contact, tangent = strip.low[rows], first[rows]
     upper_rows = np.clip(rows + shift, 0, len(strip.low) - 1)
-    high_contact, upper_tangent = (
-        _interpolate_rows(strip.high, upper_rows),
-        unit(_interpolate_rows(second, upper_rows)),
-    )
+    high_contact = _interpolate_rows(strip.high, upper_rows)
+    upper_tangent = unit(_interpolate_rows(second, upper_rows))
     axis = unit(high_contact - low_contact)
     for _ in range(MAX_AXIS_ITERATIONS):
         low = low_contact + radius * unit(strip.outward_sign * np.cross(tangent, axis))
@@ -434,26 +442,30 @@ def _contact_axes(
 def _cylinder_distances(
     strip: RulingStrip, radius: float, low: FloatArray, high: FloatArray, near_rows: FloatArray
 ) -> FloatArray:
-    """Return distances (N, K) [m] of lines of the surface from cylinders near rulings ``near_rows``."""
+    """Return signed distances (N, K) [m] of the surface from cylinders at the K ``RULING_FRACTIONS``.
+
+    The axes lead from ``low`` to ``high`` (N, 3). Each cylinder touches the surface near the ruling with the
+    fractional index ``near_rows`` (N,).
+    """
     centre = np.clip(np.round(near_rows).astype(np.int64), 0, len(strip.low) - 1)
     rows = np.clip(centre[:, None] + np.arange(-RULING_WINDOW, RULING_WINDOW + 1), 0, len(strip.low) - 1)
     axis = unit(high - low)
     out = np.empty((len(low), len(RULING_FRACTIONS)))
     for k, fraction in enumerate(RULING_FRACTIONS):
         line = (1.0 - fraction) * strip.low + fraction * strip.high
-        # coordinate first, (3, N, W): fastest layout for many short vectors
-        rest = np.ascontiguousarray(line.T).take(rows, axis=1) - low.T[..., None]
-        rest -= np.einsum("dnw,dn->nw", rest, axis.T) * axis.T[..., None]
-        square = np.einsum("dnw,dnw->nw", rest, rest)
+        # The coordinate is the first axis, (3, N, W), because this layout is fastest for many short vectors.
+        offset = np.ascontiguousarray(line.T).take(rows, axis=1) - low.T[..., None]
+        offset -= np.einsum("dnw,dn->nw", offset, axis.T) * axis.T[..., None]
+        square = np.einsum("dnw,dnw->nw", offset, offset)
         nearest = rows[np.arange(len(rows)), square.argmin(axis=1)]
-        # there is no surface beyond the ends of the guides, so the distance is not defined there
+        # There is no surface beyond the ends of the guides, so the distance is not defined there.
         inside = (nearest > 0) & (nearest < len(strip.low) - 1)
         out[:, k] = np.where(inside, _min_root(square) - radius, 0.0)
     return out
 
 
 def _min_root(square: FloatArray) -> FloatArray:
-    """Return the root (N,) of the smallest of squares (N, W), refined by a parabola."""
+    """Return the square root (N,) of the smallest of values (N, W), refined by a parabola through it."""
     k = np.clip(square.argmin(axis=1), 1, square.shape[1] - 2)
     row = np.arange(len(square))
     a, b, c = square[row, k - 1], square[row, k], square[row, k + 1]
@@ -463,7 +475,7 @@ def _min_root(square: FloatArray) -> FloatArray:
 
 
 def _interpolate_rows(rows: FloatArray, indices: FloatArray) -> FloatArray:
-    """Interpolate rows (N, 3) at fractional indices ``indices`` (N,)."""
+    """Interpolate vectors ``rows`` (M, 3) at fractional indices (N,)."""
     first = np.clip(indices.astype(np.int64), 0, len(rows) - 2)
     fraction = (indices - first)[:, None]
     return np.asarray((1.0 - fraction) * rows[first] + fraction * rows[first + 1])

@@ -1,7 +1,7 @@
 """Flank cuts: from a ruled surface of the part to roughing passes and the finishing pass.
 
-Lead-in and lead-out go straight on until the cutter has left the block. The cutter is rotated round convex
-corners.
+Lead-in and lead-out continue the surface until the cutter has left the block. At convex corners the cutter is
+rotated about the corner.
 """
 
 import dataclasses
@@ -31,7 +31,7 @@ MAX_LEAD_ROTATION_RAD: Final = np.deg2rad(10.0)
 MAX_LEAD_EXTENSIONS: Final = 8
 """Maximum number of extensions of a lead until the cutter is outside the block at its end."""
 LEAD_SAMPLES: Final = 257
-"""Number of samples along a cutter that are compared with the block."""
+"""Number of points on the axis of a cutter that are compared with the block."""
 LEAD_MARGIN_M: Final = 1e-4
 """Clearance [m] between cutter and block at the end of a lead, because programs are rounded."""
 MAX_LEAD_M: Final = 5.0
@@ -39,10 +39,12 @@ MAX_LEAD_M: Final = 5.0
 
 
 def exit_distance(ends: FloatArray, direction: FloatArray, box: FloatArray, clearance: float) -> float:
-    """Return how far [m] a cutter has to move until all its ends are clear of one side of the block.
+    """Return the distance [m] that a cutter has to move to be beyond one side of the block.
+
+    All points of its axis are then clear of this side. The distance is at most ``MAX_LEAD_M``.
 
     Args:
-        ends: Points (K, 3) [m].
+        ends: Points (K, 3) [m] of the cutter's axis.
         direction: Direction, a unit vector (3,).
         box: Block (2, 3) [m].
         clearance: Required distance beyond the side [m].
@@ -66,8 +68,8 @@ def extend_axis(
     Args:
         low: Lower point of the axis (3,) [m].
         high: Upper point of the axis (3,) [m].
-        low_step: Simultaneous displacement of the lower point (3,) [m].
-        high_step: Simultaneous displacement of the upper point (3,) [m].
+        low_step: Displacement of the lower point (3,) [m] in a step of the motion.
+        high_step: Displacement of the upper point (3,) [m] in the same step.
         length: Length of the extension [m].
 
     Returns:
@@ -75,21 +77,22 @@ def extend_axis(
     """
     scale = max(float(np.linalg.norm(low_step)), float(np.linalg.norm(high_step)), 1e-12)
     straight = 0.5 * (low_step + high_step) / scale
-    turn = 0.5 * (high_step - low_step) / scale
+    half_rotation = 0.5 * (high_step - low_step) / scale
     path_length = length / max(float(np.linalg.norm(straight)), 0.1)
-    rate = float(np.linalg.norm(turn)) * 2.0 / max(float(np.linalg.norm(high - low)), 1e-9)
+    rate = float(np.linalg.norm(half_rotation)) * 2.0 / max(float(np.linalg.norm(high - low)), 1e-9)
     rotating_length = min(path_length, 2.0 * MAX_LEAD_ROTATION_RAD / max(rate, 1e-9))
     positions = np.unique(np.append(np.linspace(0.0, rotating_length, LEAD_TARGETS + 1), path_length))[
         :, None
     ]
+    # The rate of rotation falls linearly to 0 over the rotating length.
     rotation_length = np.where(
         positions < rotating_length,
         positions - positions * positions / (2.0 * rotating_length),
         0.5 * rotating_length,
     )
     return (
-        low + positions * straight - rotation_length * turn,
-        high + positions * straight + rotation_length * turn,
+        low + positions * straight - rotation_length * half_rotation,
+        high + positions * straight + rotation_length * half_rotation,
     )
 
 
@@ -106,34 +109,34 @@ def round_corner(
         next_axis: Ends of the axis after the corner, (3,) each [m].
 
     Returns:
-        Lower and upper points (K, 3) [m] between both, ends excluded.
+        Lower and upper points (K, 3) [m] of the axis between both, ends excluded.
     """
     sides = []
-    turns = []
+    angles = []
     for corner, start, end in zip(corner_ruling, previous_axis, next_axis, strict=True):
         a, b = start - corner, end - corner
-        turns.append(
+        angles.append(
             float(
                 np.arccos(
                     np.clip(a @ b / max(float(np.linalg.norm(a)) * float(np.linalg.norm(b)), 1e-18), -1, 1)
                 )
             )
         )
-    count = max(int(np.ceil(max(turns) / CORNER_STEP_RAD)), 1)
+    count = max(int(np.ceil(max(angles) / CORNER_STEP_RAD)), 1)
     fraction = np.arange(1, count)[:, None] / count
-    for corner, start, end, turn in zip(corner_ruling, previous_axis, next_axis, turns, strict=True):
+    for corner, start, end, angle in zip(corner_ruling, previous_axis, next_axis, angles, strict=True):
         a, b = start - corner, end - corner
-        if turn < 1e-9:
+        if angle < 1e-9:
             sides.append(corner + (1.0 - fraction) * a + fraction * b)
-        else:
+        else:  # spherical interpolation
             sides.append(
-                corner + (np.sin((1.0 - fraction) * turn) * a + np.sin(fraction * turn) * b) / np.sin(turn)
+                corner + (np.sin((1.0 - fraction) * angle) * a + np.sin(fraction * angle) * b) / np.sin(angle)
             )
     return sides[0], sides[1]
 
 
 RULING_SPACING_FACTOR: Final = 1.0 / 10.0
-"""Distance of the rulings at which the cutter is placed, as a factor of its radius."""
+"""Distance between the rulings at which the cutter is placed, as a factor of its radius."""
 MAX_RULINGS: Final = 6000
 """Approximate maximum number of rulings at which the cutter is placed."""
 CHORD_FRACTION: Final = 0.1
@@ -143,20 +146,22 @@ BLOCK_CLEARANCE_M: Final = 2.0 * MM
 MAX_INNER_CORNER_RAD: Final = 3.0 * DEG
 """Maximum angle [rad] of an inner corner that a round cutter can mill."""
 ROUNDING_FACTOR: Final = 1.05
-"""Advised corner radius as a factor of the cutter's radius. A corner with the cutter's radius would rub."""
+"""Advised corner radius as a factor of the cutter's radius. In a corner of its own radius the cutter would
+rub.
+"""
 SLIMMER_TRIALS: Final = 4
-"""Number of slimmer cutters that are tried along twisted rulings."""
+"""Maximum number of thinner cutters that are tried along twisted rulings."""
 TOLERANCE_FRACTION: Final = 0.97
-"""Fraction of the tolerance that a slimmer cutter has to keep, so that the advice is safe."""
+"""Fraction of the tolerance within which an advised thinner cutter must stay, so that the advice is safe."""
 MIN_ADVISED_RADIUS_M: Final = 0.5 * MM
 """Minimum radius of a cutter that is advised [m]."""
 MAX_LENGTH_RATIO: Final = 2.0
-"""Ratio of guide lengths above which a warning is issued: one end of the flank moves that much faster."""
+"""Ratio of guide lengths above which a warning is issued. One end of the flank moves faster by this ratio."""
 
 
 @dataclasses.dataclass(frozen=True)
 class FlankPlacement:
-    """Cutter along a ruled surface.
+    """Positions of a cutter along a ruled surface.
 
     Attributes:
         low: Lower points of the axis (N, 3) [m], opposite the tip guide.
@@ -170,20 +175,21 @@ class FlankPlacement:
 
 
 def find_ruled_surface(part: Part | None, name: str) -> RuledSurface:
-    """Return the ruled surface of that name.
+    """Return the ruled surface ``name`` of a part.
 
     Raises:
-        TandemError: ``milling.no_surface`` if the part has none of that name.
+        TandemError: ``milling.no_surface`` if the part has no ruled surface of this name.
     """
-    known = {} if part is None else {ruled.name: ruled for ruled in part.ruled}
-    if name not in known:
-        known_names = ", ".join(known) or "none"
-        what = (
-            f"cuts: the part has no ruled surface {name}; it has {known_names}. Name one of them, or add it "
+    surfaces = {} if part is None else {ruled.name: ruled for ruled in part.ruled}
+    if name not in surfaces:
+        surface_names = ", ".join(surfaces) or "none"
+        message = (
+            f"cuts: the part has no ruled surface {name}; it has {surface_names}. Name one of them, or add "
+            "it "
         )
-        what += "under part.ruled"
-        raise issue_error("milling.no_surface", what, field="operations.cuts")
-    return known[name]
+        message += "under part.ruled"
+        raise issue_error("milling.no_surface", message, field="operations.cuts")
+    return surfaces[name]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -194,7 +200,8 @@ class FlankPasses:
         passes: Roughing passes, then the finishing pass.
         deviation: Largest deviation of the cutter from the surface in the finishing pass [m].
         notes: Warnings for the user.
-        fitting_radius: If the deviation is too large, radius [m] of a cutter that fits, if there is one.
+        fitting_radius: Radius [m] of a cutter that fits if the deviation is too large, None if it is not too
+            large or if no cutter fits.
     """
 
     passes: tuple[CutterPass, ...]
@@ -243,9 +250,10 @@ def plan_passes(
 def _fitting_radius(
     op: Milling, cut: FlankCut, ruled: RuledSurface, radius: float, deviation: float
 ) -> float | None:
-    """Return the radius [m] of a cutter that fits twisted rulings.
+    """Return the radius [m] of a thinner cutter that fits twisted rulings.
 
-    Radii are tried, because the deviation is only roughly proportional to the radius.
+    It is None if the ``deviation`` of the cutter with ``radius`` is within the tolerance, or if no trial
+    succeeds. Several radii are tried, because the deviation is only roughly proportional to the radius.
     """
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
     for _ in range(SLIMMER_TRIALS):
@@ -261,15 +269,15 @@ def _fitting_radius(
 
 
 def tip_overrun(cut: FlankCut, cutter: Cutter) -> float:
-    """Return how far [m] the tip is beyond the tip guide.
+    """Return the distance [m] of the tip beyond the tip guide.
 
-    The rounded end of a cutter does not reach the wall.
+    It includes the rounded end of the cutter, which does not reach the wall.
     """
     return cut.overrun_mm * MM + (cutter.corner if cut.guides == "surface" else 0.0)
 
 
 def place_cutter(op: Milling, cut: FlankCut, ruled: RuledSurface, radius: float) -> FlankPlacement:
-    """Place a cutter of ``radius`` [m] along the surface, in the required direction."""
+    """Place a cutter of ``radius`` [m] along the surface, in the direction that the cut requires."""
     pieces = _oriented_strips(op, cut, ruled, radius)
     contact_radius = radius if cut.guides == "surface" else 0.0
     lows: list[FloatArray] = []
@@ -282,10 +290,10 @@ def place_cutter(op: Milling, cut: FlankCut, ruled: RuledSurface, radius: float)
             deviations = np.abs(cutter_contact.flank_deviation(strip, contact_radius, low, high))
             max_deviation = max(max_deviation, float(deviations.max()))
         if last is not None and contact_radius:
-            foot = strip.low[0], strip.high[0]
-            rows = round_corner(foot, (lows[-1][-1], highs[-1][-1]), (low[0], high[0]))
-            lows.append(rows[0])
-            highs.append(rows[1])
+            corner_ruling = strip.low[0], strip.high[0]
+            corner_axes = round_corner(corner_ruling, (lows[-1][-1], highs[-1][-1]), (low[0], high[0]))
+            lows.append(corner_axes[0])
+            highs.append(corner_axes[1])
         lows.append(low)
         highs.append(high)
         last = strip
@@ -293,7 +301,7 @@ def place_cutter(op: Milling, cut: FlankCut, ruled: RuledSurface, radius: float)
 
 
 def check_flank(op: Milling, cut: FlankCut, ruled: RuledSurface, cutter: Cutter) -> Iterator[Issue]:
-    """Yield issues of guides, flute and corners for this cutter."""
+    """Yield issues about the lengths of the guides, the flute and overhang, and inner corners."""
     field = f"operations.cuts.{cut.flank}"
     pieces = _oriented_strips(op, cut, ruled, cutter.radius)
     lengths = [
@@ -304,44 +312,53 @@ def check_flank(op: Milling, cut: FlankCut, ruled: RuledSurface, cutter: Cutter)
     if ratio > MAX_LENGTH_RATIO:
         longer_guide = int(lengths[1] > lengths[0])
         names = ("start", "end") if cut.tip == "start" else ("end", "start")
-        what = f"flank {cut.flank}: its guides are {lengths[0] / MM:.0f} and {lengths[1] / MM:.0f} mm long, "
-        what += f"so one end of the flank moves {ratio:.1f} times as fast as the other. The feed applies "
-        what += (
+        message = (
+            f"flank {cut.flank}: its guides are {lengths[0] / MM:.0f} and {lengths[1] / MM:.0f} mm long, "
+        )
+        message += f"so one end of the flank moves {ratio:.1f} times as fast as the other. The feed applies "
+        message += (
             f"to the faster end. If the slower end burns or rubs, shorten the guide {names[longer_guide]} to "
         )
-        what += (
+        message += (
             f"{np.floor(MAX_LENGTH_RATIO * min(lengths) / MM * 10.0) / 10.0:.1f} mm or less, or divide the "
         )
-        what += "surface"
+        message += "surface"
         yield Issue(
-            "milling.guide_lengths", what, Severity.WARNING, field=field, value=ratio, limit=MAX_LENGTH_RATIO
+            "milling.guide_lengths",
+            message,
+            Severity.WARNING,
+            field=field,
+            value=ratio,
+            limit=MAX_LENGTH_RATIO,
         )
     wall_height = max(float(np.linalg.norm(strip.high - strip.low, axis=1).max()) for strip in pieces)
     required = wall_height + tip_overrun(cut, cutter)
     if cut.guides == "surface" and required > cutter.flute + 1e-9:
-        what = (
+        message = (
             f"flank {cut.flank} needs {_ceil_mm(required):.2f} mm of flute (wall {wall_height / MM:.1f}, "
             "beyond its guide "
         )
-        what += (
+        message += (
             f"{tip_overrun(cut, cutter) / MM:.1f}), the cutter has {cutter.flute / MM:.1f}; use a longer "
             "flute"
         )
         if required > cutter.overhang:
-            what += " and overhang"
-        what += ", or divide the wall into surfaces one above the other"
+            message += " and overhang"
+        message += ", or divide the wall into surfaces one above the other"
         yield Issue(
-            "milling.flute", what, field=field, value=required / MM, limit=cutter.flute / MM, unit="mm"
+            "milling.flute", message, field=field, value=required / MM, limit=cutter.flute / MM, unit="mm"
         )
     if required > cutter.overhang:
-        what = f"flank {cut.flank}: the tip is {required / MM:.1f} mm below the wall's top, and the holder "
-        what += (
+        message = (
+            f"flank {cut.flank}: the tip is {required / MM:.1f} mm below the wall's top, and the holder "
+        )
+        message += (
             f"starts {cutter.overhang / MM:.1f} mm behind it; use an overhang of {_ceil_mm(required):.2f} mm "
             "or "
         )
-        what += "more"
+        message += "more"
         yield Issue(
-            "milling.holder", what, field=field, value=required / MM, limit=cutter.overhang / MM, unit="mm"
+            "milling.holder", message, field=field, value=required / MM, limit=cutter.overhang / MM, unit="mm"
         )
     if cut.guides == "surface":
         yield from _corner_issues(cut, pieces, ruled.closed, cutter.radius, field)
@@ -350,26 +367,36 @@ def check_flank(op: Milling, cut: FlankCut, ruled: RuledSurface, cutter: Cutter)
 def _corner_issues(
     cut: FlankCut, pieces: list[RulingStrip], closed: bool, radius: float, field: str
 ) -> Iterator[Issue]:
+    """Yield issues about inner corners between smooth pieces, in which a round cutter leaves a fillet."""
     loop = [*pieces, pieces[0]] if closed and not pieces[0].is_closed else pieces
     for previous, following in itertools.pairwise(loop):
-        turn = float(np.arcsin(np.clip(following.tangents()[0][0] @ previous.normals()[0][-1], -1.0, 1.0)))
-        if turn > MAX_INNER_CORNER_RAD:
+        corner_angle = float(
+            np.arcsin(np.clip(following.tangents()[0][0] @ previous.normals()[0][-1], -1.0, 1.0))
+        )
+        if corner_angle > MAX_INNER_CORNER_RAD:
             point_text = ", ".join(f"{v / MM:.1f}" for v in following.low[0])
-            what = f"flank {cut.flank} has an inner corner of {turn / DEG:.0f} degrees at {point_text} mm, "
-            # distance of an inscribed circle from the corner of two walls: r (1 / cos(turn / 2) - 1)
-            residual = radius * (1.0 / np.cos(0.5 * turn) - 1.0)
-            what += f"where a cutter of {radius / MM:g} mm radius leaves a fillet, "
-            what += f"{residual / MM:.2f} mm from the corner; round both guides there by "
-            what += f"{_ceil_mm(ROUNDING_FACTOR * radius):.2f} mm or more"
+            message = (
+                f"flank {cut.flank} has an inner corner of {corner_angle / DEG:.0f} degrees at {point_text} "
+                "mm, "
+            )
+            # Distance of an inscribed circle from the corner of two walls: r (1 / cos(angle / 2) - 1).
+            residual = radius * (1.0 / np.cos(0.5 * corner_angle) - 1.0)
+            message += f"where a cutter of {radius / MM:g} mm radius leaves a fillet, "
+            message += f"{residual / MM:.2f} mm from the corner; round both guides there by "
+            message += f"{_ceil_mm(ROUNDING_FACTOR * radius):.2f} mm or more"
             yield Issue(
                 "milling.corner",
-                what,
+                message,
                 field=field,
-                **measurement(turn / DEG, MAX_INNER_CORNER_RAD / DEG, "deg"),
+                **measurement(corner_angle / DEG, MAX_INNER_CORNER_RAD / DEG, "deg"),
             )
 
 
 def _oriented_strips(op: Milling, cut: FlankCut, ruled: RuledSurface, radius: float) -> list[RulingStrip]:
+    """Return the smooth pieces of the surface in the direction and order in which a cutter passes them.
+
+    Rulings are close together relative to the cutter's ``radius`` [m].
+    """
     total_length = sum(
         float(np.linalg.norm(np.diff(side, axis=0), axis=1).sum()) for side in (ruled.start, ruled.end)
     )
@@ -383,7 +410,7 @@ def _oriented_strips(op: Milling, cut: FlankCut, ruled: RuledSurface, radius: fl
 
 
 def _milling_direction(strip: RulingStrip) -> str:
-    """Return ``climb`` or ``conventional``.
+    """Return ``climb`` or ``conventional``, whichever a cut in the direction of a strip is.
 
     A cutter that turns clockwise, seen from the spindle, climbs if it is on the left of the surface, seen
     along the feed with the spindle up.
@@ -408,7 +435,7 @@ class CutterInBlock:
 def _build_pass(
     op: Milling, cut: FlankCut, name: str, placement: FlankPlacement, lift: float, in_block: CutterInBlock
 ) -> CutterPass:
-    """Build one pass with the tip ``lift`` [m] above the tip guide."""
+    """Return one pass with its leads. Its tip is ``lift`` [m] above the tip guide."""
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
     rows = thin_rows(
         np.stack([placement.low, placement.high], axis=1), CHORD_FRACTION * tolerance, op.step_mm * MM
@@ -433,9 +460,21 @@ def _extend_lead(
     lift: float,
     in_block: CutterInBlock,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return axes (K, 3) each that continue beyond the first of two rows, away from the second."""
-    k, after = rows
-    low_step, high_step = low[k] - low[after], high[k] - high[after]
+    """Return the axes of a lead, which continues the motion of the cutter beyond one end of a pass.
+
+    Args:
+        cut: Flank cut.
+        low: Lower points of the axes of the pass (N, 3) [m].
+        high: Upper points of the axes of the pass (N, 3) [m].
+        rows: Index of the end of the pass, and of the axis next to it.
+        lift: Height of the tip above the tip guide [m].
+        in_block: Cutter and block.
+
+    Returns:
+        Lower and upper points (K, 3) [m], from the pass outwards.
+    """
+    k, next_row = rows
+    low_step, high_step = low[k] - low[next_row], high[k] - high[next_row]
     direction = low_step + high_step
     direction /= max(float(np.linalg.norm(direction)), 1e-12)
     if cut.lead_mm is None:
@@ -451,7 +490,7 @@ def _extend_lead(
         extra = _remaining_exit(low_points[-1], high_points[-1], direction, lift, in_block)
         if extra <= 0.0 or length >= MAX_LEAD_M:
             break
-        # a tool that rotates on its way lags at one end and tilts over the block above the surface
+        # A tool that rotates along the lead lags at one end and tilts over the block above the surface.
         length += extra
         low_points, high_points = extend_axis(low[k], high[k], low_step, high_step, length)
     return low_points[1:], high_points[1:]
@@ -460,9 +499,9 @@ def _extend_lead(
 def _remaining_exit(
     low: FloatArray, high: FloatArray, direction: FloatArray, lift: float, in_block: CutterInBlock
 ) -> float:
-    """Return how far [m] a cutter still has to move along ``direction`` (3,) to leave the block, or 0.
+    """Return how far [m] a cutter still has to move along ``direction`` (3,) to be off the block, 0 if it is.
 
-    The cutter is retracted along the axis from ``low`` to ``high`` (3,), so all of its overhang counts.
+    The cutter is retracted along the axis from ``low`` to ``high`` (3,), so its whole overhang counts.
     """
     cutter, box = in_block.cutter, in_block.box
     axis = unit(high - low)

@@ -7,7 +7,7 @@ between passes) and `check` (checks before motion planning).
 
 **Exhibits** for the report: tool and spindle for the setup sheet, the cuts, the paths.
 
-**Claims** (`milling_claims`): what must hold of the job. They follow from the problem alone.
+**Claims** (`milling_claims`): requirements on the job, which follow from the problem alone.
 """
 
 import dataclasses
@@ -31,7 +31,7 @@ from planner.geometry.corner_rounding import ROTATION_LEVER_MM
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Part
-from planner.processes.milling import claims as facts
+from planner.processes.milling import claims as cutter_claims
 from planner.processes.milling import sentences as milling_sentences
 from planner.processes.milling.plan.check import check_work
 from planner.processes.milling.plan.flank_cut import find_ruled_surface
@@ -55,14 +55,18 @@ AXIS_TOLERANCE_RAD: Final = 0.5 * DEG
 """Allowed deviation of the tool's axis from the required one [rad]."""
 
 TIP_TOLERANCE_M: Final = 0.5 * MM
-"""Allowed deviation of the tip from its path if a claim on a surface is the measure [m].
+"""Minimum tolerance of the tip's path [m] if a claim on a surface decides about the shape.
 
-Corners of the path are rounded.
+It allows for the rounding of corners of the path.
 """
 
 
 def milling_claims(work: MillingPlan, part: Part | None) -> tuple[Claim, ...]:
-    """Return claims on the spindle, on feed and shape of each cut, and on the part that all cuts spare."""
+    """Return the claims of a milling job.
+
+    They are on the spindle, the operator dialogue, feed and shape of each cut, and the faces of the part that
+    no cut may enter.
+    """
     op = work.operation
     out: list[Claim] = [ContactOnlyIn(("mill",), op.signal, op.spin_up_s)]
     out.append(_operator_dialogue(work))
@@ -80,14 +84,16 @@ def milling_claims(work: MillingPlan, part: Part | None) -> tuple[Claim, ...]:
         for face in work.faces:
             depth = planned.engraving_depth if face.name == "front" else 0.0
             mesh = (face.mesh.vertices, face.mesh.faces)
-            out.append(facts.SparesPart(segments, op.arms[0], work.cutter, *mesh, depth, planned.tolerance))
+            out.append(
+                cutter_claims.SparesPart(segments, op.arms[0], work.cutter, *mesh, depth, planned.tolerance)
+            )
     return tuple(out)
 
 
 def _operator_dialogue(work: MillingPlan) -> OperatorDialogue:
     """Return the operator dialogue with block, cutter and spindle speed.
 
-    The speed is left out if files state it. The proof reads from the files what they ask for in addition.
+    The speed is left out if files state it. The proof adds the questions that it reads from the files.
     """
     op, size = work.operation, np.ptp(work.box, axis=0) / MM
     block = {"x_mm": float(size[0]), "y_mm": float(size[1]), "z_mm": float(size[2])}
@@ -107,9 +113,9 @@ def _operator_dialogue(work: MillingPlan) -> OperatorDialogue:
     )
 
 
-def program_file(gcode: GCodeFile) -> facts.ProgramFile:
-    """Return what the problem states about a G-code file, word for word."""
-    return facts.ProgramFile(
+def program_file(gcode: GCodeFile) -> cutter_claims.ProgramFile:
+    """Return the statements of the problem about a G-code file, in its own words and units."""
+    return cutter_claims.ProgramFile(
         path=gcode.file,
         xyz_mm=gcode.origin.xyz_mm,
         rpy_deg=gcode.origin.rpy_deg,
@@ -135,19 +141,24 @@ def program_file(gcode: GCodeFile) -> facts.ProgramFile:
     )
 
 
-def _program_claim(work: MillingPlan, planned: PlannedCut, cut: GCodeCut, first: bool) -> facts.MillsProgram:
-    """Return the claim on the path of a file, which the proof reads itself."""
+def _program_claim(
+    work: MillingPlan, planned: PlannedCut, cut: GCodeCut, first: bool
+) -> cutter_claims.MillsProgram:
+    """Return the claim on the path of a G-code file, which the proof reads itself.
+
+    ``first``: whether it is the first cut of the operation.
+    """
     safe = _safe_moves(work.operation, work.box)
     file = program_file(cut.gcode)
-    return facts.MillsProgram(
+    return cutter_claims.MillsProgram(
         cut.name, work.operation.arms[0], file, safe, planned.tolerance, AXIS_TOLERANCE_RAD, first
     )
 
 
-def _engraving_claim(work: MillingPlan, planned: PlannedCut, cut: EngraveCut) -> facts.Engraves:
+def _engraving_claim(work: MillingPlan, planned: PlannedCut, cut: EngraveCut) -> cutter_claims.Engraves:
     """Return the claim on curves engraved in the part's front."""
     op, front = work.operation, next(face.mesh for face in work.faces if face.name == "front")
-    return facts.Engraves(
+    return cutter_claims.Engraves(
         name=cut.name,
         arm=op.arms[0],
         cutter=work.cutter,
@@ -166,12 +177,12 @@ def _engraving_claim(work: MillingPlan, planned: PlannedCut, cut: EngraveCut) ->
     )
 
 
-def _safe_moves(op: Milling, box: FloatArray) -> facts.SafeMoves:
-    """Return the moves to and from passes, with the values of the problem."""
+def _safe_moves(op: Milling, box: FloatArray) -> cutter_claims.SafeMoves:
+    """Return the claim on moves to and from passes of the block ``box`` (2, 3) [m]."""
     normal_axis, end = BLOCK_SIDES[op.safe_side]
     free_side = 1.0 if end else -1.0
     level = float(box[end, normal_axis]) + free_side * op.safe_mm * MM
-    return facts.SafeMoves(normal_axis, free_side, level, op.plunge_mm_s * MM, op.rapid_mm_s * MM)
+    return cutter_claims.SafeMoves(normal_axis, free_side, level, op.plunge_mm_s * MM, op.rapid_mm_s * MM)
 
 
 def _feed_claims(work: MillingPlan, planned: PlannedCut) -> list[Claim]:
@@ -187,19 +198,21 @@ def _feed_claims(work: MillingPlan, planned: PlannedCut) -> list[Claim]:
 
 
 def _shape_claims(work: MillingPlan, planned: PlannedCut, part: Part | None) -> list[Claim]:
-    """Return claims on the surface that a cut makes, and on the path where it follows curves."""
+    """Return claims on the surface that a cut produces, and on the path of the cutter over it."""
     op = work.operation
     out: list[Claim] = []
     if planned.face is not None:
-        # only the last pass makes the surface
+        # Only the last pass of a flank cut produces the surface.
         finish = planned.passes[-1:] if isinstance(planned.cut, FlankCut) else planned.passes
         segments = tuple(run.segment for run in finish)
         mesh, margin = planned.face.mesh, 0.0
         if isinstance(planned.cut, LinesCut) and part is not None and part.front is not None:
             mesh, margin = part.front, planned.cut.margin_mm * MM
         bounds = planned.tolerance, op.share, margin
-        out.append(facts.MillsSurface(segments, op.arms[0], work.cutter, mesh.vertices, mesh.faces, *bounds))
-    # if a surface is claimed, it is the measure, and the path only ensures that nothing else is milled
+        out.append(
+            cutter_claims.MillsSurface(segments, op.arms[0], work.cutter, mesh.vertices, mesh.faces, *bounds)
+        )
+    # If a surface is claimed, it decides about the shape. The path only ensures that nothing else is milled.
     tolerance = planned.tolerance if planned.face is None else max(planned.tolerance, TIP_TOLERANCE_M)
     if isinstance(planned.cut, LinesCut) and part is not None and part.front is not None:
         return [*out, _face_claim(work, planned, planned.cut, part.front, tolerance)]
@@ -213,9 +226,9 @@ def _shape_claims(work: MillingPlan, planned: PlannedCut, part: Part | None) -> 
 
 def _face_claim(
     work: MillingPlan, planned: PlannedCut, cut: LinesCut, front: Mesh, tolerance: float
-) -> facts.MillsOver:
+) -> cutter_claims.MillsOver:
     """Return the claim that the cutter's end passes over the front."""
-    return facts.MillsOver(
+    return cutter_claims.MillsOver(
         segments=tuple(run.segment for run in planned.passes),
         arm=work.operation.arms[0],
         cutter=work.cutter,
@@ -223,6 +236,7 @@ def _face_claim(
         faces=front.faces,
         margin=cut.margin_mm * MM,
         upright=cut.axis == "upright",
+        # lead and tilt are about perpendicular axes, so their tangents add as a vector
         max_tilt=float(np.arctan(np.hypot(np.tan(cut.lead_deg * DEG), np.tan(cut.tilt_deg * DEG)))),
         safe=_safe_moves(work.operation, work.box),
         tolerance=tolerance,
@@ -232,11 +246,11 @@ def _face_claim(
 
 def _flank_claim(
     work: MillingPlan, planned: PlannedCut, cut: FlankCut, ruled: RuledSurface, tolerance: float
-) -> facts.MillsFlank:
-    """Return the claim that the cutter's side passes a ruled surface, or its axis two guides."""
+) -> cutter_claims.MillsFlank:
+    """Return the claim that the cutter's side passes along a ruled surface, or its axis along two guides."""
     op, cutter = work.operation, work.cutter
     from_start, by_surface = cut.tip == "start", cut.guides == "surface"
-    return facts.MillsFlank(
+    return cutter_claims.MillsFlank(
         segments=tuple(run.segment for run in planned.passes),
         arm=op.arms[0],
         cutter=cutter,
@@ -260,7 +274,7 @@ def _flank_claim(
 def tool_poses(tip: FloatArray, axis: FloatArray) -> FloatArray:
     """Return poses (N, 4, 4) of tools whose TCP is the tip and whose z axis points out of the spindle.
 
-    The x axis is as close as possible to the axis of the block that is farthest from all tool axes.
+    The x axis is as close as possible to that axis of the block from which all tool axes are farthest.
 
     Args:
         tip: Tips (N, 3) [m].
@@ -278,8 +292,8 @@ def spin_freedom(arm: str, orient: Orient, count: int) -> ScrewFreedom:
 
     Args:
         arm: Name of the arm.
-        orient: ``base`` if the tool's x axis aims at the robot's base; otherwise its possible gain is
-            reported.
+        orient: ``base`` if the tool's x axis should aim at the robot's base. With ``best`` it need not, and
+            the possible gain of this aim is reported.
         count: Number of targets.
     """
     twist = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
@@ -289,7 +303,7 @@ def spin_freedom(arm: str, orient: Orient, count: int) -> ScrewFreedom:
 
 
 CUT_NAMES: Final = ((FlankCut, "flank"), (LinesCut, "lines"), (GCodeCut, "G\u2011code"))
-"""Kinds of cuts in words."""
+"""Names of the kinds of cuts in reports."""
 MAX_CURVES_SHOWN: Final = 80
 """Maximum number of curves in the picture of the paths."""
 
@@ -300,6 +314,7 @@ def exhibits(work: MillingPlan, route: MillingRoute) -> dict[str, Any]:
 
 
 def _setup_exhibit(work: MillingPlan) -> dict[str, Any]:
+    """Return the exhibit with tool, spindle, feed and safe plane for the setup sheet."""
     op, cutter = work.operation, work.cutter
     size = f"{2e3 * cutter.radius:g} mm, flute {cutter.flute / MM:g} mm"
     corner = f", corner {cutter.corner / MM:g} mm" if cutter.kind == "bull" else ""
@@ -327,6 +342,7 @@ def _feed_range(work: MillingPlan) -> str:
 
 
 def _cuts_exhibit(work: MillingPlan) -> dict[str, Any]:
+    """Return the exhibit with a table of all passes."""
     rows = []
     for planned in work.cuts:
         kind = next((name for model, name in CUT_NAMES if isinstance(planned.cut, model)), "engraving")
@@ -341,11 +357,11 @@ def _cuts_exhibit(work: MillingPlan) -> dict[str, Any]:
                 (run.name, kind, len(run.path), f"{length:.2f}", deviation, f"{planned.tolerance / MM:g}")
             )
     columns = ("pass", "kind", "targets", "length [m]", "cutter to surface [mm]", "allowed [mm]")
-    # only flank cuts can deviate because of their geometry
-    kept = [k for k in range(len(columns)) if k != 4 or any(row[4] for row in rows)]
-    shown = [tuple(row[k] for k in kept) for row in rows]
-    names = tuple(columns[k] for k in kept)
-    return {"kind": "table", "title": "Passes in order", "columns": names, "rows": shown}
+    # Only flank cuts can deviate because of their geometry. Without any, the column is left out.
+    shown_columns = [k for k in range(len(columns)) if k != 4 or any(row[4] for row in rows)]
+    shown_rows = [tuple(row[k] for k in shown_columns) for row in rows]
+    names = tuple(columns[k] for k in shown_columns)
+    return {"kind": "table", "title": "Passes in order", "columns": names, "rows": shown_rows}
 
 
 def _paths_exhibit(work: MillingPlan) -> dict[str, Any]:
@@ -357,7 +373,9 @@ def _paths_exhibit(work: MillingPlan) -> dict[str, Any]:
 MEAN_FEED_FRACTION: Final = 0.66
 """Mean speed of moves from or to a stop, as a fraction of the feed."""
 AIR_LEVER_M: Final = 0.05
-"""Distance behind the tip [m] of the point whose speed counts in the air, where the tool rotates."""
+"""Distance behind the tip [m] of a point whose speed counts, too, so that the tool rotates slowly in the
+air.
+"""
 
 
 class MillingJob(Job[Milling]):
@@ -384,13 +402,14 @@ class MillingJob(Job[Milling]):
         return targets if self.is_brief else dataclasses.replace(targets, exhibits=exhibits(plan, route))
 
     def make_claims(self) -> tuple[Claim, ...]:
-        """Return what must hold of the job, from the problem alone."""
+        """Return the claims of the job, from the problem alone."""
         return milling_claims(self.planned, self.part)
 
 
 def _build_targets(
     plan: MillingPlan, route: MillingRoute, issues: tuple[Issue, ...], claims: tuple[Claim, ...]
 ) -> Targets:
+    """Return the targets of a route, with actions, freedoms and claims."""
     op = plan.operation
     arm, count = op.arms[0], len(route.segment)
     actions = tuple(sorted(_build_actions(plan, route), key=lambda action: action.target))
@@ -419,65 +438,76 @@ def _build_targets(
     )
 
 
-PATH_CLAIMS: Final = (facts.MillsProgram, facts.Engraves, facts.MillsFlank, facts.MillsOver)
+PATH_CLAIMS: Final = (
+    cutter_claims.MillsProgram,
+    cutter_claims.Engraves,
+    cutter_claims.MillsFlank,
+    cutter_claims.MillsOver,
+)
 """Claims on the path of the cutter."""
 TURNING_LEVER: Final = ROTATION_LEVER_MM * MM
-"""Length [m/rad] that converts rotation to distance where nothing else is known."""
+"""Length [m/rad] that converts rotations to distances if no claim requires another one."""
 TIGHT_FRACTION: Final = 0.5
-"""Maximum fraction of a tolerance that rounded corners use, if it is tighter than their usual deviation."""
+"""Fraction of a tolerance that rounded corners may use, if it is less than their usual deviation in the
+air.
+"""
 ROUNDED_FRACTION: Final = 0.15
-"""Fraction of the tolerance of what is milled that rounded corners may use, if that is more."""
+"""Fraction of the tightest tolerance of a cut that rounded corners may use, if it is more than in the air."""
 CURVE_FRACTION: Final = 0.75
 """Fraction of tolerances on surfaces that curves of spline blocks may use.
 
-Corners then use nothing of these.
+Rounded corners then use no part of these tolerances.
 """
 CURVE_PATH_FRACTION: Final = 0.5
 """Fraction of tolerances on paths that curves of spline blocks may use.
 
-These paths are divided by a part of the tolerance themselves.
+The division of these paths into targets uses a part of the tolerance, too.
 """
 SPIN_TOLERANCE_M: Final = 5e-4
-"""Allowed displacement of what spins with the tool, at the lever of its rotation [m].
+"""Allowed displacement [m] by a deviation of the spin, at ``TURNING_LEVER`` from the tool's axis.
 
-It is that of a solid in the air.
+It is the usual one of a body in the air, because a spinning cutter is a body of revolution.
 """
 
 
 def rounding(claims: Sequence[Claim]) -> CornerRounding:
-    """Return which fractions of the tolerances on surfaces and paths rounded corners and curves may use.
+    """Return the deviations that rounded corners and curves may use of the tolerances on surfaces and paths.
 
     A cutter is a body of revolution that follows a path within an angle. Its spin may therefore deviate as
-    much as a solid in the air. Its tilt may deviate by that angle, unless a surface requires less.
+    much as that of a body in the air. Its tilt may deviate by a fraction of the angle, unless a surface or a
+    spared face requires less.
 
     Args:
         claims: Claims of the job.
     """
     path_claims = [claim for claim in claims if isinstance(claim, PATH_CLAIMS)]
-    spare_claims = [claim for claim in claims if isinstance(claim, facts.SparesPart)]
+    spare_claims = [claim for claim in claims if isinstance(claim, cutter_claims.SparesPart)]
     tolerance = min((claim.tolerance for claim in (*path_claims, *spare_claims)), default=np.inf)
     air = min(CornerRounding.air, TIGHT_FRACTION * tolerance)
     work = max(air, ROUNDED_FRACTION * tolerance) if np.isfinite(tolerance) else air
     tilt_lever, spin_lever = TURNING_LEVER, TURNING_LEVER * work / SPIN_TOLERANCE_M
-    if not spare_claims and not any(isinstance(claim, facts.MillsSurface) for claim in claims):
+    if not spare_claims and not any(isinstance(claim, cutter_claims.MillsSurface) for claim in claims):
         tilt_lever = min([tilt_lever, *(work / (ROUNDED_FRACTION * claim.turn) for claim in path_claims)])
     levers = {claim.arm: np.array([tilt_lever, tilt_lever, spin_lever]) for claim in path_claims}
     return CornerRounding(work, air, air, levers, _curve_tolerances(claims))
 
 
 def _curve_tolerances(claims: Sequence[Claim]) -> dict[str, tuple[tuple[float, float], ...]]:
-    """Return allowed deviations of curves from straight moves [m] by arm, with distances from the TCP [m]."""
+    """Return the allowed deviations of curves from straight moves, by arm.
+
+    Each entry is a distance [m] from the TCP, and the deviation [m] that is allowed up to this distance.
+    """
     out: dict[str, tuple[tuple[float, float], ...]] = {}
     for claim in claims:
         match claim:
-            case facts.MillsProgram():
+            case cutter_claims.MillsProgram():
                 entry = 0.0, CURVE_PATH_FRACTION * claim.tolerance
-            case facts.Engraves():
+            case cutter_claims.Engraves():
                 entry = claim.cutter.flute, CURVE_PATH_FRACTION * claim.tolerance
-            case facts.SparesPart():
+            case cutter_claims.SparesPart():
                 reach = 0.0 if claim.cutter is None else claim.cutter.overhang
                 entry = reach, CURVE_FRACTION * claim.tolerance
-            case facts.MillsFlank() | facts.MillsOver() | facts.MillsSurface():
+            case cutter_claims.MillsFlank() | cutter_claims.MillsOver() | cutter_claims.MillsSurface():
                 entry = claim.cutter.flute, CURVE_FRACTION * claim.tolerance
             case _:
                 continue
@@ -495,7 +525,7 @@ def _travel_lengths(route: MillingRoute) -> FloatArray:
 
 
 def _build_actions(plan: MillingPlan, route: MillingRoute) -> tuple[TargetAction, ...]:
-    """Return messages, questions and switching of the spindle."""
+    """Return the actions of the job: messages, questions, waits, and switching of the spindle."""
     op = plan.operation
     last = len(route.segment) - 1
     return (
@@ -514,14 +544,14 @@ def _build_actions(plan: MillingPlan, route: MillingRoute) -> tuple[TargetAction
 def _cuts_message(plan: MillingPlan) -> str:
     """Return the message on block, cutter and spindle speed. The speed is left out if files state it."""
     size, op = (plan.box[1] - plan.box[0]) / MM, plan.operation
-    figures = {"x_mm": size[0], "y_mm": size[1], "z_mm": size[2], "diameter_mm": 2e3 * plan.cutter.radius}
+    values = {"x_mm": size[0], "y_mm": size[1], "z_mm": size[2], "diameter_mm": 2e3 * plan.cutter.radius}
     if op.by_files:
-        return milling_sentences.BLOCK_OF_FILE.format(kind=plan.cutter.kind, **figures)
-    return milling_sentences.BLOCK.format(kind=plan.cutter.kind, rpm=op.spindle_rpm, **figures)
+        return milling_sentences.BLOCK_OF_FILE.format(kind=plan.cutter.kind, **values)
+    return milling_sentences.BLOCK.format(kind=plan.cutter.kind, rpm=op.spindle_rpm, **values)
 
 
 def _actions_between(plan: MillingPlan, route: MillingRoute) -> Iterator[TargetAction]:
-    """Yield questions on the safe plane between passes, with the spindle stopped, and waits inside passes."""
+    """Yield questions between passes, on the safe plane with the spindle stopped, and waits inside passes."""
     op = plan.operation
     starts = [i for i, segment in enumerate(route.segment) if segment.kind in ("approach", "link")]
     for number, (run, start) in enumerate(zip(plan.passes, starts, strict=True)):

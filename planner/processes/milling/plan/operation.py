@@ -38,9 +38,11 @@ from planner.reading.part_ruled import GuideFile
 from planner.reading.strict_yaml import Angle, Name, Strict, Vector
 
 Offset = Literal["G54", "G55", "G56", "G57", "G58", "G59"]
+"""Code of a work offset."""
 Code = Annotated[str, Field(pattern=r"^[GM](0|[1-9][0-9]{0,2})(\.[1-9])?$")]
+"""G or M code."""
 PLANE_NORMALS: Final = {"xy": 2, "zx": 1, "yz": 0}
-"""Index of the axis normal to a plane."""
+"""Index of the axis normal to each plane."""
 MOTION_MODES: Final = {"rapid": 0, "linear": 1}
 """Motion mode by its word in problem files."""
 
@@ -121,10 +123,10 @@ class GCodeFile(Strict):
         return self
 
     def dialect(self, field: str) -> Dialect:
-        """Return all this in SI units.
+        """Return these statements in SI units.
 
         Args:
-            field: Where the problem file has it, for messages.
+            field: Field of the file in the problem file, for messages.
         """
         machine = (
             find_convention(self.convention, "".join(self.reverse)) if self.convention is not None else None
@@ -171,7 +173,9 @@ def _to_metres(vector: Vector) -> Triple:
 
 
 Orient = Literal["best", "base"]
+"""Spin about the tool: the best for the motion, or with the tool's x axis toward the robot's base."""
 SafeSide = Literal["top", "left", "right", "front", "back"]
+"""Side of the block on which the tool moves freely."""
 
 
 class _MillingCut(Strict):
@@ -257,7 +261,7 @@ class EngravedFile(GuideFile):
         return self
 
     def resolve(self, folder: Path) -> "EngravedFile":
-        """Return the same with the absolute name of its file, if it has one."""
+        """Return the curve with the absolute path of its file, if it has one."""
         resolved = self.model_copy(update=self._files(folder))
         if resolved.drawing is None:
             return resolved
@@ -306,7 +310,7 @@ class EngraveCut(_MillingCut):
 
 
 def _cut_kind(value: object) -> str:
-    """Return which kind of cut is meant, so that errors are reported for that kind only."""
+    """Return the kind of a cut by its key, so that errors are reported for this kind only."""
     for kind, model in (("lines", LinesCut), ("engrave", EngraveCut), ("gcode", GCodeCut)):
         if kind in value if isinstance(value, dict) else isinstance(value, model):
             return kind
@@ -390,7 +394,7 @@ class Milling(Strict):
 
 
 def cut_name(cut: FlankCut | LinesCut | EngraveCut | GCodeCut) -> str:
-    """Return the name of a cut, by which its segments are called."""
+    """Return the name of a cut, from which the names of its segments are derived."""
     if isinstance(cut, FlankCut):
         return cut.flank
     return f"{cut.lines}_lines" if isinstance(cut, LinesCut) else cut.name

@@ -24,7 +24,7 @@ from planner.reading.part_ruled import build_guide
 from planner.tooling import Cutter
 
 UPRIGHT_ANGLE_RAD: Final = 1e-3
-"""Angle to the normal [rad] below which a flat end touches with its centre."""
+"""Angle between axis and normal [rad] below which a flat end touches with its centre."""
 
 
 def tilted_axes(normal: FloatArray, feed: FloatArray, lead: float, tilt: float) -> FloatArray:
@@ -44,9 +44,10 @@ def tilted_axes(normal: FloatArray, feed: FloatArray, lead: float, tilt: float) 
 def tool_tips(contact: FloatArray, normal: FloatArray, axis: FloatArray, cutter: Cutter) -> FloatArray:
     """Return tips (N, 3) [m] of cutters that touch planes.
 
-    The end of every cutter is a torus of tube radius r (its corner) about a circle of radius R - r. A ball
-    has no circle, a cylinder no tube. The tube's centre is r above the contact along the normal. The circle's
-    centre is beside that, on the side to which the normal is tilted from the axis.
+    The end of every cutter is a torus of tube radius r (its corner) about a circle of radius R - r. For a
+    ball the circle is a point, for a cylinder the tube has no thickness. The centre of the tube is r above
+    the contact along the normal. From there the centre of the circle is R - r away, in the direction in which
+    the normal is tilted from the axis.
 
     Args:
         contact: Contact points (N, 3) [m].
@@ -62,11 +63,11 @@ def tool_tips(contact: FloatArray, normal: FloatArray, axis: FloatArray, cutter:
 
 
 def ridge_step(height: float, radius: float, curvature: FloatArray) -> FloatArray:
-    """Return the distance (N,) [m] of lines of a ball that leave ridges of a given height.
+    """Return the distance (N,) [m] between lines of a ball that leave ridges of a given height.
 
-    With s the step, R the radius and k the curvature, h = s^2 / 8 (1 / R + k), the difference of two
-    parabolas. In hollows the step is at most twice that of a flat face, because a hollow is small and its
-    neighbourhood curves otherwise.
+    With the step s, the radius R and the curvature k, the height is h = s^2 / 8 (1 / R + k), the difference
+    of two parabolas. In hollows the step is at most twice that of a flat face, because a hollow is small and
+    the face around it has another curvature.
 
     Args:
         height: Height of the ridges [m].
@@ -102,15 +103,17 @@ MAX_LINES: Final = 5000
 CURVATURE_SPAN_M: Final = 2.0 * MM
 """Distance [m] over which the curvature of the face across a line is measured."""
 ADVISED_RIDGE_FRACTION: Final = 0.85
-"""Advised height of ridges as a fraction of the allowed height, so that the tolerance holds."""
+"""Advised height of ridges as a fraction of the maximum height, so that the tolerance holds."""
 MAX_RIDGE_FACTOR: Final = 1.1
-"""Ridges higher than the allowed height by this factor are refused. Lower ones are left to the proof."""
+"""Factor on the allowed height of ridges above which lines are refused. The proof decides about lower
+ridges.
+"""
 
 
 def plan_lines(
     op: Milling, cut: LinesCut, face: FaceFromAbove, cutter: Cutter, area: shapely.Geometry | None = None
 ) -> list[CutterPass]:
-    """Plan the lines in order, with consecutive lines joined.
+    """Plan the passes over the face: lines in order, with adjacent lines of a zigzag joined.
 
     Args:
         op: Operation.
@@ -127,21 +130,21 @@ def plan_lines(
     corners = np.array([[x, y] for x in (face.low[0], face.high[0]) for y in (face.low[1], face.high[1])])
     if area is not None:
         corners = shapely.get_coordinates(area)
-    ends = [(corners @ axis).min() + EDGE_MARGIN_M if len(corners) else 0.0 for axis in (direction, side)]
-    tops = [(corners @ axis).max() - EDGE_MARGIN_M if len(corners) else 0.0 for axis in (direction, side)]
-    if min(tops[0] - ends[0], tops[1] - ends[1]) <= 0.0:
+    # Extent of the area along the lines, and across them.
+    lows = [(corners @ axis).min() + EDGE_MARGIN_M if len(corners) else 0.0 for axis in (direction, side)]
+    highs = [(corners @ axis).max() - EDGE_MARGIN_M if len(corners) else 0.0 for axis in (direction, side)]
+    if min(highs[0] - lows[0], highs[1] - lows[1]) <= 0.0:
         limit = 0.25 * float((face.high - face.low).min()) / MM
-        what = f"lines: a margin of {cut.margin_mm:g} mm leaves nothing of the face. {limit:.1f} mm would "
-        what += "leave half of its width"
-        raise issue_error("milling.pattern", what, field="operations.cuts.margin_mm", value=cut.margin_mm)
-    count = int(np.ceil((tops[0] - ends[0]) / LINE_SPACING_M)) + 1
-    line_points = np.linspace(ends[0], tops[0], count)[:, None] * direction
+        message = f"lines: a margin of {cut.margin_mm:g} mm leaves nothing of the face. {limit:.1f} mm would "
+        message += "leave half of its width"
+        raise issue_error("milling.pattern", message, field="operations.cuts.margin_mm", value=cut.margin_mm)
+    count = int(np.ceil((highs[0] - lows[0]) / LINE_SPACING_M)) + 1
+    line_points = np.linspace(lows[0], highs[0], count)[:, None] * direction
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
-    limit = (
-        MAX_RIDGE_FACTOR * tolerance / op.share**2
-    )  # the fraction sqrt(tolerance / height) of a round ridge is within the tolerance
-    parallel_lines = ParallelLines(line_points, side, first=ends[1], last=tops[1])
-    offsets = _line_offsets(cut, face, parallel_lines, cutter, limit)
+    # The fraction sqrt(tolerance / height) of a round ridge is within the tolerance.
+    max_ridge = MAX_RIDGE_FACTOR * tolerance / op.share**2
+    parallel_lines = ParallelLines(line_points, side, first=lows[1], last=highs[1])
+    offsets = _line_offsets(cut, face, parallel_lines, cutter, max_ridge)
     pieces: list[list[tuple[FloatArray, FloatArray]]] = []
     for number, offset in enumerate(offsets):
         projected = face.at(line_points + offset * side)
@@ -167,14 +170,16 @@ def plan_lines(
     name, feed = f"{cut.lines}_lines", (cut.feed_mm_s or op.feed_mm_s) * MM
     passes = []
     for number, piece in enumerate(pieces, 1):
-        kept = [
+        target_rows = [
             thin_rows(
-                np.stack([t, t + AXIS_LEVER_M * a], axis=1), CHORD_FRACTION * tolerance, op.step_mm * MM
+                np.stack([tips, tips + AXIS_LEVER_M * axes], axis=1),
+                CHORD_FRACTION * tolerance,
+                op.step_mm * MM,
             )
-            for t, a in piece
+            for tips, axes in piece
         ]
-        tip = np.concatenate([t[rows] for (t, _), rows in zip(piece, kept, strict=True)])
-        axis = np.concatenate([a[rows] for (_, a), rows in zip(piece, kept, strict=True)])
+        tip = np.concatenate([tips[rows] for (tips, _), rows in zip(piece, target_rows, strict=True)])
+        axis = np.concatenate([axes[rows] for (_, axes), rows in zip(piece, target_rows, strict=True)])
         label = name if len(pieces) == 1 else f"{name}_p{number}"
         passes.append(CutterPass(label, plain_path(tip, axis, feed), 0, len(tip) - 1, 0.0))
     return passes
@@ -204,19 +209,19 @@ class ParallelLines:
 def _line_offsets(
     cut: LinesCut, face: FaceFromAbove, lines: ParallelLines, cutter: Cutter, max_ridge: float
 ) -> FloatArray:
-    """Return the positions (L,) [m] of the lines across the face.
+    """Return the offsets (L,) [m] of the lines across the face. Ridges are at most ``max_ridge`` [m] high.
 
-    The step to the next line is the smallest that any point of the line requires. All steps are then reduced
-    by one factor so that the last line is on the edge. ``max_ridge`` is the maximum height of ridges [m].
+    The step to the next line is the smallest one that any point of the line requires. All steps are then
+    reduced by one factor so that the last line is on the edge.
     """
     if cut.scallop_mm is not None and cutter.corner == 0.0:
-        what = "lines: a cylinder's end leaves no round ridges, so scallop_mm has no meaning. Use "
-        what += "stepover_mm, or a ball or bull nose"
-        raise issue_error("milling.pattern", what, field="operations.cuts.scallop_mm")
-    offsets, lowest = [lines.first], np.inf
+        message = "lines: a cylinder's end leaves no round ridges, so scallop_mm has no meaning. Use "
+        message += "stepover_mm, or a ball or bull nose"
+        raise issue_error("milling.pattern", message, field="operations.cuts.scallop_mm")
+    offsets, lowest_ridge = [lines.first], np.inf
     while offsets[-1] < lines.last:
         step, ridge = _next_step(cut, face, lines, offsets[-1], cutter)
-        lowest = min(lowest, ridge)
+        lowest_ridge = min(lowest_ridge, ridge)
         offsets.append(offsets[-1] + step)
         if len(offsets) > MAX_LINES:
             raise issue_error(
@@ -228,15 +233,15 @@ def _line_offsets(
             )
     out = np.array(offsets)
     scale = (lines.last - lines.first) / (out[-1] - lines.first)
-    if cutter.kind == "ball":  # a bull nose has a flat that leaves less
-        _check_ridges(cut, float(lowest * scale**2), max_ridge)
+    if cutter.kind == "ball":  # the flat of a bull nose leaves lower ridges
+        _check_ridges(cut, float(lowest_ridge * scale**2), max_ridge)
     return np.asarray(lines.first + (out - lines.first) * scale)
 
 
 def _spacing_remedy(cut: LinesCut, offsets: list[float], lines: ParallelLines) -> str:
-    """Return the setting that gives half of the maximum number of lines.
+    """Return the setting with which there are half as many lines as the maximum.
 
-    The first lines are at ``offsets`` [m].
+    It follows from the offsets [m] of the first lines, of which there are as many as the maximum.
     """
     factor = 2.0 * (lines.last - lines.first) / max(offsets[-1] - offsets[0], 1e-9)
     if cut.stepover_mm is not None:
@@ -245,18 +250,23 @@ def _spacing_remedy(cut: LinesCut, offsets: list[float], lines: ParallelLines) -
 
 
 def _check_ridges(cut: LinesCut, lowest: float, max_ridge: float) -> None:
-    """Refuse lines whose lowest ridge [m] already leaves too much of the face outside its tolerance."""
+    """Raise ``milling.pattern`` if even the ``lowest`` ridge [m] of the lines is above ``max_ridge`` [m]."""
     if lowest > max_ridge:
-        # the height of ridges is proportional to the square of the step
+        # The height of ridges is proportional to the square of the step.
         factor = ADVISED_RIDGE_FRACTION * max_ridge / lowest
         if cut.stepover_mm is not None:
             remedy = f"a stepover_mm of {np.floor(np.sqrt(factor) * cut.stepover_mm * 100.0) / 100.0:.2f}"
         else:
             remedy = f"a scallop_mm of {np.floor(factor * (cut.scallop_mm or 0.0) * 1000.0) / 1000.0:.3f}"
-        what = f"lines: ridges of {lowest / MM:.3f} mm or more leave too little of it within shape_tol_mm; "
-        what += f"allowed: {max_ridge / MM:.3f} mm; give {remedy} or less, or more tolerance"
+        message = (
+            f"lines: ridges of {lowest / MM:.3f} mm or more leave too little of it within shape_tol_mm; "
+        )
+        message += f"allowed: {max_ridge / MM:.3f} mm; give {remedy} or less, or more tolerance"
         raise issue_error(
-            "milling.pattern", what, field="operations.cuts", **measurement(lowest / MM, max_ridge / MM, "mm")
+            "milling.pattern",
+            message,
+            field="operations.cuts",
+            **measurement(lowest / MM, max_ridge / MM, "mm"),
         )
 
 
@@ -273,21 +283,23 @@ def _next_step(
         else float(ridge_step((cut.scallop_mm or 0.0) * MM, cutter.corner, np.zeros(1))[0])
     )
     for at in (offset, min(offset + guess, lines.last)):
-        rows = [
+        shifted_lines = [
             face.at(lines.points + (at + shift) * lines.side)
             for shift in (-CURVATURE_SPAN_M, 0.0, CURVATURE_SPAN_M)
         ]
-        on = rows[0].on & rows[1].on & rows[2].on
-        if not on.any():
-            on = rows[1].on
-            if not on.any():
+        on_face = shifted_lines[0].on & shifted_lines[1].on & shifted_lines[2].on
+        if not on_face.any():
+            on_face = shifted_lines[1].on
+            if not on_face.any():
                 continue
-            slope = np.abs(rows[1].normal[on] @ side_vector)
+            slope = np.abs(shifted_lines[1].normal[on_face] @ side_vector)
             curvature = np.zeros(len(slope))
         else:
-            slope = np.abs(rows[1].normal[on] @ side_vector)
-            turn = (rows[2].normal[on] - rows[0].normal[on]) @ side_vector
-            curvature = turn / (2.0 * CURVATURE_SPAN_M)
+            slope = np.abs(shifted_lines[1].normal[on_face] @ side_vector)
+            normal_change = (
+                shifted_lines[2].normal[on_face] - shifted_lines[0].normal[on_face]
+            ) @ side_vector
+            curvature = normal_change / (2.0 * CURVATURE_SPAN_M)
         cosine = np.sqrt(np.maximum(1.0 - slope**2, 1e-4))
         if stepover is not None:
             steps.append(float((stepover * cosine).min()))
@@ -303,14 +315,14 @@ def _next_step(
 def _stretches_on_face(projected: ProjectedPoints) -> list[tuple[int, int]]:
     """Return first and last index of each stretch of a line on the face that has at least two points."""
     on = np.concatenate([[False], projected.on, [False]])
-    turns = np.flatnonzero(on[1:] != on[:-1])
-    return [(int(a), int(b) - 1) for a, b in zip(turns[::2], turns[1::2], strict=True) if b - a >= 2]
+    changes = np.flatnonzero(on[1:] != on[:-1])
+    return [(int(a), int(b) - 1) for a, b in zip(changes[::2], changes[1::2], strict=True) if b - a >= 2]
 
 
 def _line_tool_path(
     cut: LinesCut, point: FloatArray, normal: FloatArray, direction: FloatArray, reverse: bool, cutter: Cutter
 ) -> tuple[FloatArray, FloatArray]:
-    """Return tips and axes (N, 3) along one line."""
+    """Return tips (N, 3) [m] and axes (N, 3) along a line, from its contact points and normals (N, 3)."""
     if reverse:
         point, normal = point[::-1], normal[::-1]
     feed = np.gradient(point, axis=0)
@@ -345,17 +357,17 @@ def plan_engraving(
     out = []
     faults: list[Issue] = []
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
-    (curves, notes), (others, other_notes) = (
-        _engraved_curves(cut, "engrave"),
-        _engraved_curves(cut, "axis_curves"),
-    )
-    if others and len(others) != len(curves):
-        what = f"{cut.name}: axis_curves are {len(others)} for {len(curves)} curves; give one for each"
-        raise issue_error("milling.guides", what, field=f"operations.cuts.{cut.name}.axis_curves")
+    curves, notes = _engraved_curves(cut, "engrave")
+    axis_curves, axis_notes = _engraved_curves(cut, "axis_curves")
+    if axis_curves and len(axis_curves) != len(curves):
+        message = (
+            f"{cut.name}: axis_curves are {len(axis_curves)} for {len(curves)} curves; give one for each"
+        )
+        raise issue_error("milling.guides", message, field=f"operations.cuts.{cut.name}.axis_curves")
     for number, curve in enumerate(curves):
-        other = others[number] if others else None
+        axis_curve = axis_curves[number] if axis_curves else None
         try:
-            tip, axis = _engraving_tool_path(cut, number, curve, other, face, cutter)
+            tip, axis = _engraving_tool_path(cut, number, curve, axis_curve, face, cutter)
         except TandemError as error:
             faults += error.issues
             continue
@@ -370,7 +382,7 @@ def plan_engraving(
         )
     if faults:
         raise TandemError(faults)
-    return out, [*notes, *other_notes]
+    return out, [*notes, *axis_notes]
 
 
 MAX_CURVES: Final = 500
@@ -391,7 +403,9 @@ class EngravedCurve:
 
 
 def _engraved_curves(cut: EngraveCut, key: str) -> tuple[list[EngravedCurve], list[Issue]]:
-    """Return all curves of a cut, those of drawings one by one, and notes.
+    """Return all curves of a cut, those of drawings one by one, and notes about their files.
+
+    ``key`` is the field of the curves: ``engrave`` or ``axis_curves``.
 
     Raises:
         TandemError: Issues of files, ``part.guide``, or ``problem.field`` for too many curves.
@@ -417,22 +431,22 @@ def _engraved_curves(cut: EngraveCut, key: str) -> tuple[list[EngravedCurve], li
     if faults:
         raise TandemError(faults)
     if len(out) > MAX_CURVES:
-        what = f"{cut.name}: {key} has {len(out)} curves, those of drawings included, allowed {MAX_CURVES}"
+        message = f"{cut.name}: {key} has {len(out)} curves, those of drawings included, allowed {MAX_CURVES}"
         hint = "name layers, or distribute the curves over several cuts"
-        raise issue_error("problem.field", what, field=f"operations.cuts.{cut.name}.{key}", hint=hint)
+        raise issue_error("problem.field", message, field=f"operations.cuts.{cut.name}.{key}", hint=hint)
     return out, notes
 
 
 def _resample_curve(points: FloatArray, corners: bool = True) -> FloatArray:
-    """Return evenly spaced points (N, 3) [m] along a curve (K, 3), with its vertices if ``corners`` is set.
+    """Return evenly spaced points (N, 3) [m] along a curve (K, 3), and its vertices if ``corners`` is set.
 
-    Curves without corners get no vertices: at points of a tightly bent spline the tool would tilt differently
-    than nearby.
+    The vertices of a spline are left out, because the spacing and so the direction of the feed would be
+    uneven at them, and the tool would tilt differently than nearby.
     """
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     even = np.linspace(0.0, length[-1], max(int(np.ceil(length[-1] / CURVE_SPACING_M)), 2) + 1)
-    at = np.unique(np.concatenate([even, length])) if corners else even
-    return np.stack([np.interp(at, length, points[:, k]) for k in range(3)], axis=1)
+    lengths = np.unique(np.concatenate([even, length])) if corners else even
+    return np.stack([np.interp(lengths, length, points[:, k]) for k in range(3)], axis=1)
 
 
 def _engraving_tool_path(
@@ -443,12 +457,12 @@ def _engraving_tool_path(
     face: FaceFromAbove,
     cutter: Cutter,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return tips and axes (K, 3) along a curve.
+    """Return tips (K, 3) [m] and axes (K, 3) along a curve.
 
     Args:
         cut: Engraving.
-        number: Number of the curve, from 0.
-        curve: Curve, K points.
+        number: Index of the curve.
+        curve: Curve with K points.
         axis_curve: Curve through which the axes go, None if the cut has none.
         face: Face seen from above.
         cutter: Cutter of the arm.
@@ -458,12 +472,17 @@ def _engraving_tool_path(
     """
     projected = face.at(curve.points[:, :2])
     if not projected.on.all():
-        at = curve.points[int(np.argmin(projected.on))] / MM
-        what = f"{cut.name}: curve {number + 1} leaves the part's front at {at[0]:.1f}, {at[1]:.1f} mm; "
+        off_face_mm = curve.points[int(np.argmin(projected.on))] / MM
+        message = (
+            f"{cut.name}: curve {number + 1} leaves the part's front at {off_face_mm[0]:.1f}, "
+            f"{off_face_mm[1]:.1f} mm; "
+        )
         low, high = face.low / MM, face.high / MM
-        what += f"move or shorten it: in the block's frame the front goes from {low[0]:.1f}, {low[1]:.1f} to "
-        what += f"{high[0]:.1f}, {high[1]:.1f} mm at most (curves are projected along z)"
-        raise issue_error("milling.off_surface", what, field=curve.field)
+        message += (
+            f"move or shorten it: in the block's frame the front goes from {low[0]:.1f}, {low[1]:.1f} to "
+        )
+        message += f"{high[0]:.1f}, {high[1]:.1f} mm at most (curves are projected along z)"
+        raise issue_error("milling.off_surface", message, field=curve.field)
     feed = np.gradient(projected.point, axis=0)
     if cut.axis == "upright":
         axis = np.broadcast_to([0.0, 0.0, 1.0], curve.points.shape).copy()
@@ -478,11 +497,11 @@ def _engraving_tool_path(
 
 
 def _axes_through(cut: EngraveCut, number: int, point: FloatArray, axis_curve: EngravedCurve) -> FloatArray:
-    """Return axes (N, 3) through a second curve, at equal fractions of both curves' lengths."""
+    """Return axes (N, 3) from points (N, 3) [m] to a second curve, at equal fractions of both lengths."""
     axis_points = axis_curve.points
     fractions = []
-    for row in (point, axis_points):
-        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(row, axis=0), axis=1))])
+    for curve_points in (point, axis_points):
+        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve_points, axis=0), axis=1))])
         fractions.append(length / max(float(length[-1]), 1e-12))
     at = np.stack([np.interp(fractions[0], fractions[1], axis_points[:, k]) for k in range(3)], axis=1)
     offsets = at - point
@@ -495,8 +514,8 @@ def _axes_through(cut: EngraveCut, number: int, point: FloatArray, axis_curve: E
         length.min() < 1.0 * MM
         or np.linalg.norm(ends[1], axis=1).sum() < 0.8 * np.linalg.norm(ends[0], axis=1).sum()
     ):
-        what = f"{cut.name}: axis curve {number + 1} meets its curve or runs the other way; give "
-        what += "it at least 1 mm "
-        what += "distance from its curve and the same direction"
-        raise issue_error("milling.guides", what, field=axis_curve.field)
+        message = f"{cut.name}: axis curve {number + 1} meets its curve or runs the other way; give "
+        message += "it at least 1 mm "
+        message += "distance from its curve and the same direction"
+        raise issue_error("milling.guides", message, field=axis_curve.field)
     return np.asarray(offsets / length[:, None])

@@ -1,8 +1,9 @@
 """Result of planning a milling operation: the cutter, its cuts as passes, and the faces that it must spare.
 
-**A G-code file as passes** (`plan_gcode_passes`): its cuts between rapid moves, thinned to what the tolerance
-requires. The file's rapid moves are left out. Between passes the tool moves on a safe path: up along its axis
-to the safe plane, straight on it, and down to where the file's last rapid move ended.
+**A G-code file as passes** (`plan_gcode_passes`): its cuts between rapid moves, with as few targets as the
+tolerance allows. The file's rapid moves are left out. Between passes the tool moves on a safe path: up along
+its axis to the safe plane, straight on it, and down to the start of the next cut, where the file's rapid move
+ends.
 """
 
 import dataclasses
@@ -20,8 +21,7 @@ from planner.geometry.units import MM, measurement
 from planner.issues import Issue, TandemError, issue_error
 from planner.problem import Part, Setup
 from planner.processes.milling import sentences as milling_sentences
-from planner.processes.milling.plan import cutter_contact as milling_face
-from planner.processes.milling.plan import flank_cut, point_cut
+from planner.processes.milling.plan import cutter_contact, flank_cut, point_cut
 from planner.processes.milling.plan.gcode import reader
 from planner.processes.milling.plan.gcode.moves import GCodeEvent
 from planner.processes.milling.plan.operation import (
@@ -38,15 +38,15 @@ from planner.tooling import Cutter, Mill
 AXIS_LEVER_M: Final = 0.05
 """Distance behind the tip [m] of the point that represents the tool's axis."""
 CHORD_FRACTION: Final = 0.25
-"""Fraction of the tolerance that thinning may use."""
+"""Fraction of the tolerance that the removal of positions may use."""
 POINT_TOLERANCE_M: Final = 1e-6
-"""Rows closer than this [m] are one point."""
+"""Distance [m] up to which positions count as equal."""
 FEED_TOLERANCE_FACTOR: Final = 1.05
-"""Feeds that differ by less than this factor are thinned together, with the lowest of them."""
+"""Ratio of feeds up to which a stretch counts as of one feed. It then gets its lowest feed."""
 FEED_CHANGE_FACTOR: Final = 2.0
-"""Distance from a change of feed within which the feed changes, in tolerances.
+"""Distance from a change of feed within which the feed changes, as a factor of the tolerance.
 
-Targets are added there on both sides.
+Targets are added at this distance on both sides.
 """
 
 
@@ -77,8 +77,8 @@ def plan_gcode_passes(cut: GCodeCut, step: float, tolerance: float, field: str) 
     stretches = list(_stretches(cutting))
     file = str(cut.gcode.file)
     if not stretches:
-        what = "the file has positions but no cuts between them; give the G-code of the job"
-        raise issue_error("gcode.empty", what, file=file, field=field)
+        message = "the file has positions but no cuts between them; give the G-code of the job"
+        raise issue_error("gcode.empty", message, file=file, field=field)
     faults = [*_pause_issues(program.events, stretches, file), *_speed_issues(path, stretches, file)]
     if faults:
         raise TandemError(faults)
@@ -87,9 +87,9 @@ def plan_gcode_passes(cut: GCodeCut, step: float, tolerance: float, field: str) 
     for number, (first, last) in enumerate(stretches):
         question = _operator_question(path, program.events, (first, last), last_row, speed)
         waits = [
-            (e.row - 1 - first, e.seconds)
-            for e in program.events
-            if e.kind == "dwell" and first < e.row - 1 <= last
+            (event.row - 1 - first, event.seconds)
+            for event in program.events
+            if event.kind == "dwell" and first < event.row - 1 <= last
         ]
         name = f"{cut.name}_{number + 1}"
         run = _build_pass(name, path[first : last + 1], waits, question, tolerance, step)
@@ -97,13 +97,13 @@ def plan_gcode_passes(cut: GCodeCut, step: float, tolerance: float, field: str) 
             runs.append(run)
             speed, last_row = float(path.spindle[last]), last
     if not runs:
-        what = "no cut of the file moves the tool; give the G-code of the job"
-        raise issue_error("gcode.empty", what, file=file, field=field)
+        message = "no cut of the file moves the tool; give the G-code of the job"
+        raise issue_error("gcode.empty", message, file=file, field=field)
     return GCodePasses(tuple(runs), program.notes)
 
 
 def _stretches(cutting: BoolArray) -> Iterator[tuple[int, int]]:
-    """Yield first and last row of each stretch of cuts. The first row is the point where it starts."""
+    """Yield first and last index of each stretch of cuts. The first index is the position where it starts."""
     edges = np.flatnonzero(np.diff(cutting.astype(np.int8), append=0))
     yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
 
@@ -111,20 +111,25 @@ def _stretches(cutting: BoolArray) -> Iterator[tuple[int, int]]:
 def _pause_issues(
     events: Sequence[GCodeEvent], stretches: Sequence[tuple[int, int]], file: str
 ) -> Iterator[Issue]:
+    """Yield issues about pauses for the operator inside a cut."""
     for event in events:
         if event.kind == "pause" and any(first < event.row - 1 < last for first, last in stretches):
-            what = "M0 or M1 inside a cut would stop the spindle in the stock; retract the tool by G0 before"
-            yield Issue("gcode.word", what, file=file, line=event.line, field="M0")
+            message = (
+                "M0 or M1 inside a cut would stop the spindle in the stock; retract the tool by G0 before"
+            )
+            yield Issue("gcode.word", message, file=file, line=event.line, field="M0")
 
 
 def _speed_issues(path: ToolPath, stretches: Sequence[tuple[int, int]], file: str) -> Iterator[Issue]:
-    """Yield changes of the spindle's speed with the tool in the stock."""
+    """Yield an issue about the first cut in which the spindle's speed changes."""
     for first, last in stretches:
         changed = np.flatnonzero(np.diff(path.spindle[first + 1 : last + 1]))
         if len(changed):
             line = int(path.line[first + 2 + changed[0]])
-            what = "the spindle speed changes inside a cut but is set by hand; retract the tool by G0 before"
-            yield Issue("gcode.spindle", what, file=file, line=line, field="S", count=len(changed))
+            message = (
+                "the spindle speed changes inside a cut but is set by hand; retract the tool by G0 before"
+            )
+            yield Issue("gcode.spindle", message, file=file, line=line, field="S", count=len(changed))
             return
 
 
@@ -135,17 +140,20 @@ def _operator_question(
     previous_row: int,
     previous_speed: float,
 ) -> str:
-    """Return what the operator is asked before a pass, with the spindle stopped; empty for nothing.
+    """Return the question to the operator before a pass, with the spindle stopped, "" if there is none.
 
-    The previous pass ended at row ``previous_row``, at the speed ``previous_speed``.
+    ``stretch`` has the first and last index of the pass. The previous pass ended at ``previous_row`` (-1:
+    none) with the spindle speed ``previous_speed`` [rad/s].
     """
     first, last = stretch
-    pauses = [e.line for e in events if e.kind == "pause" and previous_row < e.row - 1 <= first]
+    pauses = [
+        event.line for event in events if event.kind == "pause" and previous_row < event.row - 1 <= first
+    ]
     parts = [milling_sentences.FILE_LINE.format(line=line) for line in pauses]
     speed = float(path.spindle[last])
     if speed != previous_speed:
         sentence = milling_sentences.SPEED if speed > 0 else milling_sentences.SPEED_COUNTERCLOCKWISE
-        parts.append(sentence.format(rpm=abs(speed) * 30.0 / np.pi))
+        parts.append(sentence.format(rpm=abs(speed) * 30.0 / np.pi))  # rad/s to 1/min
     return milling_sentences.CONTINUE.format(asked=", ".join(parts)) if parts else ""
 
 
@@ -157,7 +165,10 @@ def _build_pass(
     tolerance: float,
     step: float,
 ) -> CutterPass | None:
-    """Build a thinned pass; None if it does not move."""
+    """Return a pass with as few targets as the tolerance allows, None if the tool does not move in it.
+
+    ``waits`` are positions by index, with durations [s]. Targets are at most ``step`` [m] apart.
+    """
     points = np.stack([path.tip, path.tip + AXIS_LEVER_M * path.axis], axis=1)
     rows = _kept_rows(points, path.feed, [row for row, _ in waits], CHORD_FRACTION * tolerance, step)
     if len(rows) < 2:
@@ -170,11 +181,11 @@ def _build_pass(
     )
     stops = [(int(np.searchsorted(rows, row)), seconds) for row, seconds in waits]
     change = np.append(np.append(False, _feeds_differ(thinned_path.feed[1:-1], thinned_path.feed[2:])), False)
-    change &= ~stop_flags(thinned_path.tip)  # at a stop the speed changes without additional targets
+    change &= ~stop_flags(thinned_path.tip)  # at a stop the feed can change without additional targets
     source_rows, tip, axis = insert_near_changes(
         thinned_path.tip, thinned_path.axis, change, FEED_CHANGE_FACTOR * tolerance
     )
-    # long moves are subdivided, because otherwise the spin about the tool would rotate within one move
+    # Long moves are subdivided, because otherwise the tool would spin far within one move.
     target_rows, tip, axis = subdivide_path(tip, axis, step)
     target_rows = source_rows[target_rows]
     subdivided = ToolPath(
@@ -187,7 +198,8 @@ def _build_pass(
         thinned_path.line[target_rows],
     )
     pass_waits = [
-        (int(np.searchsorted(target_rows, min(at, len(rows) - 1), "right")) - 1, s) for at, s in stops
+        (int(np.searchsorted(target_rows, min(row, len(rows) - 1), "right")) - 1, seconds)
+        for row, seconds in stops
     ]
     return CutterPass(
         name, subdivided, 0, len(subdivided) - 1, 0.0, question=question, waits=tuple(pass_waits)
@@ -195,23 +207,24 @@ def _build_pass(
 
 
 def _feeds_differ(previous: FloatArray, following: FloatArray) -> BoolArray:
-    """Return whether feeds (N,) differ so much that their change matters."""
+    """Return whether (N,) feeds differ by more than ``FEED_TOLERANCE_FACTOR``."""
     return np.maximum(previous, following) > FEED_TOLERANCE_FACTOR * np.minimum(previous, following)
 
 
 def _kept_rows(
     points: FloatArray, feed: FloatArray, waits: Sequence[int], chord: float, step: float
 ) -> IntArray:
-    """Return the rows (K,) that are kept of points (N, P, 3).
+    """Return the indices (K,) of the positions that a pass keeps, of points (N, P, 3) of the tool.
 
-    They are both ends, changes of feed, waits, and as many rows between them as the chord error requires.
+    They are both ends, changes of feed, waits, and as many positions between them as the chord error
+    ``chord`` [m] and the distance ``step`` [m] require.
     """
     level = np.floor(np.log(np.maximum(feed[1:], 1e-9)) / np.log(FEED_TOLERANCE_FACTOR))
     breaks = np.unique([0, *(np.flatnonzero(np.diff(level)) + 1).tolist(), *waits, len(feed) - 1])
-    kept = [np.zeros(1, dtype=np.int64)]
+    parts = [np.zeros(1, dtype=np.int64)]
     for first, last in zip(breaks[:-1].tolist(), breaks[1:].tolist(), strict=True):
-        kept.append(first + thin_rows(points[first : last + 1], chord, step)[1:])
-    rows = np.concatenate(kept)
+        parts.append(first + thin_rows(points[first : last + 1], chord, step)[1:])
+    rows = np.concatenate(parts)
     lengths = np.linalg.norm(np.diff(points[rows], axis=0), axis=2).max(axis=1, initial=0.0)
     return np.asarray(rows[np.concatenate([[True], lengths > POINT_TOLERANCE_M])])
 
@@ -219,12 +232,12 @@ def _kept_rows(
 SURFACE_CHORD_M: Final = 2e-5
 """Chord error of the triangles of a required ruled surface [m]."""
 MIN_UPWARD_Z: Final = 0.05
-"""Minimum z of a front's unit normals, because it is milled from above."""
+"""Minimum z component of a front's unit normals, because the front is milled from above."""
 
 
 @dataclasses.dataclass(frozen=True)
 class PartFace:
-    """An open face of the part, with normals away from it."""
+    """An open face of the part, with normals away from the part."""
 
     name: str
     mesh: Mesh
@@ -236,12 +249,13 @@ class PlannedCut:
 
     Attributes:
         cut: Cut of the problem file.
-        passes: Passes; the last one makes the surface ``face``.
-        face: Surface that is made, None if the cut follows curves.
+        passes: Passes in order. Of a flank cut, the last one produces the surface ``face``.
+        face: Surface that is produced, None if the cut follows curves.
         tolerance: Allowed deviation [m].
         deviation: Largest deviation of the cutter from the surface [m].
         engraving_depth: Intended depth in the part's front [m].
-        fitting_radius: Radius [m] of a cutter whose deviation is small enough, if one was found.
+        fitting_radius: Radius [m] of a cutter that fits if the deviation is too large, None if it is not too
+            large or if no cutter fits.
     """
 
     cut: FlankCut | LinesCut | EngraveCut | GCodeCut
@@ -255,13 +269,13 @@ class PlannedCut:
 
 @dataclasses.dataclass(frozen=True)
 class MillingPlan:
-    """What one operation mills.
+    """Plan of one milling operation: its cuts as passes.
 
     Attributes:
         operation: The operation.
         cutter: Cutter of its arm.
         cuts: Cuts in order.
-        faces: All faces of the part that the problem knows.
+        faces: All faces of the part that the tool must not enter.
         box: Block (2, 3) [m].
         notes: Notes and warnings.
     """
@@ -319,27 +333,31 @@ def plan_milling(op: Milling, setup: Setup, part: Part | None) -> MillingPlan:
     plan = MillingPlan(op, cutter, tuple(cuts), _part_faces(op, part), box, tuple(notes))
     same_name = first_clash(run.segment for run in plan.passes)
     if same_name is not None:
-        what = (
+        message = (
             f"{op.name}: two passes would be called {same_name[0].name!r} and {same_name[1].name!r}, which "
             "programs cannot distinguish (passes of patterns, files and roughing are numbered); rename one "
             "of the cuts"
         )
-        raise issue_error("problem.duplicate_name", what, field="operations.cuts")
+        raise issue_error("problem.duplicate_name", message, field="operations.cuts")
     return plan
 
 
 def _find_cutter(op: Milling, setup: Setup) -> Cutter:
+    """Return the cutter of the operation's arm; an arm with another tool is refused."""
     tool = setup.cell.arm(op.arms[0]).tool
     if not isinstance(tool, Mill):
-        what = f"arm {op.arms[0]} carries the tool {tool.name}, which has no cutter; give it a tool of kind "
-        what += "mill"
-        raise issue_error("milling.tool", what, field="cell.arms", arm=op.arms[0])
+        message = (
+            f"arm {op.arms[0]} carries the tool {tool.name}, which has no cutter; give it a tool of kind "
+        )
+        message += "mill"
+        raise issue_error("milling.tool", message, field="cell.arms", arm=op.arms[0])
     return tool.cutter
 
 
 def _plan_flank(
     op: Milling, cut: FlankCut, part: Part | None, cutter: Cutter, box: FloatArray
 ) -> tuple[PlannedCut, tuple[Issue, ...]]:
+    """Return a flank cut as passes, and its notes."""
     ruled = flank_cut.find_ruled_surface(part, cut.flank)
     planned = flank_cut.plan_passes(op, cut, ruled, cutter, box)
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
@@ -358,51 +376,60 @@ def _plan_program(op: Milling, cut: GCodeCut, field: str) -> tuple[PlannedCut, t
 def _plan_on_front(
     op: Milling, cut: LinesCut | EngraveCut, face: FaceFromAbove, front: Mesh, cutter: Cutter
 ) -> tuple[PlannedCut, tuple[Issue, ...]]:
+    """Return lines over the front, or an engraving of it, as passes, and the notes."""
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
     if isinstance(cut, LinesCut):
-        # the strip inside the margin is not milled, so it is not required either
-        area = milling_face.inner_area(front, cut.margin_mm * MM) if cut.margin_mm else None
+        # The strip within the margin is not milled, so it is not required either.
+        area = cutter_contact.inner_area(front, cut.margin_mm * MM) if cut.margin_mm else None
         if cutter.kind == "ball":
-            region = milling_face.find_unreached(front, cutter.radius, tolerance, area)
+            region = cutter_contact.find_unreached(front, cutter.radius, tolerance, area)
             if region is not None:
                 raise TandemError(
-                    milling_face.unreached_issue(cut_name(cut), region, cutter.radius, tolerance)
+                    cutter_contact.unreached_issue(cut_name(cut), region, cutter.radius, tolerance)
                 )
         runs = tuple(point_cut.plan_lines(op, cut, face, cutter, area))
-        mesh = front if area is None else milling_face.clip_face(front, area)
+        mesh = front if area is None else cutter_contact.clip_face(front, area)
         return PlannedCut(cut, runs, PartFace("front", mesh), tolerance), ()
     engraved, notes = point_cut.plan_engraving(op, cut, face, cutter)
     return PlannedCut(cut, tuple(engraved), None, tolerance, engraving_depth=cut.depth_mm * MM), tuple(notes)
 
 
 def _checked_front(part: Part | None) -> Mesh:
+    """Return the front of a part, after checking that there is one and that it faces upwards."""
     if part is None or part.front is None:
-        what = "cuts: lines and engraving need a front of the part; give part.front"
-        raise issue_error("milling.no_surface", what, field="operations.cuts")
+        message = "cuts: lines and engraving need a front of the part; give part.front"
+        raise issue_error("milling.no_surface", message, field="operations.cuts")
     corners = part.front.vertices[part.front.faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     up = cross[:, 2] / np.maximum(np.linalg.norm(cross, axis=1), 1e-30)
-    worst = int(np.argmin(up))
-    if float(up[worst]) < MIN_UPWARD_Z:
-        tilt_deg = float(np.rad2deg(np.arccos(np.clip(up, -1.0, 1.0)))[worst])
+    worst_index = int(np.argmin(up))
+    if float(up[worst_index]) < MIN_UPWARD_Z:
+        tilt_deg = float(np.rad2deg(np.arccos(np.clip(up, -1.0, 1.0)))[worst_index])
         max_tilt_deg = float(np.rad2deg(np.arccos(MIN_UPWARD_Z)))
         if float(up.max()) < -MIN_UPWARD_Z:
-            what = "all of the part's front faces down in the block and cannot be milled from above"
+            message = "all of the part's front faces down in the block and cannot be milled from above"
             hint = "if only its normals are inverted, change flip (part.front.loft or part.front.mesh: "
             hint += "flip: true unless it is set already), else turn the part over in the block (in_stock)"
         else:
-            at = ", ".join(f"{v / MM:.1f}" for v in corners[worst].mean(axis=0))
-            what = f"the part's front is tilted {tilt_deg:.1f} degrees from the block's top at {at} mm and "
-            what += f"cannot be milled from above there, allowed {max_tilt_deg:.1f}"
+            centre_text = ", ".join(f"{v / MM:.1f}" for v in corners[worst_index].mean(axis=0))
+            message = (
+                f"the part's front is tilted {tilt_deg:.1f} degrees from the block's top at {centre_text} mm "
+                "and "
+            )
+            message += f"cannot be milled from above there, allowed {max_tilt_deg:.1f}"
             hint = "rotate the part in the block (in_stock: rpy_deg), or exclude that region from the front"
         raise issue_error(
-            "milling.front", what, field="part.front", **measurement(tilt_deg, max_tilt_deg, "deg"), hint=hint
+            "milling.front",
+            message,
+            field="part.front",
+            **measurement(tilt_deg, max_tilt_deg, "deg"),
+            hint=hint,
         )
     return part.front
 
 
 def _part_faces(op: Milling, part: Part | None) -> tuple[PartFace, ...]:
-    """Return front, back, and ruled surfaces other than those that only guide a tool."""
+    """Return the part's front, back and ruled surfaces, except those whose guides only lead a tool."""
     if part is None:
         return ()
     guide_names = {cut.flank for cut in op.cuts if isinstance(cut, FlankCut) and cut.guides == "tool"}

@@ -1,7 +1,7 @@
-"""Paths of a cutter as arrays, thinned to few targets, and the complete path from pass to pass.
+"""Paths of a cutter as arrays, their subdivision, and the complete path from pass to pass.
 
-`ToolPath` and `CutterPass` are what the parts of milling exchange, whatever a path is derived from. Thinning
-keeps rows between which straight moves stay within a chord error. Long moves get additional rows.
+`ToolPath` and `CutterPass` are the form in which all parts of milling exchange paths. Long moves, and moves
+with much rotation, are subdivided.
 
 `plan_route` returns the complete path: over the block on the safe plane to each pass, down, along it, and up
 again.
@@ -22,18 +22,18 @@ from planner.issues import issue_error
 from planner.processes.milling.plan.operation import Milling, SafeSide
 
 CUT: Final = "cut"
-"""A straight move at the feed."""
+"""Kind of a straight move at the feed."""
 RAPID: Final = "rapid"
-"""A straight rapid move in the air."""
+"""Kind of a straight rapid move in the air."""
 ARC: Final = "arc"
-"""A piece of an arc at the feed: ``arc`` or ``arc/...``."""
+"""Kind of a piece of an arc at the feed: ``arc`` or ``arc/...``."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ToolPath:
     """N positions of a cutter in the stock frame.
 
-    Row i is a position and how the cutter moved there from row i - 1.
+    Row i has a position, and the move to it from the position of row i - 1.
 
     Attributes:
         tip: TCP (N, 3) [m]: the centre of the cutter's end, on its axis.
@@ -59,7 +59,7 @@ class ToolPath:
 
     @property
     def cuts(self) -> BoolArray:
-        """Whether the move to each row (N,) cuts."""
+        """Whether the move to each position cuts (N,)."""
         return np.array([not kind.startswith(RAPID) for kind in self.kind], dtype=bool)
 
     def __getitem__(self, rows: slice) -> "ToolPath":
@@ -111,7 +111,10 @@ class CutterPass:
 
 
 def plain_path(tip: FloatArray, axis: FloatArray, feed: float | FloatArray) -> ToolPath:
-    """Return a path (N, 3) that cuts at ``feed`` [m/s]; spindle, tool and lines are left at zero."""
+    """Return a path of tips and axes (N, 3) that cuts at ``feed``, one for all moves or (N,) [m/s].
+
+    Spindle speed, tool and lines are 0.
+    """
     count = len(tip)
     zeros = np.zeros(count, dtype=np.int64)
     speed = np.broadcast_to(np.asarray(feed, dtype=np.float64), (count,)).copy()
@@ -121,8 +124,8 @@ def plain_path(tip: FloatArray, axis: FloatArray, feed: float | FloatArray) -> T
 MAX_AXIS_ROTATION_RAD: Final = 6.0 * DEG
 """Maximum rotation of an axis between targets [rad].
 
-If the tool also spins, its axis deviates from the shortest rotation. Moves of half the length deviate by a
-quarter.
+If the tool also spins in a move, its axis deviates from the shortest rotation. In moves of half the length
+the deviation is a quarter.
 """
 
 
@@ -137,7 +140,8 @@ def subdivide_path(tip: FloatArray, axis: FloatArray, step: float) -> tuple[IntA
         step: Maximum distance of tips [m].
 
     Returns:
-        For each of M rows the row of ``tip`` that its move leads to, and tips and axes (M, 3).
+        For each of M positions the index (M,) of the tip at the end of its original move, tips (M, 3) [m] and
+        axes (M, 3).
     """
     lengths = np.linalg.norm(np.diff(tip, axis=0), axis=1)
     rotations = np.linalg.norm(np.diff(axis, axis=0), axis=1)
@@ -154,17 +158,20 @@ def subdivide_path(tip: FloatArray, axis: FloatArray, step: float) -> tuple[IntA
 def insert_near_changes(
     tip: FloatArray, axis: FloatArray, change: BoolArray, distance: float
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Insert positions before and after given rows, as :func:`subdivide_path` returns them.
+    """Insert positions before and after those at which the feed changes.
 
-    A speed changes over half of the shorter move at a position. With these positions it changes within
-    ``distance``.
+    A controller changes the speed over half of the shorter of two moves. With the inserted positions it
+    changes the speed within ``distance`` of the change.
 
     Args:
         tip: Tips (N, 3) [m].
         axis: Axes (N, 3).
-        change: Rows (N,) that need positions before and after them.
-        distance: Distance of the new positions [m]; half-way on short moves, none on moves not much longer
-            than ``distance``.
+        change: Whether the feed changes at each position (N,).
+        distance: Distance [m] of the new positions from the change. On short moves with changes at both ends
+            one position is half-way. Moves that are not much longer than ``distance`` get none.
+
+    Returns:
+        As :func:`subdivide_path`.
     """
     lengths = np.linalg.norm(np.diff(tip, axis=0), axis=1)
     first, last, is_long = change[:-1], change[1:], lengths > 1.5 * distance
@@ -175,29 +182,30 @@ def insert_near_changes(
         [np.where(is_long & first, early, 1.0), np.where(is_long & last & ~is_short, late, 1.0)], axis=1
     )
     fractions = np.concatenate([fractions, np.ones((len(lengths), 1))], axis=1)
-    kept = np.concatenate([fractions[:, :2] < 1.0, np.ones((len(lengths), 1), dtype=bool)], axis=1)
-    target_rows = np.repeat(np.arange(1, len(tip)), kept.sum(axis=1))
-    return _interpolate_path(tip, axis, target_rows, fractions[kept])
+    is_used = np.concatenate([fractions[:, :2] < 1.0, np.ones((len(lengths), 1), dtype=bool)], axis=1)
+    target_rows = np.repeat(np.arange(1, len(tip)), is_used.sum(axis=1))
+    return _interpolate_path(tip, axis, target_rows, fractions[is_used])
 
 
 def _interpolate_path(
     tip: FloatArray, axis: FloatArray, target_rows: IntArray, fraction: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Return positions at fractions ``fraction`` (M - 1,) of the moves to rows ``target_rows`` (M - 1,).
+    """Return the first position of a path, and those at fractions of its moves, as :func:`subdivide_path`.
 
-    The first position of the path comes before them.
+    ``target_rows`` (M - 1,) is the index of the position at the end of each move, ``fraction`` (M - 1,) the
+    fraction of this move.
     """
     between = np.flatnonzero(fraction < 1.0)
     tips, axes = tip[target_rows], axis[target_rows]
     end, part_fraction = target_rows[between], fraction[between, None]
     previous, following = axis[end - 1], axis[end]
     tips[between] = tip[end - 1] + part_fraction * (tip[end] - tip[end - 1])
-    # spherical interpolation: component of the next axis normal to the previous one, and their angle
+    # Spherical interpolation: component of the next axis normal to the previous one, and their angle.
     normal = following - dots(previous, following)[:, None] * previous
     size = np.linalg.norm(normal, axis=1, keepdims=True)
-    turn = np.arctan2(size, dots(previous, following)[:, None])
+    angle = np.arctan2(size, dots(previous, following)[:, None])
     normal = normal / np.maximum(size, 1e-15)
-    axes[between] = np.cos(part_fraction * turn) * previous + np.sin(part_fraction * turn) * normal
+    axes[between] = np.cos(part_fraction * angle) * previous + np.sin(part_fraction * angle) * normal
     return np.append(0, target_rows), np.concatenate([tip[:1], tips]), np.concatenate([axis[:1], axes])
 
 
@@ -208,18 +216,19 @@ BLOCK_SIDES: Final[dict[SafeSide, tuple[int, int]]] = {
     "back": (1, 1),
     "top": (2, 1),
 }
-"""Axis of the stock frame and end (0 low, 1 high) of each side."""
+"""Index of the axis of the stock frame, and end (0 low, 1 high), of each side of the block."""
 MIN_RISE_RAD: Final = 15.0 * DEG
-"""Minimum angle [rad] at which tools rise from the block's side. Flatter tools never reach the safe plane."""
+"""Minimum angle [rad] between a tool's axis and the safe plane, to which the tool retracts along its axis."""
 MIN_PLUNGE_M: Final = 2.0 * MM
 """Minimum length of the moves down to a pass and up from it [m].
 
 It applies if the pass starts or ends on the safe plane or above.
 """
 TARGETS_PER_STOP: Final = 2000
-"""Number of targets of a pass in which the tool stops at least once, so that programs can be split there.
+"""Number of targets of a pass in which the tool stops at least once, so that programs can be split at the
+stop.
 
-The stop is where the path has a corner, if it has one.
+A stop at a corner of the path counts.
 """
 
 
@@ -233,7 +242,7 @@ class MillingRoute:
         feed: Speed of the move to each target (N,) [m/s].
         reach: Working length behind the tip (N,) [m], as in :class:`CutterPass`.
         segment: Segment of each target.
-        stop: Whether the tool stops (N,).
+        stop: Whether the tool stops at each target (N,).
     """
 
     tip: FloatArray
@@ -277,7 +286,7 @@ def plan_route(op: Milling, passes: Sequence[CutterPass], box: FloatArray) -> Mi
         segments += [run.segment.at("in")] * lead_in + [run.segment] * (run.last - run.first)
         segments += [run.segment.at("out")] * (lead_out + 1)
         stops.append(np.concatenate([[True], _stops(path.tip), [True]]))
-    # the move up from the last pass continues as the retreat
+    # The retreat continues the move up from the last pass.
     tip, axis = np.concatenate(tips), np.concatenate(axes)
     rise = tip[-1] + op.safe_mm * MM * axis[-1]
     return MillingRoute(
@@ -302,6 +311,7 @@ def safe_points(op: Milling, run: CutterPass, box: FloatArray) -> tuple[FloatArr
 
 
 def _point_above(op: Milling, tip: FloatArray, axis: FloatArray, box: FloatArray) -> FloatArray:
+    """Return a point (3,) [m] of a tool's axis: on the safe plane, or ``MIN_PLUNGE_M`` from a tip near it."""
     side, end = BLOCK_SIDES[op.safe_side]
     sign = 1.0 if end else -1.0
     level = box[end, side] + sign * op.safe_mm * MM
@@ -319,10 +329,10 @@ def _check_rise(op: Milling, passes: Sequence[CutterPass]) -> None:
         side: (axis[..., k] if end else -axis[..., k]).min(axis=1) for side, (k, end) in BLOCK_SIDES.items()
     }
     side_rise = rise[op.safe_side]
-    worst = int(np.argmin(side_rise))
-    if side_rise[worst] >= np.sin(MIN_RISE_RAD):
+    worst_index = int(np.argmin(side_rise))
+    if side_rise[worst_index] >= np.sin(MIN_RISE_RAD):
         return
-    tilt_deg = float(np.rad2deg(np.arccos(np.clip(side_rise[worst], -1.0, 1.0))))
+    tilt_deg = float(np.rad2deg(np.arccos(np.clip(side_rise[worst_index], -1.0, 1.0))))
     suitable = [
         side
         for side in sorted(BLOCK_SIDES, key=lambda s: -float(rise[s].min()))
@@ -332,7 +342,7 @@ def _check_rise(op: Milling, passes: Sequence[CutterPass]) -> None:
         "milling.safe_plane",
         format_message(
             "milling.safe_plane",
-            cut=passes[worst].name,
+            cut=passes[worst_index].name,
             tilt_deg=tilt_deg,
             side=op.safe_side,
             max_tilt_deg=90.0 - MIN_RISE_RAD / DEG,
@@ -346,9 +356,9 @@ def _check_rise(op: Milling, passes: Sequence[CutterPass]) -> None:
 
 
 def _stops(tip: FloatArray) -> BoolArray:
-    """Return where the tool stops (N,).
+    """Return whether the tool stops at each position of a pass (N,).
 
-    It stops at both ends, at sharp corners, at rotations in place, and at some rows of long passes.
+    It stops at both ends, at sharp corners, at rotations in place, and at some positions of long passes.
     """
     out = stop_flags(tip)
     for first in range(TARGETS_PER_STOP, len(tip) - TARGETS_PER_STOP // 2, TARGETS_PER_STOP):

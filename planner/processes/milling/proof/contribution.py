@@ -16,8 +16,8 @@ from planner.proof.contribution import ProofOfProcess, WorkingEdges
 def contact_segments(group: Sequence[Claim], arm: str) -> WorkingEdges | None:
     """Return the segments in which a cutter on ``arm`` may touch the block, None if there are none.
 
-    They have a feed and state what they mill, or at least what they spare, in an operation whose cutter may
-    touch the block.
+    They are segments with a claim on the feed and with a claim on what is milled, or at least on a spared
+    face. The operation must claim that its cutter touches the block only in such segments.
 
     Args:
         group: Claims of one operation.

@@ -1,8 +1,8 @@
 """The proof's own reader of G-code: from bytes to words, and the state that holds on each line of a file.
 
-It shares nothing with the planner's reader. That one works line by line, this one on the whole file at once,
-as arrays. A modal word is spread over the lines after it until another one comes, and so is what follows from
-several words. See docs/gcode.md for the meaning of the words.
+It shares nothing with the planner's reader. The planner reads line by line, the proof reads the whole file at
+once as arrays. A modal word holds on the lines after it until the next one. See docs/gcode.md for the meaning
+of the words.
 """
 
 import dataclasses
@@ -19,7 +19,7 @@ from planner.processes.milling.claims import ProgramFile
 COMMENT_PATTERN = re.compile(rb"\([^()\n]*\)|;[^\n]*")
 """Comments: in parentheses, or from a semicolon to the end of the line."""
 SLASH_PATTERN = re.compile(rb"^[ \t]*/", re.MULTILINE)
-"""Marks of lines that may be left out."""
+"""Slashes that mark lines that may be left out."""
 SLASHED_LINE_PATTERN = re.compile(rb"^[ \t]*/[^\n]*", re.MULTILINE)
 """Lines that may be left out."""
 PROGRAM_NUMBER_PATTERN = re.compile(rb"^O\d+$", re.MULTILINE)
@@ -27,11 +27,11 @@ PROGRAM_NUMBER_PATTERN = re.compile(rb"^O\d+$", re.MULTILINE)
 BLANKS = b" \t\v\f\x1c\x1d\x1e\x1f\x85\xa0"
 """Characters that have no meaning between words."""
 PERCENT = ord("%")
-"""The sign before and after a program."""
+"""Code of the sign before and after a program."""
 LINE_FEED = ord("\n")
-"""Ends a line."""
+"""Code of the end of a line."""
 _CAPITALS = bytes(range(256)).upper()
-"""Table that makes letters capital."""
+"""Translation table from letters to capitals."""
 
 
 class UnreadableError(ValueError):
@@ -50,7 +50,7 @@ class GCodeWords:
         letter: Letters as byte codes (T,).
         value: Values (T,).
         line: Lines (T,), from 1.
-        marks: Lines that are a single %.
+        marks: Numbers of the lines that consist of a single %, from 1.
     """
 
     letter: NDArray[np.uint8]
@@ -64,7 +64,8 @@ def read_words(path: Path, block_delete: bool | None) -> GCodeWords:
 
     Args:
         path: The file.
-        block_delete: Whether lines that start with a slash are left out.
+        block_delete: Whether lines that start with a slash are left out, None if the problem does not state
+            it.
 
     Raises:
         UnreadableError: The file is not readable as G-code.
@@ -96,26 +97,26 @@ def split_words(text: bytes, block_delete: bool | None) -> GCodeWords:
     line_counts = np.cumsum(characters == LINE_FEED)  # number of lines that end at or before each byte
     percent_rows = np.flatnonzero(characters == PERCENT)
     padded = np.concatenate([[LINE_FEED], characters, [LINE_FEED]])
-    for at in percent_rows.tolist():
-        if padded[at] != LINE_FEED or padded[at + 2] != LINE_FEED:
-            raise UnreadableError(int(line_counts[at]) + 1, "% inside a line")
+    for position in percent_rows.tolist():
+        if padded[position] != LINE_FEED or padded[position + 2] != LINE_FEED:
+            raise UnreadableError(int(line_counts[position]) + 1, "% inside a line")
     marks = line_counts[percent_rows] + 1
     if len(percent_rows):
         text = text.replace(b"%", b"")
         characters = np.frombuffer(text, dtype=np.uint8)
         line_counts = np.cumsum(characters == LINE_FEED)
-    capital = (characters >= ord("A")) & (characters <= ord("Z"))
-    digit = ((characters >= ord("0")) & (characters <= ord("9"))) | np.isin(characters, list(b"+-."))
+    is_capital = (characters >= ord("A")) & (characters <= ord("Z"))
+    is_digit = ((characters >= ord("0")) & (characters <= ord("9"))) | np.isin(characters, list(b"+-."))
     _refuse_characters(
-        ~(capital | digit | (characters == LINE_FEED)),
+        ~(is_capital | is_digit | (characters == LINE_FEED)),
         line_counts,
         "a character that is not part of a G-code word",
     )
     previous = np.concatenate([[LINE_FEED], characters[:-1]])
-    _refuse_characters(digit & (previous == LINE_FEED), line_counts, "a number without a letter before it")
-    letters = np.flatnonzero(capital)
+    _refuse_characters(is_digit & (previous == LINE_FEED), line_counts, "a number without a letter before it")
+    letters = np.flatnonzero(is_capital)
     _refuse_characters(
-        capital & ~np.append(digit[1:], False), line_counts, "a letter without a number after it"
+        is_capital & ~np.append(is_digit[1:], False), line_counts, "a letter without a number after it"
     )
     line = line_counts[letters] + 1
     values = text.translate(
@@ -141,13 +142,15 @@ def _numbers(values: list[bytes], line: IntArray) -> FloatArray:
         raise
 
 
-def _refuse_characters(wrong: BoolArray, number: IntArray, reason: str) -> None:
+def _refuse_characters(wrong: BoolArray, line_counts: IntArray, reason: str) -> None:
+    """Raise an error at the first wrong character. ``line_counts`` has the number of lines before each."""
     if wrong.any():
-        raise UnreadableError(int(number[int(np.argmax(wrong))]) + 1, reason)
+        raise UnreadableError(int(line_counts[int(np.argmax(wrong))]) + 1, reason)
 
 
-def _line_number(text: bytes, at: int) -> int:
-    return text.count(b"\n", 0, at) + 1
+def _line_number(text: bytes, position: int) -> int:
+    """Return the number of the line, from 1, at a position of a text."""
+    return text.count(b"\n", 0, position) + 1
 
 
 INCH_M = 0.0254
@@ -170,25 +173,27 @@ MODAL_GROUPS: Mapping[str, Mapping[int, float]] = {
     "cycle": {800: 0.0},
     "dwell": {40: 0.0},
 }
-"""Modal groups of G codes, each code with the value that it sets."""
+"""Modal groups of G codes, in tenths, each code with the value that it sets."""
 SPINDLE_CODES = {30: 1.0, 40: -1.0, 50: 0.0}
-"""Codes of the spindle, with its direction of rotation."""
+"""M codes of the spindle, in tenths, with its direction of rotation."""
 STOP_CODES = (0, 10, 20, 300)
-"""Codes at which the program stops or ends."""
+"""M codes at which the program stops or ends, in tenths."""
 CHANGE_CODE = 60
-"""Code of a tool change."""
+"""M code of a tool change, in tenths."""
 M_CODES = {"spindle": tuple(SPINDLE_CODES), "stop": STOP_CODES, "change": (CHANGE_CODE,)}
-"""M codes, in tenths."""
+"""Modal groups of M codes, in tenths."""
 CODES_WITH_AXES = {"G10", "G28", "G30", "G52", "G53", "G92"}
 """Codes that use the axis words of their line. Skipping such a code also skips these words."""
 INVERSE, MINUTE, REVOLUTION = 0.0, 1.0, 2.0
+"""Numbers of the feed modes: inverse time, per minute, per revolution."""
 
 
 @dataclasses.dataclass(frozen=True)
 class GCodeLines:
-    """L lines with words, and the state that holds on each.
+    """L lines with words, and the state that holds on each line.
 
-    NaN means that neither file nor problem states a value.
+    NaN means that neither the file nor the problem states a value. Arrays have the shape (L,) if none is
+    stated.
 
     Attributes:
         line: Lines (L,), from 1.
@@ -200,11 +205,11 @@ class GCodeLines:
         absolute_centre: Whether arc centres are absolute.
         shift: Offset (L, 3) [m].
         feed_mode: Meaning of F.
-        feed: Feed [m/min] or [m/rev], or [1/min] if the line has its own.
+        feed: Feed in the unit of its mode: [m/min], [m/rev], or [1/min] of the line's own F for inverse time.
         spindle: Spindle speed [1/min], negative if counterclockwise.
         uses_tool: Whether the line belongs to the tool whose moves are used.
         pause: Whether the program waits for the operator after the line.
-        dwell: Duration of a wait without the operator [s].
+        dwell: Duration of a wait without the operator after the line [s], NaN for none.
     """
 
     line: IntArray
@@ -223,7 +228,7 @@ class GCodeLines:
     dwell: FloatArray
 
     def has(self, letters: str) -> BoolArray:
-        """Return whether a line (L,) has any of these words."""
+        """Return whether each line has any of the words with these letters (L,)."""
         return np.asarray(np.any([~np.isnan(self.word[letter]) for letter in letters], axis=0))
 
 
@@ -238,16 +243,16 @@ def interpret_lines(words: GCodeWords, stated: ProgramFile) -> GCodeLines:
         UnreadableError: A line contradicts itself or has no meaning.
     """
     words = _cut_at_end(words)
-    numbers, row = np.unique(words.line, return_inverse=True)
+    numbers, line_rows = np.unique(words.line, return_inverse=True)
     count = len(numbers)
-    coded = np.isin(words.letter, [ord("G"), ord("M")])
-    codes = np.round(words.value[coded] * CODE_SCALE).astype(np.int64)
-    codes += np.where(words.letter[coded] == ord("M"), 100_000, 0)
-    rows = row[coded]
+    is_code = np.isin(words.letter, [ord("G"), ord("M")])
+    codes = np.round(words.value[is_code] * CODE_SCALE).astype(np.int64)
+    codes += np.where(words.letter[is_code] == ord("M"), 100_000, 0)  # as in :func:`_code_number`
+    rows = line_rows[is_code]
     skipped = [_code_number(name) for name in stated.skip]
     is_skipped = np.isin(codes, skipped)
     with_axes = np.isin(codes, [_code_number(name) for name in CODES_WITH_AXES]) & is_skipped
-    word_values = _word_table(words, ~coded, row, count)
+    word_values = _word_table(words, ~is_code, line_rows, count)
     _drop_words(word_values, rows[with_axes], "XYZABC")
     _drop_words(word_values, rows[is_skipped], "DEHLPQ")
     codes, rows = codes[~is_skipped], rows[~is_skipped]
@@ -287,7 +292,10 @@ def interpret_lines(words: GCodeWords, stated: ProgramFile) -> GCodeLines:
 
 
 def _dwell_times(values: FloatArray, waits: BoolArray, stated: ProgramFile, numbers: IntArray) -> FloatArray:
-    """Return how long (L,) [s] the program waits on each line, NaN for no wait."""
+    """Return the time (L,) [s] for which the program waits on each line, NaN for no wait.
+
+    ``values`` (L,) are those of P, ``waits`` (L,) tells which lines have G4.
+    """
     unit = {"s": 1.0, "ms": 1e-3}.get(stated.dwell or "", np.nan)
     out = np.where(waits, values * unit, np.nan)
     refuse(waits & ~(out >= 0.0), numbers, "a wait of unknown duration")
@@ -295,11 +303,11 @@ def _dwell_times(values: FloatArray, waits: BoolArray, stated: ProgramFile, numb
 
 
 def modal_values(given: FloatArray, initial: float) -> FloatArray:
-    """Return values (L,) that hold until another is given.
+    """Return the value (L,) that holds on each line: the last one given so far.
 
     Args:
-        given: Given values (L,), NaN for none.
-        initial: Value before the first one.
+        given: Values (L,) that lines give, NaN for none.
+        initial: Value that holds before the first one.
     """
     last = np.maximum.accumulate(np.where(np.isnan(given), -1, np.arange(len(given))))
     return np.where(last >= 0, given[np.maximum(last, 0)], initial) if len(given) else given
@@ -330,14 +338,18 @@ def _cut_at_end(words: GCodeWords) -> GCodeWords:
     is_end = (words.letter == ord("M")) & np.isin(np.round(words.value * CODE_SCALE), [20, 300])
     if is_end.any():
         last = min(last, int(words.line[int(np.argmax(is_end))]))
-    kept = words.line <= last
+    is_kept = words.line <= last
     return dataclasses.replace(
-        words, letter=words.letter[kept], value=words.value[kept], line=words.line[kept]
+        words, letter=words.letter[is_kept], value=words.value[is_kept], line=words.line[is_kept]
     )
 
 
 def _word_table(words: GCodeWords, chosen: BoolArray, row: IntArray, count: int) -> dict[str, FloatArray]:
-    """Return the values of all words other than codes by letter, (L,) each."""
+    """Return the values of all words other than codes, by letter, (L,) each, NaN for none.
+
+    ``chosen`` (T,) tells which words are not codes. ``row`` (T,) has the index of each word's line among the
+    L lines with words.
+    """
     letter, value, line_rows = words.letter[chosen], words.value[chosen], row[chosen]
     out = {}
     for name in "ABCDEFHIJKLNOPQRSTUVWXYZ":
@@ -355,23 +367,32 @@ def _word_table(words: GCodeWords, chosen: BoolArray, row: IntArray, count: int)
 
 
 def _drop_words(word: dict[str, FloatArray], rows: IntArray, letters: str) -> None:
+    """Remove the words with some letters from the lines ``rows``."""
     for letter in letters:
         word[letter][rows] = np.nan
 
 
 def _code_number(name: str) -> int:
+    """Return the number of a code: G codes in tenths, M codes in tenths plus 100 000."""
     return round(float(name[1:]) * CODE_SCALE) + (100_000 if name[0] == "M" else 0)
 
 
 def _group_values(
     codes: IntArray, rows: IntArray, values: Mapping[int, float], count: int, numbers: IntArray
 ) -> FloatArray:
-    """Return what the codes of a group set on each line (L,), NaN for nothing."""
+    """Return the value (L,) that the codes of a group set on each line, NaN if none sets one.
+
+    ``rows`` has the index of the line of each code, ``numbers`` (L,) the numbers of the lines in the file.
+    """
     out = np.full(count, np.nan)
     for code, value in values.items():
-        at = rows[codes == code]
-        refuse(np.isfinite(out[at]) & (out[at] != value), numbers[at], "two codes contradict each other")
-        out[at] = value
+        code_rows = rows[codes == code]
+        refuse(
+            np.isfinite(out[code_rows]) & (out[code_rows] != value),
+            numbers[code_rows],
+            "two codes contradict each other",
+        )
+        out[code_rows] = value
     return out
 
 
@@ -382,7 +403,7 @@ def _refuse_unknown(codes: IntArray, rows: IntArray, numbers: IntArray) -> None:
 
 
 def _initial_modes(stated: ProgramFile) -> dict[str, float]:
-    """Return what holds before the first line, as the problem states it."""
+    """Return the modes that hold before the first line, as far as the problem states them."""
     words: dict[str, tuple[str | None, dict[str, float]]] = {
         "motion": (stated.motion, {"rapid": 0.0, "linear": 1.0}),
         "normal": (stated.plane, {"xy": 2.0, "zx": 1.0, "yz": 0.0}),
@@ -404,9 +425,10 @@ def _tools_and_speeds(
     stated: ProgramFile,
     numbers: IntArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the tool in the spindle and the spindle's speed [1/min], (L,) each.
+    """Return the number of the tool in the spindle and the spindle's speed [1/min], (L,) each.
 
-    After a tool change the spindle runs as the problem states it.
+    ``requested`` (L,) are the values of T, NaN for none, and ``others`` the values that the groups of M codes
+    set. After a tool change the spindle runs as the problem states.
     """
     running = 1.0 if stated.spindle_rpm is not None else 0.0
     change = np.isfinite(others["change"])
@@ -433,15 +455,18 @@ def _modal_feeds(
     first: Mapping[str, float],
     stated: ProgramFile,
 ) -> FloatArray:
-    """Return feeds (L,) in the units of their modes. A change of mode cancels the previous feed."""
+    """Return feeds (L,) in the units of their modes. A change of mode cancels the previous feed.
+
+    ``feed`` (L,) are the values of F and ``set_by`` (L,) the feed modes that lines set, NaN for none.
+    """
     count = len(feed)
     current = mode["feed_mode"]
     previous = np.concatenate([[first.get("feed_mode", MINUTE)], current[:-1]])
     previous = np.where(np.isnan(previous), MINUTE, previous)
     rows = np.arange(count)
     changed = np.maximum.accumulate(np.where(np.isfinite(set_by) & (set_by != previous), rows, -1))
-    kept = np.isfinite(feed) & (current != INVERSE)
-    last = np.maximum.accumulate(np.where(kept, rows, -1))
+    is_given = np.isfinite(feed) & (current != INVERSE)
+    last = np.maximum.accumulate(np.where(is_given, rows, -1))
     value = (feed * mode["unit"])[np.maximum(last, 0)] if count else feed
     stated_feed = np.nan if stated.feed_mm_min is None else stated.feed_mm_min * MILLIMETRE_M
     out = np.where(

@@ -35,22 +35,24 @@ MACHINES: Mapping[str, str] = {
     "head_a_table_c": "-C+A",
     "head_b_table_c": "-C+B",
 }
-"""Rotations whose product takes z to the tool axis in the part's frame.
+"""Rotations of each machine whose product rotates z to the tool axis in the part's frame.
 
-The table is that of docs/gcode.md: ``-C+A`` is Rz(-C) Rx(A).
+They are as in the table of docs/gcode.md: ``-C+A`` is Rz(-C) Rx(A).
 """
 RADIUS_TOLERANCE_M = 2e-5
 """Allowed difference of the radii at both ends of an arc [m]."""
 RADIUS_TOLERANCE_FRACTION = 1e-3
-"""Allowed difference of the radii as a fraction of the radius, if that is more."""
+"""Allowed difference of the radii as a fraction of the radius, if that is more than
+:data:`RADIUS_TOLERANCE_M`.
+"""
 POINT_TOLERANCE_M = 1e-9
-"""Positions closer than this [m] are one."""
+"""Distance [m] up to which positions count as equal."""
 MAX_ARC_PIECE_RAD = math.radians(20.0)
 """Maximum angle of a piece of an arc [rad]."""
 MAX_EVEN_ROTATION_RAD = math.radians(1.5)
-"""Maximum rotation of a machine's axes [rad] that counts as an even rotation of the tool.
+"""Maximum rotation of a machine's axes [rad] in a move that counts as an even rotation of the tool.
 
-Over it the tool deviates from the shortest rotation by at most its square over 8, 0.005 degrees.
+For a rotation a the tool deviates from the shortest rotation by at most a^2 / 8, here 0.005 degrees.
 """
 AXIS_LENGTH_TOLERANCE = 0.01
 """Allowed deviation of the length of a tool axis I J K from 1."""
@@ -69,8 +71,8 @@ class ProgrammedPath:
         cuts: Whether the move to each position cuts (N,).
         spindle: Spindle speed (N,) [1/min].
         line: Line of the file (N,).
-        pauses: Where the program waits for the operator: line, and number of positions before it.
-        waits: Where it waits by itself: duration [s], and number of positions before it.
+        pauses: Waits for the operator: line, and number of positions before the wait.
+        waits: Waits for a time: duration [s], and number of positions before the wait.
     """
 
     tip: FloatArray
@@ -102,73 +104,77 @@ def read_path(stated: ProgramFile, chord: float) -> ProgrammedPath:
     rotations = _rotations(state, stated)
     moving = state.has("XYZABCIJKR")
     _refuse_missing_modes(state, moving)
-    row = np.flatnonzero(moving & state.uses_tool & np.isfinite(positions).all(axis=1))
+    # Lines with a move of the tool to a known position.
+    move_lines = np.flatnonzero(moving & state.uses_tool & np.isfinite(positions).all(axis=1))
     cutting = moving & state.uses_tool & (state.motion != 0.0)
     refuse(cutting & ~np.isfinite(positions).all(axis=1), state.line, "a cut to an unknown position")
     refuse(cutting & ~(np.abs(state.spindle) > 0.0), state.line, "a cut while the spindle is stopped")
-    _refuse_unpositioned(state, moving, row)
-    if not len(row):
+    _refuse_unpositioned(state, moving, move_lines)
+    if not len(move_lines):
         raise UnreadableError(0, "it has no moves of the tool")
-    arc = state.motion[row] >= 2.0
-    arcs = _Arcs(state, row[arc], start, positions)
-    pieces = np.ones(len(row), dtype=np.int64)
-    pieces[arc] = arcs.piece_counts(chord)
-    previous_rotations = np.concatenate([rotations[row[:1]], rotations[row[:-1]]])
+    is_arc = state.motion[move_lines] >= 2.0
+    arcs = _Arcs(state, move_lines[is_arc], start, positions)
+    pieces = np.ones(len(move_lines), dtype=np.int64)
+    pieces[is_arc] = arcs.piece_counts(chord)
+    previous_rotations = np.concatenate([rotations[move_lines[:1]], rotations[move_lines[:-1]]])
     if stated.tool_axis == "rotary":
-        change = np.abs(rotations[row] - previous_rotations).sum(axis=1)
+        change = np.abs(rotations[move_lines] - previous_rotations).sum(axis=1)
         pieces = np.maximum(pieces, np.ceil(change / MAX_EVEN_ROTATION_RAD - 1e-9).astype(np.int64))
-    length = np.linalg.norm(positions[row] - start[row], axis=1)
-    length[arc] = arcs.length
-    feed = _move_speeds(state, row, length)
-    move_rows = np.repeat(np.arange(len(row)), pieces)
-    fraction = (np.arange(len(move_rows)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 1) / pieces[
-        move_rows
+    length = np.linalg.norm(positions[move_lines] - start[move_lines], axis=1)
+    length[is_arc] = arcs.length
+    feed = _move_speeds(state, move_lines, length)
+    piece_moves = np.repeat(np.arange(len(move_lines)), pieces)
+    fraction = (np.arange(len(piece_moves)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 1) / pieces[
+        piece_moves
     ]
-    starts = np.where(np.isfinite(start[row]), start[row], positions[row])
-    tips = starts[move_rows] + fraction[:, None] * (positions[row] - starts)[move_rows]
-    on_arc = np.flatnonzero(arc[move_rows])
-    tips[on_arc] = arcs.interpolate((np.cumsum(arc) - 1)[move_rows[on_arc]], fraction[on_arc])
-    last = fraction == 1.0
-    tips[last] = positions[row]
+    starts = np.where(np.isfinite(start[move_lines]), start[move_lines], positions[move_lines])
+    tips = starts[piece_moves] + fraction[:, None] * (positions[move_lines] - starts)[piece_moves]
+    on_arc = np.flatnonzero(is_arc[piece_moves])
+    tips[on_arc] = arcs.interpolate((np.cumsum(is_arc) - 1)[piece_moves[on_arc]], fraction[on_arc])
+    is_move_end = fraction == 1.0
+    tips[is_move_end] = positions[move_lines]
     angles = (
-        previous_rotations[move_rows] + fraction[:, None] * (rotations[row] - previous_rotations)[move_rows]
+        previous_rotations[piece_moves]
+        + fraction[:, None] * (rotations[move_lines] - previous_rotations)[piece_moves]
     )
-    angles[last] = rotations[row]
-    axis = _tool_axes(angles, stated, state.line[row[move_rows]])
+    angles[is_move_end] = rotations[move_lines]
+    axis = _tool_axes(angles, stated, state.line[move_lines[piece_moves]])
     frame = Rotation.from_euler("xyz", stated.rpy_deg, degrees=True)
     ends = np.cumsum(pieces)
     pauses, dwells = state.pause & state.uses_tool, np.isfinite(state.dwell) & state.uses_tool
 
     def counts_before(lines: BoolArray) -> list[int]:
-        """How many places come before some lines."""
-        moves_before = np.searchsorted(row, np.flatnonzero(lines), side="right")
+        """Return the number of positions of the path that come before each of the flagged lines (L,)."""
+        moves_before = np.searchsorted(move_lines, np.flatnonzero(lines), side="right")
         counts: list[int] = np.where(moves_before > 0, ends[np.maximum(moves_before, 1) - 1], 0).tolist()
         return counts
 
     return ProgrammedPath(
         frame.apply(tips) + np.array(stated.xyz_mm) * MILLIMETRE_M,
         frame.apply(axis),
-        feed[move_rows],
-        (state.motion[row] != 0.0)[move_rows],
-        state.spindle[row[move_rows]],
-        state.line[row[move_rows]],
+        feed[piece_moves],
+        (state.motion[move_lines] != 0.0)[piece_moves],
+        state.spindle[move_lines[piece_moves]],
+        state.line[move_lines[piece_moves]],
         tuple(zip(state.line[pauses].tolist(), counts_before(pauses), strict=True)),
         tuple(zip(state.dwell[dwells].tolist(), counts_before(dwells), strict=True)),
     )
 
 
 def _start_position(stated: ProgramFile) -> FloatArray:
+    """Return the position (3,) [m] before the first line, NaN if the problem does not state it."""
     start = (np.nan,) * 3 if stated.start_mm is None else stated.start_mm
     return np.asarray(np.array(start) * MILLIMETRE_M)
 
 
 def _refuse_meaningless(state: GCodeLines, stated: ProgramFile) -> None:
-    """Refuse words that have no meaning with what the problem states."""
+    """Refuse words that have no meaning for the machine and the tool axis that the problem states."""
     straight = state.motion < 2.0
     if stated.tool_axis != "ijk":
         refuse(
             state.has("IJK") & straight, state.line, "I J K with a straight move, but no tool axis is stated"
         )
+    # The letters of the machine's axes, without the signs + and -.
     letters = MACHINES[stated.convention or ""].translate({43: None, 45: None}) if stated.convention else ""
     for letter in "ABC":
         if letter not in letters:
@@ -178,6 +184,7 @@ def _refuse_meaningless(state: GCodeLines, stated: ProgramFile) -> None:
 
 
 def _refuse_missing_modes(state: GCodeLines, moving: BoolArray) -> None:
+    """Refuse lines that need a mode or unit that neither the file nor the problem states."""
     refuse(moving & np.isnan(state.motion), state.line, "a move without G0, G1, G2 or G3")
     refuse(moving & np.isnan(state.absolute), state.line, "neither G90 nor G91")
     refuse(state.has("XYZR") & np.isnan(state.unit), state.line, "neither G20 nor G21")
@@ -188,9 +195,9 @@ def _refuse_missing_modes(state: GCodeLines, moving: BoolArray) -> None:
 
 
 def _coordinates(state: GCodeLines, k: int, stated: ProgramFile) -> FloatArray:
-    """Return the position (L,) [m] along an axis after each line.
+    """Return the coordinate (L,) [m] along axis ``k`` after each line.
 
-    It is the last one given, plus all changes since.
+    It is the last absolute coordinate plus all incremental changes since.
     """
     given = state.word["XYZ"[k]] * state.unit
     change = np.where((state.absolute == 0.0) & np.isfinite(given), given, 0.0)
@@ -200,7 +207,7 @@ def _coordinates(state: GCodeLines, k: int, stated: ProgramFile) -> FloatArray:
 
 
 def _rotations(state: GCodeLines, stated: ProgramFile) -> FloatArray:
-    """Return I J K, or the angles A B C [rad], (L, 3) after each line."""
+    """Return I J K, or the angles A B C [rad], after each line, (L, 3). They are 0 for a fixed tool axis."""
     out = np.zeros((len(state.line), 3))
     if stated.tool_axis == "ijk":
         straight = state.motion < 2.0
@@ -218,16 +225,19 @@ def _rotations(state: GCodeLines, stated: ProgramFile) -> FloatArray:
 
 
 def _tool_axes(angles: FloatArray, stated: ProgramFile, line: IntArray) -> FloatArray:
-    """Return tool axes (N, 3) in the file's frame."""
+    """Return unit vectors (N, 3) from tip to spindle in the file's frame.
+
+    ``angles`` (N, 3) are those of :func:`_rotations`, ``line`` (N,) the lines of the file.
+    """
     if stated.tool_axis == "ijk":
-        size = np.linalg.norm(angles, axis=1)
-        refuse(np.abs(size - 1.0) > AXIS_LENGTH_TOLERANCE, line, "a tool axis I J K whose length is not 1")
-        axis = angles / size[:, None] * (1.0 if stated.ijk_to == "spindle" else -1.0)
+        length = np.linalg.norm(angles, axis=1)
+        refuse(np.abs(length - 1.0) > AXIS_LENGTH_TOLERANCE, line, "a tool axis I J K whose length is not 1")
+        axis = angles / length[:, None] * (1.0 if stated.ijk_to == "spindle" else -1.0)
     else:
         axis = np.tile([0.0, 0.0, 1.0], (len(angles), 1))
         chain = MACHINES[stated.convention] if stated.convention else ""
-        for at in range(len(chain) - 2, -1, -2):
-            sign, letter = chain[at], chain[at + 1]
+        for k in range(len(chain) - 2, -1, -2):
+            sign, letter = chain[k], chain[k + 1]
             is_negative = (sign == "-") != (letter in stated.reverse)
             about = "ABC".index(letter)
             rotation = np.zeros((len(angles), 3))
@@ -239,18 +249,22 @@ def _tool_axes(angles: FloatArray, stated: ProgramFile, line: IntArray) -> Float
 
 
 def _refuse_unpositioned(state: GCodeLines, moving: BoolArray, row: IntArray) -> None:
-    """Refuse cuts of a tool that no rapid move has positioned since another one was in the spindle."""
-    led_state = np.full(len(state.line), np.nan)
-    led_state[moving & ~state.uses_tool] = 1.0
-    led_state[row[state.motion[row] == 0.0]] = 0.0
-    is_unpositioned = modal_values(led_state, 0.0) == 1.0
+    """Refuse cuts of a tool that no rapid move has positioned since another tool was in the spindle.
+
+    ``row`` has the indices of the lines with moves of the tool that is used.
+    """
+    # 1 from a move of another tool on, 0 from a rapid move of this tool on.
+    unpositioned_state = np.full(len(state.line), np.nan)
+    unpositioned_state[moving & ~state.uses_tool] = 1.0
+    unpositioned_state[row[state.motion[row] == 0.0]] = 0.0
+    is_unpositioned = modal_values(unpositioned_state, 0.0) == 1.0
     cutting = np.zeros(len(is_unpositioned), dtype=bool)
     cutting[row[state.motion[row] != 0.0]] = True
     refuse(is_unpositioned & cutting, state.line, "a cut from the position of another tool")
 
 
 def _move_speeds(state: GCodeLines, row: IntArray, length: FloatArray) -> FloatArray:
-    """Return speeds (R,) [m/s] of the moves of some lines, ``length`` (R,) [m] long."""
+    """Return the speeds (R,) [m/s] of the moves on lines ``row`` (R,) with lengths ``length`` (R,) [m]."""
     mode, feed = state.feed_mode[row], state.feed[row]
     per_turn = np.where(mode == REVOLUTION, np.abs(state.spindle[row]), 1.0)
     out = feed * np.where(mode == INVERSE, length, per_turn) / 60.0
@@ -261,26 +275,30 @@ def _move_speeds(state: GCodeLines, row: IntArray, length: FloatArray) -> FloatA
 
 
 class _Arcs:
-    """M arcs on the lines ``row``, from ``start`` to ``end`` (L, 3) [m] of their lines."""
+    """M arcs of a file.
+
+    ``row`` has the indices of their lines, ``start`` and ``end`` the positions (L, 3) [m] before and after
+    each line of the file.
+    """
 
     def __init__(self, state: GCodeLines, row: IntArray, start: FloatArray, end: FloatArray) -> None:
         line = state.line[row]
-        each = np.arange(len(row))
+        indices = np.arange(len(row))
         normal = state.normal[row].astype(np.int64)
         plane = np.stack([(normal + 1) % 3, (normal + 2) % 3], axis=1)
         self._plane, self._normal = plane, normal
         self._start, self._end = start[row], end[row]
         refuse(~np.asarray(np.isfinite(self._start).all(axis=1)), line, "an arc from an unknown position")
-        a, b = self._start[each[:, None], plane], self._end[each[:, None], plane]
+        a, b = self._start[indices[:, None], plane], self._end[indices[:, None], plane]
         given = np.stack([state.word[letter][row] for letter in "IJK"], axis=1)
-        refuse(np.isfinite(given[each, normal]), line, "the centre of an arc outside its plane")
-        centre = given[each[:, None], plane]
+        refuse(np.isfinite(given[indices, normal]), line, "the centre of an arc outside its plane")
+        centre = given[indices[:, None], plane]
         radius = state.word["R"][row] * state.unit[row]
         by_radius, by_centre = np.isfinite(radius), np.isfinite(centre).any(axis=1)
         refuse(~np.logical_xor(by_radius, by_centre), line, "an arc needs either a centre or a radius")
         is_absolute = state.absolute_centre[row] == 1.0
         refuse(by_centre & is_absolute & np.isnan(centre).any(axis=1), line, "half of an absolute centre")
-        base = np.where(is_absolute[:, None], state.shift[row][each[:, None], plane], a)
+        base = np.where(is_absolute[:, None], state.shift[row][indices[:, None], plane], a)
         self._centre = base + np.nan_to_num(centre) * state.unit[row][:, None]
         clockwise = state.motion[row] == 2.0
         radius_rows = np.flatnonzero(by_radius)
@@ -298,7 +316,7 @@ class _Arcs:
         sweep = np.where(clockwise, -sweep, sweep) % (2.0 * np.pi)
         sweep[np.hypot(*(b - a).T) <= POINT_TOLERANCE_M] = 2.0 * np.pi
         self._sweep = np.where(clockwise, -sweep, sweep)
-        rise = self._end[each, normal] - self._start[each, normal]
+        rise = self._end[indices, normal] - self._start[indices, normal]
         self.length = np.hypot(self._first * self._sweep, rise)
 
     def piece_counts(self, chord: float) -> IntArray:
@@ -310,27 +328,27 @@ class _Arcs:
         return np.asarray(np.maximum(np.ceil(np.abs(self._sweep) / step - 1e-9), 1.0), dtype=np.int64)
 
     def interpolate(self, arcs: IntArray, fraction: FloatArray) -> FloatArray:
-        """Return points (N, 3) [m] at a fraction of some arcs.
+        """Return points (N, 3) [m] at fractions of arcs ``arcs`` (N,).
 
-        Radius and height change linearly with the angle.
+        Radius and the coordinate normal to the plane change linearly with the angle.
         """
         angle = self._angle[arcs] + fraction * self._sweep[arcs]
         radius = self._first[arcs] + fraction * (self._last - self._first)[arcs]
         out = self._start[arcs] + fraction[:, None] * (self._end - self._start)[arcs]
-        each = np.arange(len(arcs))[:, None]
-        around = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        out[each, self._plane[arcs]] = self._centre[arcs] + around
+        indices = np.arange(len(arcs))[:, None]
+        offset = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        out[indices, self._plane[arcs]] = self._centre[arcs] + offset
         return out
 
 
 def _radius_centres(
     a: FloatArray, b: FloatArray, radius: FloatArray, clockwise: BoolArray, line: IntArray
 ) -> FloatArray:
-    """Return centres (M, 2) of arcs by radius.
+    """Return the centres (M, 2) [m] of arcs from ``a`` to ``b`` (M, 2) in their planes, by the values of R.
 
-    Two centres are at that distance from both ends. The one on the right of the chord is that of a clockwise
-    arc of at most half a revolution. The other one is used for R below zero, an arc of at least half a
-    revolution.
+    Two centres have this distance from both ends. The one on the right of the chord is that of a clockwise
+    arc of at most half a revolution. For a negative R, an arc of at least half a revolution, it is the other
+    one.
     """
     chord = b - a
     half = 0.5 * np.hypot(*chord.T)

@@ -1,4 +1,4 @@
-"""Surfaces of the part that cutters mill."""
+"""Surfaces of the part that an operation has to mill, and the surfaces that cutters do mill."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -26,15 +26,17 @@ from planner.proof.part_files.produced import ProducedSurface, RequiredSurface, 
 _LINES_SUFFIX: Final = "_lines"
 """Suffix of the names of passes in lines over a surface."""
 _AXIS_SAMPLES: Final = 5
-"""Number of points along the axis of a cutter that have to be on the outer side."""
+"""Number of points along the axis of a cutter by which the side of a surface is found on which the cutter
+is.
+"""
 
 
 def cutter_distance(
     milling: MillingMotion, index: int, claim: MillsSurface, tolerance: float, samples: Samples
 ) -> FloatArray:
-    """Return the distance (N,) [m] of the swept cutter from points.
+    """Return the distance (N,) [m] of the swept cutter from points of a surface.
 
-    It is NaN where the cutter is never near, or only from inside.
+    It is NaN where the cutter never comes near, or only on the inner side of the surface.
 
     Args:
         milling: Milling of the proof.
@@ -49,7 +51,7 @@ def cutter_distance(
     step = float(np.clip(np.sqrt(0.4 * solid.radius * tolerance), 0.3e-3, 3e-3))
     tip, axis, _ = track.spaced(step, BEND_FRACTION * tolerance)
     distance, _ = track_distance(samples.points, tip, axis, solid)
-    # the cutter's axis has to be on the outer side of the surface
+    # The nearest point of the cutter's axis has to be on the outer side of the surface.
     heights = np.linspace(min(solid.radius, solid.end), solid.end, _AXIS_SAMPLES)
     line = np.concatenate([tip + height * axis for height in heights])
     nearest = line[np.asarray(cKDTree(line).query(samples.points)[1])]
@@ -76,7 +78,9 @@ def required_surfaces(operation: Any) -> Iterator[RequiredSurface]:
 
 
 def milled_surfaces(context: Context, required: RequiredSurface, name: str) -> Sequence[ProducedSurface]:
-    """Return the passes over a required surface. Passes of one cut are numbered.
+    """Return the milled surfaces for a required surface: one for each claim on it.
+
+    If no claim has the name of the surface itself, claims with this name and a number count.
 
     Args:
         context: Context of the proof.
@@ -88,9 +92,9 @@ def milled_surfaces(context: Context, required: RequiredSurface, name: str) -> S
     milling, segment = context.get(MILLING), Segment(MILL, name).folded
     first = [(index, claim, claim.segments[0].folded) for index, claim in milling.surfaces]
     numbered_name = re.compile(re.escape(segment.name) + r"_[a-z]*[0-9]+")
-    matching = [row for row in first if row[2] == segment]
+    matching = [entry for entry in first if entry[2] == segment]
     matching = matching or [
-        row for row in first if row[2].kind == MILL and numbered_name.fullmatch(row[2].name)
+        entry for entry in first if entry[2].kind == MILL and numbered_name.fullmatch(entry[2].name)
     ]
     base = name.removesuffix(_LINES_SUFFIX) if required.name.endswith(_LINES_SUFFIX) else name
     return [

@@ -1,7 +1,7 @@
-"""How a tool follows a path of tips and axes in order, and its maximum speed at each point.
+"""Deviation of a tool from a claimed path of tips and axes, and its maximum speed at each position.
 
-The order also counts where the path crosses itself, reverses, or rotates the tool in place. The feed may
-change along a path.
+The tool must pass the points of the path in order, also where the path crosses itself, reverses, or rotates
+the tool in place. The feed may change along a path.
 """
 
 import dataclasses
@@ -17,32 +17,33 @@ from planner.processes.milling.claims import MillsAlong
 from planner.proof.replay.moves import PATH_ACCURACY_M
 
 Row = list[float]
+"""Coordinates x, y, z as Python numbers."""
 
 AXIS_LEVER_M = 0.05
 """Length that converts rotation of the axis to distance along the path [m/rad]."""
 SEARCH_DISTANCE_M = 0.05
 """Distance along the path within which the tool's position is searched [m]."""
 WRITTEN_ROUNDING_M = 1e-7
-"""Deviation of written positions from their exact values [m]: half of the last digit along each axis.
+"""Deviation [m] of positions in programs from their exact values: half of the last digit along each axis.
 
-A corner that is rounded by all that is allowed deviates by that much more or less.
+A corner that is rounded by the whole tolerance may deviate by this distance more.
 """
 _MAX_PAIRS = 200_000
 """Maximum number of pairs of a point and a piece of a track in one array."""
 _MAX_SAMPLES = 16_384
-"""Maximum number of samples of a track that are Python numbers at once."""
+"""Maximum number of samples of a track that exist as Python numbers at once."""
 
 
 @dataclasses.dataclass(frozen=True)
 class PathDeviation:
-    """How T samples follow a path.
+    """Deviation of T samples of a track from a claimed path with K points.
 
     Attributes:
-        distance: Distance of the tip from its path (T,) [m].
+        distance: Distance of the tip from the path (T,) [m].
         angle: Angle between the axis and the required one (T,) [rad].
-        missed_count: Number of points of the path that the motion does not pass.
-        position: Position of each sample along the path (T,) [m], never decreasing. Rotations count by
-            ``AXIS_LEVER_M``.
+        missed_count: Number of points of the path that the track does not pass, or not in order.
+        position: Position of each sample along the path (T,) [m], never decreasing. Rotations count with the
+            lever ``AXIS_LEVER_M``.
         point_positions: Position of each point along the path (K,) [m].
     """
 
@@ -58,18 +59,21 @@ def match_path(
 ) -> PathDeviation:
     """Compare a track with a claimed path.
 
-    Each sample is matched to the first stretch of the path, from the match of the previous sample on, whose
-    tolerances it keeps. The match then moves on along the following stretches as long as the tolerances are
-    kept and the distance decreases. A sample that keeps no tolerance counts by the nearest stretch, and the
-    next sample starts from the same position. Every point that is passed has to be near the track between
-    both samples, or between the adjacent ones: at a corner the point may be nearer to the leg that the tool
-    has left.
+    A stretch of the path leads from one of its points to the next. The search for a sample starts at the
+    match of the previous sample. The sample is matched to the first stretch whose tolerances it keeps, or to
+    the nearest of the stretches that follow as long as it keeps their tolerances. A sample that keeps no
+    tolerance is compared with the nearest stretch, and the search for the next sample starts at the same
+    position as its own.
+
+    Each point of the path that the match passes between two samples must be near the track between these
+    samples, or between the adjacent ones: at a corner the point may be nearer to the leg that the tool has
+    left.
 
     Args:
         claim: Claimed path.
         tip: Tips of the track (N, 3) [m]; it is straight between samples.
         axis: Axes of the track (N, 3).
-        sample_rows: Samples to compare (T,), None for all.
+        sample_rows: Indices (T,) of the samples to compare, None for all.
     """
     path = _ClaimedPath(claim)
     rows = np.arange(len(tip)) if sample_rows is None else sample_rows
@@ -77,8 +81,8 @@ def match_path(
     distance, angle, position = np.empty(count), np.empty(count), np.empty(count)
     passed = np.zeros(len(claim.tip), dtype=np.int64)
     stretch, fraction = 0, 0.0
-    for i, (own_tip, own_axis) in enumerate(_as_numbers(tip, axis, rows)):
-        match = path.match(own_tip, own_axis, stretch, fraction)
+    for i, (sample_tip, sample_axis) in enumerate(_as_numbers(tip, axis, rows)):
+        match = path.match(sample_tip, sample_axis, stretch, fraction)
         distance[i], angle[i] = match.distance, match.angle
         if match.cost > 1.0:
             position[i] = path.position(stretch, fraction)
@@ -87,7 +91,7 @@ def match_path(
         stretch, fraction = match.stretch, match.fraction
         position[i] = path.position(stretch, fraction)
     passed[stretch + 1 :] = count
-    # a tool that reverses sharply stays matched to the stretch that it leaves until it is out of tolerance
+    # A tool that reverses sharply stays matched to the stretch that it leaves until it is out of tolerance.
     advances = np.flatnonzero(np.append(True, np.diff(position) > 0.0))
     last_waits = advances[np.searchsorted(advances, np.maximum(passed - 1, 0), side="right") - 1]
     low = rows[np.maximum(last_waits - 1, 0)]
@@ -97,9 +101,9 @@ def match_path(
 
 
 def _as_numbers(tip: FloatArray, axis: FloatArray, rows: IntArray) -> Iterator[tuple[Row, Row]]:
-    """Yield tips and axes at ``rows`` (T,) as Python numbers.
+    """Yield tip and axis of each of the samples ``rows`` (T,) as Python numbers.
 
-    They come in batches because they take ten times the memory of arrays.
+    They are converted in batches, because they take ten times the memory of arrays.
     """
     for first in range(0, len(rows), _MAX_SAMPLES):
         batch = rows[first : first + _MAX_SAMPLES]
@@ -107,10 +111,10 @@ def _as_numbers(tip: FloatArray, axis: FloatArray, rows: IntArray) -> Iterator[t
 
 
 def _count_missed(claim: MillsAlong, tip: FloatArray, axis: FloatArray, low: IntArray, high: IntArray) -> int:
-    """Return how many points (K,) the track does not pass between its samples ``low`` and ``high`` (K,).
+    """Return the number of points of the path that the track does not pass, or not in order.
 
-    Each has to be passed no sooner than the previous ones. A step back that is left out is on the track too,
-    but in another order.
+    Point k has to be passed between the samples ``low[k]`` and ``high[k]``, and not before the previous
+    points. The order matters, because a step back that the tool leaves out is near the track, too.
     """
     missed, reached = 0, 0.0
     ends = np.cumsum(np.maximum(high - low, 1))
@@ -133,22 +137,24 @@ def _count_missed(claim: MillsAlong, tip: FloatArray, axis: FloatArray, low: Int
 def _near_stretches(
     claim: MillsAlong, tip: FloatArray, axis: FloatArray, low: IntArray, high: IntArray, start: int
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Return where the track is near points from number ``start`` on, between two samples (K,) each.
+    """Return the stretches of a track that are near points of a path, from that with index ``start`` on.
+
+    Each of these K points is searched between the samples ``low`` and ``high`` (K,).
 
     Returns:
-        M stretches of the track by point and in order: the point (M,), and start and end (M,) as sample
-        number plus fraction of the way to the next sample.
+        M stretches, sorted by point and then along the track: the index of the point (M,), and start and end
+        (M,) as the index of a sample plus the fraction of the way to the next sample.
     """
     number = np.maximum(high - low, 1)
     row_starts = np.cumsum(number) - number
     rows = np.repeat(np.arange(len(low)), number)
     piece = low[rows] + np.arange(len(rows)) - row_starts[rows]
-    after = np.minimum(piece + 1, len(tip) - 1)
+    next_piece = np.minimum(piece + 1, len(tip) - 1)
     points = start + rows
-    within = passing_tolerance(claim)
+    distance = passing_tolerance(claim)
     ends = [
-        _fractions_within(tip[piece] - claim.tip[points], tip[after] - tip[piece], within),
-        _fractions_within(axis[piece] - claim.axis[points], axis[after] - axis[piece], claim.turn),
+        _fractions_within(tip[piece] - claim.tip[points], tip[next_piece] - tip[piece], distance),
+        _fractions_within(axis[piece] - claim.axis[points], axis[next_piece] - axis[piece], claim.turn),
     ]
     first, last = np.maximum(ends[0][0], ends[1][0]), np.minimum(ends[0][1], ends[1][1])
     is_near = np.flatnonzero(first <= last)
@@ -156,10 +162,10 @@ def _near_stretches(
 
 
 def _fractions_within(offset: FloatArray, step: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
-    """Return first and last fraction (M,) of steps (M, 3) that are within a distance of a point.
+    """Return the first and last fraction (M,) between which steps (M, 3) are within a distance of points.
 
-    The steps start at an offset ``offset`` (M, 3) from the point. The result is infinite and -infinite if
-    there is no such part.
+    Each step starts at its ``offset`` (M, 3) from the point. The fractions are infinity and -infinity if no
+    part of it is near enough.
     """
     square = np.maximum((step * step).sum(axis=1), 1e-30)
     middle = -(offset * step).sum(axis=1) / square
@@ -167,25 +173,26 @@ def _fractions_within(offset: FloatArray, step: FloatArray, radius: float) -> tu
     margin = (radius * radius - (nearest * nearest).sum(axis=1)) / square
     half = np.sqrt(np.maximum(margin, 0.0))
     first, last = np.maximum(middle - half, 0.0), np.minimum(middle + half, 1.0)
-    none = (margin < 0.0) | (first > last)
-    return np.where(none, np.inf, first), np.where(none, -np.inf, last)
+    is_empty = (margin < 0.0) | (first > last)
+    return np.where(is_empty, np.inf, first), np.where(is_empty, -np.inf, last)
 
 
 def passing_tolerance(claim: MillsAlong) -> float:
-    """Return how near [m] a tool passes the points of its path.
+    """Return the distance [m] within which a tool has to pass each point of its path.
 
-    A corner that is rounded within the tolerance of both legs deviates from the corner by sqrt(2) times the
-    tolerance at 90 degrees. It deviates less at wider corners and more at sharper ones, where arms stop. The
-    tolerance is at least the accuracy with which arms are assumed to follow the legs. Written values are
-    rounded.
+    A rounded corner that keeps the tolerance from both legs has the distance sqrt(2) times the tolerance from
+    the corner point at 90 degrees. At wider corners it is less, and at sharper ones, where it would be more,
+    arms stop. The tolerance is at least the accuracy with which arms are assumed to follow the legs. The
+    rounding of written positions is added.
     """
     return math.sqrt(2.0) * max(claim.tolerance, PATH_ACCURACY_M) + WRITTEN_ROUNDING_M
 
 
 def rows_to_check(tip: FloatArray, axis: FloatArray, tolerance: float) -> IntArray:
-    """Return the rows (K,) of samples (T, 3) at which a path is compared with the claim.
+    """Return the indices (K,) of the samples at which a track is compared with the claim.
 
-    They are two tolerances apart, with both ends. Between them a tool deviates by at most one tolerance more.
+    They are two tolerances apart, and include both ends. Between them a tool deviates by at most one
+    tolerance more.
 
     Args:
         tip: Tips (T, 3) [m].
@@ -197,7 +204,7 @@ def rows_to_check(tip: FloatArray, axis: FloatArray, tolerance: float) -> IntArr
     lengths = np.linalg.norm(np.diff(tip, axis=0), axis=1)
     lengths = np.maximum(lengths, AXIS_LEVER_M * np.linalg.norm(np.diff(axis, axis=0), axis=1))
     number = np.floor(np.append(0.0, np.cumsum(lengths)) / (2.0 * tolerance))
-    # the first sample after each mark, and the last one before it if a mark is skipped
+    # The first sample after each mark, and the last one before it if a mark is skipped.
     marks = np.diff(number)
     return np.flatnonzero(np.append(True, marks > 0.0) | np.append(marks > 1.0, True))
 
@@ -206,11 +213,11 @@ class _PathMatch(NamedTuple):
     """Match of a sample with a path.
 
     Attributes:
-        stretch: Number of the stretch.
-        fraction: Position on it, from 0 to 1.
-        distance: Distance of the sample [m].
-        angle: Angle between the axes [rad].
-        cost: Larger of both as a fraction of the limit.
+        stretch: Index of the stretch.
+        fraction: Position on the stretch, from 0 to 1.
+        distance: Distance [m] of the sample from this position.
+        angle: Angle [rad] between the axis of the sample and the required one.
+        cost: The larger one of distance and angle, each as a fraction of its limit.
     """
 
     stretch: int
@@ -221,10 +228,7 @@ class _PathMatch(NamedTuple):
 
 
 class _ClaimedPath:
-    """A claimed path as stretches from point to point.
-
-    The tip moves straight and the axis rotates evenly on each.
-    """
+    """A claimed path: from point to point, the tip moves straight and the axis rotates evenly."""
 
     def __init__(self, claim: MillsAlong) -> None:
         self.claim = claim
@@ -233,14 +237,14 @@ class _ClaimedPath:
         square = np.maximum((self.step * self.step).sum(axis=1), 1e-24)
         axis_square = np.maximum((axis_step * axis_step).sum(axis=1), 1e-24)
         angle = 2.0 * np.arcsin(np.clip(0.5 * np.sqrt(axis_square), 0.0, 1.0))
-        # samples are matched one by one with few stretches each: Python numbers are faster than arrays
+        # Samples are matched one by one with few stretches each, so Python numbers are faster than arrays.
         self.along: Row = np.append(0.0, np.cumsum(np.sqrt(square + AXIS_LEVER_M**2 * axis_square))).tolist()
         self.points: list[tuple[Row, Row]] = list(zip(claim.tip.tolist(), claim.axis.tolist(), strict=True))
         self.steps: list[Row] = self.step.tolist()
         self.axis_steps: list[Row] = axis_step.tolist()
-        half, wide = np.maximum(0.5 * angle, 1e-12), np.maximum(angle, 1e-9)
-        # squares of step and change of axis; half of the rotation and all of it, each with its sine
-        sizes = [square, axis_square, half, np.sin(half), wide, np.sin(wide)]
+        half_angle, whole_angle = np.maximum(0.5 * angle, 1e-12), np.maximum(angle, 1e-9)
+        # Squares of the step and of the change of the axis; half of the rotation and all of it, with sines.
+        sizes = [square, axis_square, half_angle, np.sin(half_angle), whole_angle, np.sin(whole_angle)]
         self.sizes: list[Row] = np.stack(sizes, axis=1).tolist()
 
     def position(self, stretch: int, fraction: float) -> float:
@@ -248,10 +252,9 @@ class _ClaimedPath:
         return self.along[stretch] + fraction * (self.along[stretch + 1] - self.along[stretch])
 
     def match(self, tip: Row, axis: Row, stretch: int, fraction: float) -> _PathMatch:
-        """Match a sample with the stretches from ``fraction`` of ``stretch`` on.
+        """Match a sample with the path from ``fraction`` of ``stretch`` on, as :func:`match_path` describes.
 
-        It is the first stretch whose tolerances the sample keeps, or the nearest of those that follow as long
-        as it keeps them, the first of equal ones. If it keeps none, it is the nearest of all.
+        If the sample keeps no tolerance, the match is the nearest stretch within the search distance.
         """
         current = self.position(stretch, fraction)
         end = bisect_left(self.along, current + SEARCH_DISTANCE_M + 20.0 * self.claim.tolerance)
@@ -265,31 +268,32 @@ class _ClaimedPath:
         return self._advance(tip, axis, candidate, end) if candidate.cost <= 1.0 else best
 
     def _advance(self, tip: Row, axis: Row, first: _PathMatch, end: int) -> _PathMatch:
-        """Return the nearest of the stretches from ``first`` on.
+        """Return the nearest match among the stretch of ``first`` and those that follow.
 
-        The search ends where the stretches, or the points between them, do not keep the tolerances. Of equal
-        stretches it is the first.
+        The search ends where the sample does not keep the tolerances of a stretch, or of the point before it.
+        Of equally near matches the first one is returned.
         """
-        kept = [first]
+        matches = [first]
         for number in range(first.stretch + 1, end):
             candidate = self._match_stretch(tip, axis, number)
             if candidate.cost > 1.0 or self._cost(*_deviation(tip, axis, *self.points[number])) > 1.0:
                 break
-            kept.append(candidate)
-        min_cost = min(candidate.cost for candidate in kept)
-        return next(candidate for candidate in kept if candidate.cost <= min_cost + 1e-6)
+            matches.append(candidate)
+        min_cost = min(candidate.cost for candidate in matches)
+        return next(candidate for candidate in matches if candidate.cost <= min_cost + 1e-6)
 
     def _match_stretch(self, tip: Row, axis: Row, number: int, min_fraction: float = 0.0) -> _PathMatch:
-        """Return where a sample is nearest to a stretch, not before ``min_fraction`` of it.
+        """Return the nearest match of a sample with a stretch, not before ``min_fraction`` of it.
 
-        Candidates follow from the tip and from the axis, because one of them may not move. The better one is
-        used.
+        One candidate is nearest to the tip, another one to the axis, because tip or axis may stand still on
+        the stretch. The better candidate is used.
         """
         start, axis_start = self.points[number]
-        square, axis_square, half, sine_of_half, _, _ = self.sizes[number]
+        square, axis_square, half_angle, sine_of_half, _, _ = self.sizes[number]
         by_tip = _dot(_subtract(tip, start), self.steps[number]) / square
         chord = min(max(_dot(_subtract(axis, axis_start), self.axis_steps[number]) / axis_square, 0.0), 1.0)
-        by_axis = 0.5 + 0.5 * math.asin((2.0 * chord - 1.0) * sine_of_half) / half
+        # Fraction of the rotation from the fraction of its chord.
+        by_axis = 0.5 + 0.5 * math.asin((2.0 * chord - 1.0) * sine_of_half) / half_angle
         first, second = (max(min(max(guess, 0.0), 1.0), min_fraction) for guess in (by_tip, by_axis))
         match = self._compare(tip, axis, number, first)
         if second == first:
@@ -301,23 +305,25 @@ class _ClaimedPath:
         """Compare a sample with a position on a stretch."""
         start, axis_start = self.points[number]
         axis_end, step = self.points[number + 1][1], self.steps[number]
-        *_, wide, sine = self.sizes[number]
-        start_weight, end_weight = math.sin((1.0 - fraction) * wide) / sine, math.sin(fraction * wide) / sine
-        distance, turn = _deviation(
+        *_, whole_angle, sine = self.sizes[number]
+        # Weights of the spherical interpolation between the axes.
+        start_weight = math.sin((1.0 - fraction) * whole_angle) / sine
+        end_weight = math.sin(fraction * whole_angle) / sine
+        distance, angle = _deviation(
             tip,
             axis,
             _combine(start, 1.0, step, fraction),
             _combine(axis_start, start_weight, axis_end, end_weight),
         )
-        return _PathMatch(number, fraction, distance, turn, self._cost(distance, turn))
+        return _PathMatch(number, fraction, distance, angle, self._cost(distance, angle))
 
     def _cost(self, distance: float, angle: float) -> float:
-        """Return the larger deviation as a fraction of the limit."""
+        """Return the larger one of distance [m] and angle [rad], each as a fraction of its limit."""
         return max(distance / (self.claim.tolerance + WRITTEN_ROUNDING_M), angle / self.claim.turn)
 
 
 def _deviation(tip: Row, axis: Row, point: Row, required_axis: Row) -> tuple[float, float]:
-    """Return the distance [m] and angle [rad] between a sample and one position and axis."""
+    """Return the distance [m] and angle [rad] between a sample and a position with its required axis."""
     return math.dist(tip, point), 2.0 * math.asin(min(0.5 * math.dist(axis, required_axis), 1.0))
 
 
@@ -338,7 +344,8 @@ def _dot(a: Row, b: Row) -> float:
 
 
 FEED_TOLERANCE_FACTOR = 2.0
-"""Distance in tolerances within which other feeds before and after also count.
+"""Distance along the path, as a factor of the tolerance, within which feeds before and after a sample also
+count.
 
 Corners are rounded, and the position along the path is not known more accurately.
 """
@@ -347,13 +354,13 @@ Corners are rounded, and the position along the path is not known more accuratel
 def max_feeds(claim: MillsAlong, sample_rows: IntArray, deviation: PathDeviation, count: int) -> FloatArray:
     """Return the maximum feed (T - 1,) [m/s] from each of T samples to the next.
 
-    It is the highest of all stretches on which the tool may be.
+    It is the highest feed of all stretches of the path on which the tool may be.
 
     Args:
         claim: Claimed path.
-        sample_rows: Rows of the samples that were matched (K,).
-        deviation: Their matches.
-        count: Number of samples T.
+        sample_rows: Indices (K,) of the samples that were matched.
+        deviation: Result of :func:`match_path` for these samples.
+        count: Number T of samples.
     """
     previous = np.clip(
         np.searchsorted(sample_rows, np.arange(count - 1), side="right") - 1, 0, len(sample_rows) - 1
@@ -376,7 +383,7 @@ def max_feeds(claim: MillsAlong, sample_rows: IntArray, deviation: PathDeviation
 def range_maxima(values: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
     """Return the maximum (M,) of the values from ``first`` (M,) to ``last`` (M,), both included.
 
-    It uses a sparse table of maxima over 1, 2, 4 ... values.
+    A sparse table of the maxima over 1, 2, 4 ... values is used.
 
     Args:
         values: Values (N,).

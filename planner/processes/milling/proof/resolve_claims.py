@@ -1,9 +1,9 @@
 """Resolves claims on milling that name a G-code file or curves, to paths and feeds of segments.
 
-- G-code, by the proof's own reader: its passes as paths and feeds, the moves between them, and what the
-  operator is asked before each.
-- Engraving, from the drawn curves and the part's face alone: each curve projected along z onto the face, at
-  the required depth, with the axis as the problem states.
+- G-code, by the proof's own reader: its passes as paths and feeds, the moves between them, and the question
+  to the operator before each pass.
+- Engraving, from the drawn curves and the part's face alone: each curve is projected along z onto the face.
+  The path has the required depth and the axis that the problem states.
 - Moves of a cutter from the safe plane to a pass and back, by the problem's values: straight along its own
   axis.
 """
@@ -98,7 +98,7 @@ def safe_point(safe: SafeMoves, tip: FloatArray, axis: FloatArray) -> FloatArray
 ARC_CHORD_FRACTION = 0.05
 """Chord error of arcs as a fraction of the tolerance. The problem's value is used if it is smaller."""
 POINT_TOLERANCE_M = 1e-6
-"""A stretch whose points are all within this distance [m] of its first one is not a pass."""
+"""Distance [m] from the first position within which a stretch of cuts does not count as a pass."""
 PASS_LEVER_M = 0.05
 """Distance behind the tip [m] of the point that represents the axis."""
 
@@ -109,8 +109,8 @@ class ProgramPass:
 
     Attributes:
         number: Number of the pass, from 1.
-        path: Its positions with its waits.
-        question: Question to the operator before it.
+        path: Positions of the pass, and its waits.
+        question: Question to the operator before the pass, "" if there is none.
     """
 
     number: int
@@ -119,7 +119,7 @@ class ProgramPass:
 
     @property
     def waits(self) -> tuple[tuple[FloatArray, float], ...]:
-        """Where (3,) [m] and how long [s] the tool waits after its first position."""
+        """Position (3,) [m] and duration [s] of each wait after the first position of the pass."""
         return tuple((self.path.tip[at - 1], seconds) for seconds, at in self.path.waits if at > 1)
 
 
@@ -147,7 +147,7 @@ def program_passes(program: MillsProgram) -> tuple[ProgramPass, ...]:
         ),
         1,
     ):
-        pauses = [line for line, at in path.pauses if previous_row < at - 1 <= first]
+        pauses = [line for line, before_count in path.pauses if previous_row < before_count - 1 <= first]
         parts = [milling_sentences.FILE_LINE.format(line=line) for line in pauses]
         pass_speed = float(path.spindle[last])
         if pass_speed != speed:
@@ -165,13 +165,13 @@ def program_passes(program: MillsProgram) -> tuple[ProgramPass, ...]:
 
 
 def _extent(path: ProgrammedPath, rows: slice) -> float:
-    """Return how far [m] a stretch extends from its first position, by the tip or the lever."""
+    """Return how far [m] a stretch gets from its first position: the larger value of tip and lever point."""
     tip, lever_point = path.tip[rows], path.tip[rows] + PASS_LEVER_M * path.axis[rows]
     return float(max(np.linalg.norm(points - points[0], axis=1).max() for points in (tip, lever_point)))
 
 
 def _longest_wait(path: ProgrammedPath) -> float:
-    """Return the longest wait [s] at one position. Positions within ``POINT_TOLERANCE_M`` are one."""
+    """Return the longest wait [s] at one position. Successive waits within ``POINT_TOLERANCE_M`` add up."""
     moved = np.linalg.norm(np.diff(path.tip, axis=0), axis=1) > POINT_TOLERANCE_M
     moved |= np.linalg.norm(np.diff(path.axis, axis=0), axis=1) > POINT_TOLERANCE_M
     stretch = np.concatenate([[0], np.cumsum(moved)])
@@ -182,6 +182,7 @@ def _longest_wait(path: ProgrammedPath) -> float:
 
 
 def _path_slice(path: ProgrammedPath, rows: slice) -> ProgrammedPath:
+    """Return the positions ``rows`` of a path with the waits at them, without pauses."""
     tip, axis, feed, cuts = path.tip[rows], path.axis[rows], path.feed[rows], path.cuts[rows]
     waits = tuple((seconds, at - rows.start) for seconds, at in path.waits if rows.start < at <= rows.stop)
     return ProgrammedPath(tip, axis, feed, cuts, path.spindle[rows], path.line[rows], (), waits)
@@ -190,13 +191,13 @@ def _path_slice(path: ProgrammedPath, rows: slice) -> ProgrammedPath:
 def program_dialogue(
     claim: OperatorDialogue, programs: Sequence[MillsProgram], known: Mapping[str, tuple[ProgramPass, ...]]
 ) -> OperatorDialogue:
-    """Add to a dialogue what files ask, and their waits.
+    """Return the dialogue of an operation, completed by questions and waits from the passes of its files.
 
-    Questions before the very first pass join those that are asked in any case. Others are asked on the safe
-    plane with the spindle stopped.
+    The question before the first pass of the operation is asked at its start. The others are asked on the
+    safe plane with the spindle stopped.
 
     Args:
-        claim: Dialogue of the operation.
+        claim: Dialogue of the operation without its files.
         programs: Claims on files, in order.
         known: Passes by name of the program.
     """
@@ -254,7 +255,7 @@ def engraving_claims(claim: Engraves) -> Iterator[Claim]:
         claim: Claim on the engraving.
 
     Raises:
-        NotThereError: A curve is missing or not over the face.
+        CurveReadError: A curve is missing, cannot be read, or is not over the face.
     """
     claim = dataclasses.replace(
         claim, curves=split_curves(claim.curves), axis_curves=split_curves(claim.axis_curves)
@@ -281,7 +282,7 @@ def engraving_claims(claim: Engraves) -> Iterator[Claim]:
 
 
 def _curve_claims(claim: Engraves, face: PlanFace, number: int, curve: FloatArray) -> tuple[MillsAlong, ...]:
-    """Return the claims on the path along a curve (K, 3) [m], down to it and up from it."""
+    """Return the claims on the paths along, down to and up from curve ``number`` of a claim, (K, 3) [m]."""
     tip, axis = engraving_tool(claim, face, number, curve)
     segment, feed = Segment(MILL, f"{claim.name}_c{number + 1}"), np.full(len(tip), claim.feed)
     return (
@@ -294,22 +295,26 @@ def _curve_claims(claim: Engraves, face: PlanFace, number: int, curve: FloatArra
 def engraving_tool(
     claim: Engraves, face: PlanFace, number: int, curve: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return tips and axes (N, 3) along a curve.
+    """Return tips (N, 3) [m] and axes (N, 3) along a curve.
 
     Args:
         claim: Claim on the engraving.
         face: Face of the part.
-        number: Number of the curve, from 0.
+        number: Index of the curve in the claim.
         curve: Points of the curve (K, 3) [m].
 
     Raises:
-        NotThereError: The curve is not over the face.
+        CurveReadError: The curve is not over the face, or its axis curve cannot be read.
     """
     corners = claim.curves[number].kind in CORNERED_KINDS
     projected = face.points_over(resample_curve(curve, corners)[:, :2])
     if not np.isfinite(projected.point).all():
-        at = resample_curve(curve, corners)[int(np.argmin(np.isfinite(projected.point[:, 2])))] / MILLIMETRE_M
-        raise CurveReadError(f"curve {number + 1} is not over the face at {at[0]:.1f}, {at[1]:.1f} mm")
+        off_face_mm = (
+            resample_curve(curve, corners)[int(np.argmin(np.isfinite(projected.point[:, 2])))] / MILLIMETRE_M
+        )
+        raise CurveReadError(
+            f"curve {number + 1} is not over the face at {off_face_mm[0]:.1f}, {off_face_mm[1]:.1f} mm"
+        )
     axis = _tool_axes(claim, number, projected)
     contact = projected.point - claim.depth * projected.normal
     return tool_tips(contact, projected.normal, axis, claim.cutter), axis
@@ -324,15 +329,16 @@ def resample_curve(curve: FloatArray, corners: bool) -> FloatArray:
     """
     lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1)))
     count = max(int(np.ceil(lengths[-1] / CURVE_SPACING_M)), 2)
-    at = lengths[-1] * np.arange(count + 1) / count
-    at = np.union1d(at, lengths) if corners else at
-    return np.stack([np.interp(at, lengths, curve[:, k]) for k in range(3)], axis=1)
+    positions = lengths[-1] * np.arange(count + 1) / count
+    positions = np.union1d(positions, lengths) if corners else positions
+    return np.stack([np.interp(positions, lengths, curve[:, k]) for k in range(3)], axis=1)
 
 
 def tool_tips(contact: FloatArray, normal: FloatArray, axis: FloatArray, cutter: Cutter) -> FloatArray:
-    """Return tips (N, 3) of a cutter that touches planes.
+    """Return the tips (N, 3) [m] of a cutter that touches planes.
 
-    From the contact the path leads to the centre of the edge's tube, in to the axis, and down the axis.
+    The rounded edge of the cutter is a tube about a circle. Three vectors lead from the contact to the tip:
+    along the normal to the centre of the tube, inwards to the axis, and down the axis.
 
     Args:
         contact: Contact points (N, 3) [m].
@@ -348,7 +354,7 @@ def tool_tips(contact: FloatArray, normal: FloatArray, axis: FloatArray, cutter:
 
 
 def _tool_axes(claim: Engraves, number: int, projected: PlanFacePoints) -> FloatArray:
-    """Return axes (N, 3) from the tip to the spindle."""
+    """Return tool axes (N, 3), to the spindle, at projected points of the curve with index ``number``."""
     count = len(projected.point)
     if claim.axis == "upright":
         return np.tile([0.0, 0.0, 1.0], (count, 1))
@@ -363,8 +369,10 @@ def _tool_axes(claim: Engraves, number: int, projected: PlanFacePoints) -> Float
             drawn.kind in CORNERED_KINDS,
         )
         fractions = [_length_fractions(row) for row in (projected.point, axis_curve)]
-        at = np.stack([np.interp(fractions[0], fractions[1], axis_curve[:, k]) for k in range(3)], axis=1)
-        return _unit(at - projected.point)
+        axis_points = np.stack(
+            [np.interp(fractions[0], fractions[1], axis_curve[:, k]) for k in range(3)], axis=1
+        )
+        return _unit(axis_points - projected.point)
     previous, following = np.maximum(np.arange(count) - 1, 0), np.minimum(np.arange(count) + 1, count - 1)
     chord = projected.point[following] - projected.point[previous]
     feed_direction = _unit(chord - (chord * projected.normal).sum(axis=1, keepdims=True) * projected.normal)
@@ -372,8 +380,8 @@ def _tool_axes(claim: Engraves, number: int, projected: PlanFacePoints) -> Float
     return _unit(projected.normal + np.tan(claim.lead) * feed_direction + np.tan(claim.tilt) * left)
 
 
-def _length_fractions(row: FloatArray) -> FloatArray:
-    lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(row, axis=0), axis=1)))
+def _length_fractions(points: FloatArray) -> FloatArray:
+    lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     return np.asarray(lengths / lengths[-1])
 
 
@@ -382,8 +390,9 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 
 MILL_PATH = "verify.mill_path"
-"""Code of the rule that these paths belong to."""
+"""Code of the rule on the paths of cutters."""
 Claims = Mapping[str, tuple[Claim, ...]]
+"""Claims by the name of their operation."""
 
 
 def resolve_claims(claims: Claims) -> tuple[Claims, tuple[Issue, ...]]:
@@ -393,7 +402,7 @@ def resolve_claims(claims: Claims) -> tuple[Claims, tuple[Issue, ...]]:
         claims: Claims by operation.
 
     Returns:
-        The resolved claims, and issues of what could not be read.
+        The resolved claims, and issues about files and curves that cannot be read.
     """
     issues: list[Issue] = []
     out = {name: tuple(_resolve_group(group, issues)) for name, group in claims.items()}
@@ -401,47 +410,50 @@ def resolve_claims(claims: Claims) -> tuple[Claims, tuple[Issue, ...]]:
 
 
 def _resolve_group(group: tuple[Claim, ...], issues: list[Issue]) -> Iterator[Claim]:
+    """Yield the claims of an operation, with those on files and curves resolved; add faults to ``issues``."""
     programs = [claim for claim in group if isinstance(claim, MillsProgram)]
-    known = {program.name: _readable_passes(program, issues) for program in programs}
+    passes_by_program = {program.name: _readable_passes(program, issues) for program in programs}
     for claim in group:
         if isinstance(claim, MillsProgram):
-            for program_pass in known[claim.name]:
+            for program_pass in passes_by_program[claim.name]:
                 yield from pass_claims(claim, program_pass)
         elif isinstance(claim, Engraves):
             try:
                 yield from engraving_claims(claim)
             except CurveReadError as error:
-                what = f"{claim.name}: {error}. The planner found it otherwise; report this as a defect"
-                issues.append(Issue(MILL_PATH, what, field=claim.name))
-        elif isinstance(claim, SparesPart) and known:
-            yield dataclasses.replace(claim, segments=tuple(_expand_segments(claim.segments, known)))
-        elif isinstance(claim, OperatorDialogue) and known:
-            yield program_dialogue(claim, programs, known)
+                message = f"{claim.name}: {error}. The planner found it otherwise; report this as a defect"
+                issues.append(Issue(MILL_PATH, message, field=claim.name))
+        elif isinstance(claim, SparesPart) and passes_by_program:
+            yield dataclasses.replace(
+                claim, segments=tuple(_expand_segments(claim.segments, passes_by_program))
+            )
+        elif isinstance(claim, OperatorDialogue) and passes_by_program:
+            yield program_dialogue(claim, programs, passes_by_program)
         else:
             yield claim
 
 
 def _expand_segments(
-    segments: tuple[Segment, ...], known: Mapping[str, tuple[ProgramPass, ...]]
+    segments: tuple[Segment, ...], passes_by_program: Mapping[str, tuple[ProgramPass, ...]]
 ) -> Iterator[Segment]:
-    """Yield the segments, with the passes of a file instead of the name of that file's cut."""
+    """Yield the segments, each that stands for a file replaced by those of the file's passes."""
     for segment in segments:
-        if segment.name in known:
+        if segment.name in passes_by_program:
             yield from (
                 Segment(segment.kind, f"{segment.name}_{program_pass.number}")
-                for program_pass in known[segment.name]
+                for program_pass in passes_by_program[segment.name]
             )
         else:
             yield segment
 
 
 def _readable_passes(program: MillsProgram, issues: list[Issue]) -> tuple[ProgramPass, ...]:
-    """Return the passes of a file, or none and an issue if it cannot be read."""
+    """Return the passes of a file. If it cannot be read, return none, and add an issue to ``issues``."""
     try:
         return program_passes(program)
     except UnreadableError as error:
         path = str(program.file.path)
         where = f"{path}, line {error.line}" if error.line else path
-        what = f"{where}: the proof's G-code reader cannot read it: {error}; correct the file"
-        issues.append(Issue(MILL_PATH, what, file=path, line=error.line or None))
+        message = f"{where}: the proof's G-code reader cannot read it: {error}; correct the file"
+        issues.append(Issue(MILL_PATH, message, file=path, line=error.line or None))
         return ()

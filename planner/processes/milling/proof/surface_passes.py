@@ -1,11 +1,10 @@
-"""How a cutter passes a ruled surface with its flank, and a face with its end.
+"""Comparison of passes with their claims: the flank of a cutter along a ruled surface, its end over a face.
 
-The flank is compared with the guides alone: distance of the axis from both, depth of the tip, whether it
-passes all of them in the required direction, and where it comes from. For the end it is the distance from the
-face, whether it goes beyond the edge, and the tilt.
+A flank is compared with the guides alone: distance of the axis from both, depth of the tip, direction and
+completeness of the pass, and its leads. The end of a cutter is compared with the face: its distance from the
+face, how far it goes beyond the edge, and its tilt.
 
-A face is seen from above: the point over any x and y, and the smooth normal there. The planner has its own
-code for this. Here triangles are found by a tree of their outlines, and planes are solved for heights.
+A face is seen from above, as points with smooth normals over x and y. It shares no code with the planner.
 """
 
 import dataclasses
@@ -21,9 +20,11 @@ from planner.tooling import Cutter
 MAX_SAMPLES = 400
 """Number of samples that are compared with all rulings at once."""
 END_LENGTH_M = 0.5e-3
-"""Length [m] at the end of a pass that defines the direction in which it continues."""
+"""Length [m] at the end of a pass that defines the direction in which its lead continues."""
 LEAD_DEVIATION_FRACTION = 0.05
-"""Allowed deviation of a lead from the direction in which the surface ends, as a fraction of its length."""
+"""Allowed deviation of a lead from the continuation of its pass, as a fraction of the distance from the
+pass.
+"""
 MAX_LEAD_ROTATION_RAD = np.deg2rad(10.0)
 """Maximum rotation of a tool along a lead [rad]."""
 MAX_LEAD_LENGTH_FACTOR = 1.25
@@ -32,7 +33,7 @@ MAX_LEAD_LENGTH_FACTOR = 1.25
 The ends of a rotating tool move by different distances.
 """
 _MIN_LENGTH_M = 1e-12
-"""Lower bound of divisors that are lengths [m]."""
+"""Minimum of lengths [m] that are divisors, to avoid division by 0."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,9 +41,9 @@ class FlankPassResult:
     """Result for T samples of a pass.
 
     Attributes:
-        deviation: Deviation (T,) as a fraction of the limit, the largest of all criteria.
-        criterion: Criterion that has it.
-        faults: Faults of the whole pass.
+        deviation: Largest deviation (T,) of all criteria, each as a fraction of its limit.
+        criterion: Criterion with the largest deviation, for each sample.
+        faults: Faults of the whole pass, for messages.
     """
 
     deviation: FloatArray
@@ -55,10 +56,10 @@ class LeadResult:
     """Result for T samples of a lead.
 
     Attributes:
-        deviation: Deviation (T,) as in :class:`FlankPassResult`.
+        deviation: Deviation (T,) as a fraction of the limit, from the nearer one of both parts of the lead.
         is_axial: Whether the sample is on the straight move along the tool's axis (T,).
-        is_lateral: Whether it is on the continuation of the surface (T,).
-        faults: Faults of the whole lead.
+        is_lateral: Whether the sample is on the continuation of the surface (T,).
+        faults: Faults of the whole lead, for messages.
     """
 
     deviation: FloatArray
@@ -73,9 +74,9 @@ class _NearestPoints:
 
     Attributes:
         points: Points (T, 3) [m].
-        indices: Fractional indices along the guide (T,).
-        offsets: Vectors from there to the axis, normal to it (T, 3) [m].
-        heights: Positions of the points along the axis, from the tip (T,) [m].
+        indices: Fractional indices of the points along the guide (T,).
+        offsets: Vectors from the points to the axes, normal to the axes (T, 3) [m].
+        heights: Coordinates of the points along the axes, from the tip (T,) [m].
     """
 
     points: FloatArray
@@ -85,17 +86,18 @@ class _NearestPoints:
 
 
 def pass_lift(claim: MillsFlank, number: int) -> float:
-    """Return how far [m] the tip of a pass is above that of the last pass.
+    """Return the height [m] of the tip in a pass above the tip in the last pass.
 
     Args:
         claim: Claim on the surface.
-        number: Number of the pass, from 0.
+        number: Index of the pass.
     """
-    rough = len(claim.segments) - 1
-    return _total_depth(claim) * (1.0 - (number + 1) / rough) if number < rough else 0.0
+    rough_count = len(claim.segments) - 1
+    return _total_depth(claim) * (1.0 - (number + 1) / rough_count) if number < rough_count else 0.0
 
 
 def _total_depth(claim: MillsFlank) -> float:
+    """Return the length [m] of the longest ruling, with the overrun of the tip."""
     return float(np.linalg.norm(claim.high - claim.low, axis=1).max()) + claim.tip_overrun
 
 
@@ -104,7 +106,7 @@ def check_pass(claim: MillsFlank, number: int, tip: FloatArray, axis: FloatArray
 
     Args:
         claim: Claim on the surface.
-        number: Number of the pass, from 0.
+        number: Index of the pass.
         tip: Tips (T, 3) [m].
         axis: Axes (T, 3).
     """
@@ -113,7 +115,8 @@ def check_pass(claim: MillsFlank, number: int, tip: FloatArray, axis: FloatArray
     axis_offset = claim.axis_offset + (claim.roughing_allowance if is_roughing else 0.0)
     depth = claim.tip_overrun - pass_lift(claim, number)
     ruling_lengths = np.linalg.norm(high - low, axis=1)
-    # an axis that leads on one guide is longer than the ruling; roughing distributes the difference
+    # On an axis that leads on one guide the guides are farther apart than on the ruling. Roughing passes
+    # distribute the difference.
     extra_length = (
         float(np.hypot(ruling_lengths.max(), axis_offset) - ruling_lengths.max()) if is_roughing else 0.0
     )
@@ -141,16 +144,17 @@ def check_pass(claim: MillsFlank, number: int, tip: FloatArray, axis: FloatArray
 
 
 def _closed_guide(claim: MillsFlank, guide: FloatArray) -> FloatArray:
+    """Return a guide (M, 3), with its first point repeated at the end if the surface is closed."""
     return np.concatenate([guide, guide[:1]]) if claim.closed else guide
 
 
 def _nearest_on_guide(
     guide: FloatArray, required: FloatArray, tip: FloatArray, axis: FloatArray
 ) -> _NearestPoints:
-    """Return where axes (T, 3) through tips (T, 3) are nearest to a guide (M, 3).
+    """Return the points of a guide (M, 3) that are nearest to axes (T, 3) through tips (T, 3).
 
-    The cost is the squared distance normal to the axis plus the squared difference between the height along
-    the axis and ``required`` (M,).
+    A point is nearest if the sum of two squares is smallest: of its distance normal to the axis, and of the
+    difference between its height along the axis and the ``required`` height (M,) above the tip.
     """
     number, fraction = np.empty(len(tip), dtype=np.int64), np.empty(len(tip))
     for first in range(0, len(tip), MAX_SAMPLES):
@@ -176,9 +180,9 @@ def _nearest_on_guide(
 def _ruling_shift(
     low: FloatArray, high: FloatArray, low_points: _NearestPoints, high_points: _NearestPoints
 ) -> FloatArray:
-    """Return how far (T,) [m] the nearest points of both guides are from being on one ruling.
+    """Return the distance (T,) [m] along a guide by which the nearest points of both guides miss one ruling.
 
-    The guide with the smaller value counts.
+    It is taken on both guides, and the smaller value counts.
     """
     on_high = np.linalg.norm(_interpolate_guide(high, low_points.indices) - high_points.points, axis=1)
     on_low = np.linalg.norm(_interpolate_guide(low, high_points.indices) - low_points.points, axis=1)
@@ -186,27 +190,30 @@ def _ruling_shift(
 
 
 def _interpolate_guide(guide: FloatArray, indices: FloatArray) -> FloatArray:
+    """Return the points (T, 3) [m] of a guide (M, 3) at fractional indices (T,)."""
     first = np.clip(indices.astype(np.int64), 0, len(guide) - 2)
     fraction = (indices - first)[:, None]
     return np.asarray((1.0 - fraction) * guide[first] + fraction * guide[first + 1])
 
 
 def _wrong_side(claim: MillsFlank, low: FloatArray, high: FloatArray, nearest: _NearestPoints) -> FloatArray:
-    """Return a value above 1 (T,) where the axis is on the inner side of the surface.
+    """Return a deviation (T,) as a fraction of its limit: 2 where the axis is on the inner side, else 0.
 
-    At a corner it is sufficient to be outside of one of the two surfaces.
+    At a corner it is sufficient that the axis is on the outer side of one of the two surfaces.
     """
     normal = _normals(claim, low, high)
-    sides_rows = np.stack(
+    # The two strips between rulings next to the nearest point. They are equal unless the point is on a
+    # ruling.
+    strip_rows = np.stack(
         [np.floor(nearest.indices - 1e-6), np.floor(nearest.indices + 1e-6)], axis=1
     ).astype(np.int64)
-    sides_rows = sides_rows % len(normal) if claim.closed else np.clip(sides_rows, 0, len(normal) - 1)
-    side = np.einsum("tkd,td->tk", normal[sides_rows], nearest.offsets).max(axis=1)
+    strip_rows = strip_rows % len(normal) if claim.closed else np.clip(strip_rows, 0, len(normal) - 1)
+    side = np.einsum("tkd,td->tk", normal[strip_rows], nearest.offsets).max(axis=1)
     return np.where(side > 0.0, 0.0, 2.0)
 
 
 def _normals(claim: MillsFlank, low: FloatArray, high: FloatArray) -> FloatArray:
-    """Return normals (M - 1, 3) between rulings, to the side of the cutter and not of unit length."""
+    """Return normals (M - 1, 3), not of unit length, of the strips between rulings, to the cutter's side."""
     along = np.diff(low, axis=0) + np.diff(high, axis=0)
     ruling = (high - low)[:-1] + (high - low)[1:]
     return np.asarray(claim.outward_sign * np.cross(along, ruling))
@@ -220,10 +227,9 @@ def _order_faults(
     high_points: _NearestPoints,
     axis: FloatArray,
 ) -> list[str]:
-    """Return faults of the order along the guides: all of them, once, in the required direction."""
+    """Return faults if a pass does not run along the whole guides, once and in the required direction."""
     lengths = [
-        np.append(0.0, np.cumsum(np.linalg.norm(np.diff(guide_length, axis=0), axis=1)))
-        for guide_length in (low, high)
+        np.append(0.0, np.cumsum(np.linalg.norm(np.diff(guide, axis=0), axis=1))) for guide in (low, high)
     ]
     longer_guide = int(lengths[1][-1] > lengths[0][-1])
     guide_length, nearest = lengths[longer_guide], (low_points, high_points)[longer_guide]
@@ -232,13 +238,13 @@ def _order_faults(
     if claim.closed:
         step = (step + 0.5 * guide_length[-1]) % guide_length[-1] - 0.5 * guide_length[-1]
     total = float(step.sum())
-    slack = 4.0 * claim.tolerance
+    tolerance = 4.0 * claim.tolerance
     out = []
-    if abs(total) < float(guide_length[-1]) - slack:
+    if abs(total) < float(guide_length[-1]) - tolerance:
         out.append(
             f"it passes {1e3 * abs(total):.1f} of {1e3 * float(guide_length[-1]):.1f} mm of the surface"
         )
-    if len(step) and float((np.sign(total) * step).min()) < -slack:
+    if len(step) and float((np.sign(total) * step).min()) < -tolerance:
         out.append("it reverses")
     sign = float(np.sign(total))
     tangent = low[1] - low[0] + high[1] - high[0]
@@ -250,14 +256,16 @@ def _order_faults(
 
 
 def _step_faults(claim: MillsFlank) -> list[str]:
-    """Return faults of the depth of roughing passes."""
-    rough = len(claim.segments) - 1
+    """Return faults of the number and depth of roughing passes."""
+    rough_count = len(claim.segments) - 1
     if claim.stepdown is None:
-        return ["it has roughing passes that are not claimed"] if rough else []
-    step = _total_depth(claim) / max(rough, 1)
-    if rough and step <= claim.stepdown + claim.tolerance:
+        return ["it has roughing passes that are not claimed"] if rough_count else []
+    step = _total_depth(claim) / max(rough_count, 1)
+    if rough_count and step <= claim.stepdown + claim.tolerance:
         return []
-    return [f"{rough} roughing passes are {1e3 * step:.1f} mm deep each, allowed {1e3 * claim.stepdown:g}"]
+    return [
+        f"{rough_count} roughing passes are {1e3 * step:.1f} mm deep each, allowed {1e3 * claim.stepdown:g}"
+    ]
 
 
 def check_lead(
@@ -265,9 +273,11 @@ def check_lead(
 ) -> LeadResult:
     """Compare the samples of a lead with the claim.
 
+    A lead has two parts: first the tool continues the surface, then it is retracted along its axis.
+
     Args:
         claim: Claim on the surface.
-        number: Number of the pass, from 0.
+        number: Index of the pass.
         end: Tips and axes (2, 3) at the end of the pass and a little before it.
         tip: Tips of the lead (T, 3) [m], in the order away from the pass.
         axis: Axes of the lead (T, 3).
@@ -277,6 +287,7 @@ def check_lead(
     base, top = (end[0] + h * end[1] for h in (depth, depth + ruling_length))
     low, high = base[0] - base[1], top[0] - top[1]
     size = max(float(np.linalg.norm(low)), float(np.linalg.norm(high)), _MIN_LENGTH_M)
+    # Continuation of the middle of the ruling, and of the point at the tip guide.
     straight, first = 0.5 * (low + high) / size, low / size
     displacement = tip + depth * axis - base[0]
     distance = np.linalg.norm(displacement, axis=1)
@@ -290,7 +301,7 @@ def check_lead(
     allowed = claim.tolerance + LEAD_DEVIATION_FRACTION * distance
     tilt = _angle(axis, end[1][:1])
     is_lateral = (lateral_deviation <= allowed) & (tilt <= MAX_LEAD_ROTATION_RAD + claim.turn)
-    # the tool is retracted at the last sample of the initial stretch that continues the surface
+    # The tool is retracted at the farthest sample of the initial stretch that continues the surface.
     lateral_end = int(np.argmin(is_lateral)) if not is_lateral.all() else len(is_lateral)
     rows = np.arange(max(lateral_end, 1))
     retract_row = min(int(rows[np.argmax(distance[rows])]), _retract_start(tip, axis, claim))
@@ -319,9 +330,10 @@ def check_lead(
 
 
 def _retract_start(tip: FloatArray, axis: FloatArray, claim: MillsFlank) -> int:
-    """Return the sample from which on, away from the pass, the tool moves straight along its last axis.
+    """Return the index of the sample from which the tool moves straight along its last axis.
 
-    On a long lateral lead the first millimetres of that move are still within what is allowed beside it.
+    It is needed, because the first millimetres of this move are still within the tolerance of a long lateral
+    lead.
     """
     rise = ((tip - tip[-1]) * axis[-1]).sum(axis=1)
     lateral = np.linalg.norm(tip - tip[-1] - rise[:, None] * axis[-1], axis=1)
@@ -330,15 +342,15 @@ def _retract_start(tip: FloatArray, axis: FloatArray, claim: MillsFlank) -> int:
 
 
 def _ray_distance(points: FloatArray, direction: FloatArray) -> FloatArray:
-    """Return the distance (T,) of points (T, 3) from the ray along a direction (3,)."""
+    """Return the distance (T,) of points (T, 3) from the ray from the origin along a direction (3,)."""
     parameter = np.maximum(points @ direction / max(float(direction @ direction), _MIN_LENGTH_M), 0.0)
     return np.asarray(np.linalg.norm(points - parameter[:, None] * direction, axis=1))
 
 
 def _sector_distance(points: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the distance (T,) of points (T, 3) from the plane of two directions (3,).
+    """Return the distance (T,) of points (T, 3) from the plane through two directions (3,) from the origin.
 
-    It is infinite outside the sector between them.
+    It is infinite for points that are not over the sector between the directions.
     """
     normal = np.cross(first, second)
     size = float(np.linalg.norm(normal))
@@ -349,24 +361,23 @@ def _sector_distance(points: FloatArray, first: FloatArray, second: FloatArray) 
 
 
 def _angle(axis: FloatArray, other: FloatArray) -> FloatArray:
-    """Return angles (T,) [rad] between axes, by the chord, which is accurate for small angles."""
+    """Return angles (T,) [rad] between axes (T, 3), computed from chords so that small ones are accurate."""
     chord = np.linalg.norm(axis - other, axis=1)
     return np.asarray(2.0 * np.arcsin(np.clip(0.5 * chord, 0.0, 1.0)))
 
 
 CONTACT_ITERATIONS = 4
-"""Number of fixed-point iterations for the contact, each with the normal at the previous point."""
+"""Number of fixed-point iterations for the contact, each with the normal at the previous contact."""
 NORMAL_RADIUS_M = 1.5e-3
-"""Radius [m] around a point within which normals also count.
-
-Over a crease the tool rotates between two normals.
+"""Radius [m] around a point within which normals also count, because over a crease the tool rotates from one
+normal to another.
 """
 UPRIGHT_SINE = 1e-3
-"""Sine of the angle to the normal below which a flat end touches with its centre."""
+"""Sine of the angle between axis and normal below which a flat end touches with its centre."""
 
 
 def plan_area(corners: FloatArray, margin: float) -> shapely.Geometry:
-    """Return what triangles (F, 3, 3) cover in plan [m], without a strip along the edge.
+    """Return the area that triangles cover in plan [m], without a strip along its edge.
 
     Args:
         corners: Corners of the triangles (F, 3, 3) [m].
@@ -405,9 +416,9 @@ class MilledFace:
                 self._face.points_over(self._clamp_inside(tip[:, :2] + step)).normal for step in steps
             ]
             tilt = np.nanmin([_angle(axis, face_normal) for face_normal in (normal, *near_normals)], axis=0)
-        # from line to line a tool that is tilted along its feed tilts over, and its edge rises
-        flat, tube = claim.cutter.radius - claim.cutter.corner, claim.cutter.corner
-        edge_rise = flat * np.sin(claim.max_tilt) + tube * (1.0 - np.cos(claim.max_tilt))
+        # A tool that is tilted along its feed reverses its tilt from line to line, and its edge rises.
+        flat_radius, tube_radius = claim.cutter.radius - claim.cutter.corner, claim.cutter.corner
+        edge_rise = flat_radius * np.sin(claim.max_tilt) + tube_radius * (1.0 - np.cos(claim.max_tilt))
         allowed = claim.tolerance + beyond + np.where(gap > 0.0, edge_rise, 0.0)
         return {
             "off the face": np.abs(gap) / allowed,
@@ -418,9 +429,11 @@ class MilledFace:
     def _find_contact(self, tip: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the contact of the cutter's end with the face.
 
+        The end may touch with the inner or with the outer rim of its rounded edge. The nearer contact counts.
+
         Returns:
-            Distance beyond the edge (T,) [m], distance above or below the face (T,) [m], and the normal (T,
-            3).
+            Distance of the contact beyond the edge (T,) [m], its signed distance above the face (T,) [m], and
+            the normal of the face there (T, 3).
         """
         normal = self._face.points_over(self._clamp_inside(tip[:, :2])).normal
         infinite = np.full(len(tip), np.inf)
@@ -457,12 +470,13 @@ class MilledFace:
 def _contact_points(
     tip: FloatArray, axis: FloatArray, normal: FloatArray, cutter: Cutter, rim: float
 ) -> FloatArray:
-    """Return the points (T, 3) of a cutter's end that touch a plane with ``normal`` (T, 3).
+    """Return the points (T, 3) [m] of a cutter's end that touch planes with normals ``normal`` (T, 3).
 
-    The path leads up the axis to the height of the edge's tube, out to it by the fraction ``rim``, and down
-    along the normal.
+    The rounded edge of the cutter is a tube about a circle. Three vectors lead from the tip to the contact:
+    up the axis to the height of the tube's centre, outwards by the fraction ``rim`` of the circle's radius,
+    and down along the normal.
     """
-    out = (normal * axis).sum(axis=1, keepdims=True) * axis - normal
-    size = np.linalg.norm(out, axis=1, keepdims=True)
-    outward = np.where(size > UPRIGHT_SINE, out / np.maximum(size, 1e-12), 0.0)
+    lateral = (normal * axis).sum(axis=1, keepdims=True) * axis - normal
+    size = np.linalg.norm(lateral, axis=1, keepdims=True)
+    outward = np.where(size > UPRIGHT_SINE, lateral / np.maximum(size, 1e-12), 0.0)
     return np.asarray(tip + cutter.corner * (axis - normal) + rim * (cutter.radius - cutter.corner) * outward)

@@ -1,9 +1,9 @@
 """Motion and bodies of milling tools in the proof, and the face points that are compared with them.
 
 Tips and axes are in the block's frame, at as few samples of the replay as the motion between them allows. The
-tool is a sequence of solids of revolution whose distance from points is computed along a track. Face points
-near the tool's path are spaced by the size of the defects that are searched. Sharp edges leave narrow
-grooves, so they get closer points.
+tool is a sequence of solids of revolution whose distance from points is computed along a track. The distance
+between face points near the tool's path depends on the size of the defects that must be found. Sharp edges
+leave narrow grooves, so the points near them are closer.
 """
 
 import dataclasses
@@ -33,7 +33,7 @@ BEND_FRACTION = 0.1
 
 
 def in_block(tip: FloatArray, axis: FloatArray, length: float, radius: float, stock: Stock) -> BoolArray:
-    """Return whether (T,) a cutter is in the block, as a row of balls along its axis.
+    """Return whether (T,) a cutter, as a sequence of balls along its axis, is in the block.
 
     Args:
         tip: Tips in the block's frame (T, 3) [m].
@@ -46,16 +46,16 @@ def in_block(tip: FloatArray, axis: FloatArray, length: float, radius: float, st
     for back in np.append(np.arange(0.0, length, max(radius, 1e-3)), length):
         centre = tip + back * axis
         beyond = np.maximum(np.maximum(stock.lower - centre, centre - stock.upper), 0.0)
-        # the first ball represents the flat end of the tip, so it counts with almost no radius
+        # The first ball represents the flat end of the tip, so its radius is almost zero.
         ball_radius = 1e-6 if back == 0.0 else radius
         out |= np.linalg.norm(beyond, axis=1) < min(ball_radius, radius) - 1e-9
     return out
 
 
 class MillingMotion:
-    """Milling of one proof: its claims by setup, and tracks that are computed on demand.
+    """Milling in one proof: its claims by setup, and tracks that are computed on demand and cached.
 
-    ``executor`` runs what another process may compute meanwhile.
+    ``executor`` runs computations that another process may do meanwhile.
     """
 
     def __init__(self, context: Context, executor: Executor = SERIAL) -> None:
@@ -93,7 +93,7 @@ class MillingMotion:
         return (*claimed, *self._face_leads)
 
     def _claim_in_direction(self, index: int, claim: MillsAlong) -> MillsAlong:
-        """Return the claim for the direction in which the tool moves, if either direction is allowed."""
+        """Return a claim, or its reverse if both directions are allowed and the tool moves in reverse."""
         track = self.track(index, claim.arm, (claim.segment.key,)) if claim.back else None
         if claim.back is None or track is None or not len(track.rows):
             return claim
@@ -106,6 +106,10 @@ class MillingMotion:
 
     @cached_property
     def _face_leads(self) -> tuple[tuple[int, MillsAlong], ...]:
+        """Claims on the moves to and from passes over faces, each with its setup.
+
+        They start and end where the pass itself does in the motion.
+        """
         out: list[tuple[int, MillsAlong]] = []
         for index, claim in self.faces:
             for segment in claim.segments:
@@ -131,11 +135,11 @@ class MillingMotion:
 
     @cached_property
     def labels(self) -> frozenset[str]:
-        """Labels of all moves in which a face is spared, a surface made or a curve followed."""
-        names: list[Segment] = []
+        """Keys of all segments with a claim on a spared face, a milled surface or a path, leads included."""
+        segments: list[Segment] = []
         for _, claim in self.by_setup:
-            names += (claim.segment,) if isinstance(claim, MillsAlong) else claim.segments
-        return frozenset(part.key for name in names for part in name.all_phases)
+            segments += (claim.segment,) if isinstance(claim, MillsAlong) else claim.segments
+        return frozenset(part.key for segment in segments for part in segment.all_phases)
 
     def mounted_cutter(self, index: int, arm: str) -> Cutter | None:
         """Return the cutter of the tool on ``arm`` in setup ``index``, None if it has none."""
@@ -163,7 +167,7 @@ class MillingMotion:
             claim: Claimed path.
 
         Returns:
-            Rows of the compared samples and the deviation, None if the track has no samples.
+            Indices of the compared samples and the deviation, None if the track has no samples.
         """
         key = (index, id(claim))  # ids stay unique because the claims outlive this cache
         track = self.track(index, claim.arm, (claim.segment.key,))
@@ -175,17 +179,18 @@ class MillingMotion:
     def spaced_samples(
         self, index: int, arm: str, labels: tuple[str, ...], step: float, tolerance: float
     ) -> PathPositions:
-        """Return samples along :meth:`track`.
+        """Return samples along :meth:`track` at a given distance.
 
-        They are as :meth:`planner.proof.replay.tool_track.ReplayedToolPath.spaced` has them.
-        Each face is compared with them.
+        They are those of :meth:`planner.proof.replay.tool_track.ReplayedToolPath.spaced`, and are cached,
+        because several faces are compared with them.
 
         Args:
             index: Index of the setup.
             arm: Name of the arm.
             labels: Keys of the segments.
             step: Distance of the samples [m].
-            tolerance: Tolerance that decides which bends count [m].
+            tolerance: Tolerance [m]. Samples are added at bends until straight lines between them deviate by
+                at most ``BEND_FRACTION`` of it.
         """
         key = (index, arm, labels, step, tolerance)
         if key not in self._spaced:
@@ -193,7 +198,7 @@ class MillingMotion:
         return self._spaced[key]
 
     def samples_in_block(self, index: int, arm: str, cutter: Cutter) -> tuple[IntArray, IntArray, FloatArray]:
-        """Return where the cutter is in the block.
+        """Return the samples, and instants between samples, at which the cutter is in the block.
 
         Args:
             index: Index of the setup.
@@ -201,7 +206,8 @@ class MillingMotion:
             cutter: Its cutter.
 
         Returns:
-            Samples (M,), or the last ones before, with current moves (M,) and times (M,) [s].
+            Index (M,) of each sample, or of the last sample before an instant, current moves (M,), and times
+            (M,) [s].
         """
         queries, stock = self.context.motion.merged_samples, self.context.stock_at(index)
         rows = np.flatnonzero(with_start_stations(self.context.sample_setup[queries.sample] == index))
@@ -222,7 +228,7 @@ MILLING: Final[Fact[Context, MillingMotion]] = Fact("milling", _milling)
 
 
 MAX_QUERY_DISTANCE_M = 3e-3
-"""Points farther from the tool than this [m] are not distinguished from one another."""
+"""Distance from the tool [m] above which distances are not computed. Farther points get this distance."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -245,7 +251,7 @@ class ToolSolid:
 
 
 def solids(cutter: Cutter) -> tuple[ToolSolid, ...]:
-    """Return cutting part, shank, and the pieces of holder and spindle."""
+    """Return the pieces of a tool from the tip on: cutting part, shank, holder and spindle."""
     out = [ToolSolid("cutter", 0.0, cutter.flute, cutter.radius, cutter.corner)]
     if cutter.overhang > cutter.flute:
         out.append(ToolSolid("shank", cutter.flute, cutter.overhang, cutter.shank))
@@ -260,11 +266,12 @@ def solids(cutter: Cutter) -> tuple[ToolSolid, ...]:
 def signed_distance(solid: ToolSolid, axial: FloatArray, radial_distance: FloatArray) -> FloatArray:
     """Return the signed distance [m] of points from a solid, negative inside.
 
-    It is the distance from the half section, a rectangle, or from the arc at a rounded corner.
+    It is the distance in the half section of the solid: from a rectangle, or from the arc at its rounded
+        corner.
 
     Args:
         solid: Piece of a tool.
-        axial: Distance of the points behind the tip along the axis [m].
+        axial: Coordinate of the points along the axis, from the tip [m].
         radial_distance: Distance of the points from the axis [m], of the same shape.
     """
     radial_excess = radial_distance - solid.radius
@@ -311,7 +318,7 @@ def track_distance(
 
     Returns:
         Smallest distances (P,) [m], negative inside and at most ``MAX_QUERY_DISTANCE_M``, and the index (P,)
-        of the sample that has it.
+        of the sample with the smallest distance.
     """
 
     def distance(axial: FloatArray, radial_distance: FloatArray) -> FloatArray:
@@ -322,12 +329,14 @@ def track_distance(
 
 
 SLICE_LENGTH_M = 5e-3
-"""Length of slices of a tool at its edges [m]. Deeper gouges than half of it are found without slices."""
+"""Length [m] of slices of a tool at its edges. Gouges deeper than half of it are found without slices,
+too.
+"""
 EDGE_SPACING_FACTOR = 2.0
-"""Distance of samples as a factor of the tolerance.
+"""Distance of samples and face points near sharp edges, as a factor of the tolerance.
 
-An edge at 45 degrees that penetrates by the tolerance is that wide, and leaves steps half as deep as the
-distance between two samples.
+The groove of an edge at 45 degrees that penetrates by the tolerance is twice as wide as deep. Steps between
+two samples of such an edge are half as deep as the distance between the samples.
 """
 MIN_STEP_M = 0.1e-3
 """Minimum distance of samples along the track [m]."""
@@ -349,8 +358,8 @@ def edge_step(tolerance: float) -> float:
 def edge_slices(pieces: tuple[ToolSolid, ...]) -> tuple[ToolSolid, ...]:
     """Return slices of a tool's pieces at their sharp edges.
 
-    They are at the front of a piece that is wider than the previous one, and at the rear of one that is wider
-    than the next.
+    A piece has a sharp front edge if it is wider than the previous piece and not rounded, and a sharp rear
+    edge if it is wider than the next piece.
     """
     out: list[ToolSolid] = []
     for k, piece in enumerate(pieces):
@@ -366,7 +375,7 @@ def edge_slices(pieces: tuple[ToolSolid, ...]) -> tuple[ToolSolid, ...]:
 
 
 def edge_spacing(tolerance: float) -> float:
-    """Return the distance [m] of face points near an edge: its width where it penetrates by the tolerance.
+    """Return the distance [m] between face points near an edge: the width of its groove at the tolerance.
 
     Args:
         tolerance: Tolerance [m].
@@ -375,9 +384,10 @@ def edge_spacing(tolerance: float) -> float:
 
 
 def round_spacing(radius: float, tolerance: float) -> float:
-    """Return the distance [m] of face points near a round body.
+    """Return the distance [m] between face points near a round body.
 
-    Between the points it penetrates the face by at most half of the tolerance, s^2 / 6 r.
+    Between points at the distance s a body of radius r is deeper in the face by at most s^2 / (6 r) than at
+    them. This is half of the tolerance.
 
     Args:
         radius: Radius of the body [m].
@@ -399,7 +409,8 @@ def near_face_points(
         size: Distance of the points [m].
 
     Returns:
-        Points (P, 3) and their number. Above ``MAX_FACE_POINTS`` there are too many, and none are returned.
+        Points (P, 3) [m], and the required number of points. If it is above ``MAX_FACE_POINTS``, no points
+        are returned.
     """
     body = RoundBody(solid.start, solid.end, solid.radius, functools.partial(signed_distance, solid))
     swept = SweptBody(tip, axis, body)
@@ -415,11 +426,11 @@ class GougeQuery:
         vertices: Vertices of the face (V, 3) [m].
         faces: Triangles (T, 3).
         solid: Piece of a tool.
-        sharp: Whether it is a sharp edge.
+        sharp: Whether the solid is a slice at a sharp edge.
         is_near: Whether the solid comes near the face at all.
         tip: Tips (M, 3) [m].
         axis: Axes (M, 3).
-        tolerance: Tolerance that decides how closely the face is sampled [m].
+        tolerance: Tolerance [m], from which the distance of face points follows.
         allowed: Allowed penetration [m].
     """
 
@@ -435,13 +446,13 @@ class GougeQuery:
 
     @property
     def spacing(self) -> float:
-        """Distance of face points [m]."""
+        """Distance between face points [m]."""
         return (
             edge_spacing(self.tolerance) if self.sharp else round_spacing(self.solid.radius, self.tolerance)
         )
 
     def evaluate(self) -> "GougeResult | int":
-        """Return what is inside the solid, or the number of points if the face would need too many."""
+        """Return the face points inside the solid, or the required number of points if there are too many."""
         points = self.vertices[:1]
         if self.is_near:
             corners = self.vertices[self.faces]
@@ -460,14 +471,14 @@ class GougeQuery:
 
 @dataclasses.dataclass(frozen=True)
 class GougeResult:
-    """What is inside a solid.
+    """Face points inside a solid.
 
     Attributes:
         min_distance: Smallest distance of face points from the solid [m], negative inside.
-        min_sample: Sample at which it occurs.
-        points: Points that are inside by more than is allowed (K, 3) [m], one for each sample.
-        distances: Their distances (K,) [m].
-        samples: Their samples (K,).
+        min_sample: Index of the sample at which it occurs.
+        points: Points that are deeper inside than allowed (K, 3) [m], one for each sample.
+        distances: Distances of these points (K,) [m].
+        samples: Indices of their samples (K,).
     """
 
     min_distance: float
@@ -478,6 +489,6 @@ class GougeResult:
 
 
 def evaluate_queries(queries: Sequence[GougeQuery]) -> Iterator[GougeResult | int]:
-    """Yield what is inside of each."""
+    """Yield the result of each query, as :meth:`GougeQuery.evaluate`."""
     for query in queries:
         yield query.evaluate()

@@ -1,4 +1,4 @@
-"""The process ``targets``: synchronised poses for one or two arms from a CSV or JSON file."""
+"""The process ``targets``: synchronised poses for one or two arms from a table in a CSV or JSON file."""
 
 import csv
 import io
@@ -29,7 +29,7 @@ from planner.targets import Job, ScrewFreedom, Targets
 MAX_TABLE_BYTES = 100_000_000
 """Maximum size of a table of poses [bytes]. Larger files are refused unread."""
 MAX_COORDINATE_MM = 100_000.0
-"""Maximum coordinate of a position [mm]. Larger values indicate another unit than mm."""
+"""Maximum coordinate of a position [mm]. Larger values indicate that the unit is not mm."""
 MIN_FEED_MM_S, MAX_FEED_MM_S = 0.1, 10_000.0
 """Bounds of feeds [mm/s]."""
 MAX_MIN_FEED_FRACTION = 0.95
@@ -39,7 +39,7 @@ REST_DISTANCE_M = 1e-6
 SEGMENT_LABEL = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}(/[A-Za-z0-9_]{1,32})?")
 """Form of a segment's label: its kind, and optionally a name after a slash."""
 FLAG_WORDS = {"": False, "0": False, "false": False, "no": False, "1": True, "true": True, "yes": True}
-"""Words of the column ``stop``."""
+"""Words of the column ``stop`` and whether they mean a stop."""
 AXIS_INDEX = {"x": 0, "y": 1, "z": 2}
 """Index of each axis of a tool frame."""
 
@@ -123,16 +123,16 @@ class PosedJob(Job[Posed]):
     """Job of an operation that follows the poses of a file."""
 
     def targets(self) -> Targets:
-        """Return targets from the operation's file.
+        """Return the targets of the operation's file, one for each row.
 
         Raises:
-            TandemError: Every fault of the file, by row and column; ``targets.held`` if an arm holds the
-                block.
+            TandemError: The first fault of the file, with its row; ``targets.freedom`` for unsuitable free
+                axes; ``targets.held`` if an arm holds the block.
         """
         operation, setup = self.operation, self.setup
         if setup.stock.held_by is not None:
-            what = format_message("targets.held", operation=operation.name, arm=setup.stock.held_by)
-            raise issue_error("targets.held", what, field="operations.process", arm=setup.stock.held_by)
+            message = format_message("targets.held", operation=operation.name, arm=setup.stock.held_by)
+            raise issue_error("targets.held", message, field="operations.process", arm=setup.stock.held_by)
         rows = _read_rows(operation)
         poses = {arm: _parse_poses(rows, arm, operation) for arm in operation.arms}
         count = len(rows)
@@ -172,9 +172,9 @@ class PosedJob(Job[Posed]):
         )
 
     def make_claims(self) -> tuple[Claim, ...]:
-        """Return the claim that each TCP passes the poses of the file up to its free axes.
+        """Return the claim that each TCP passes the poses of the file up to its free axes, and the dialogue.
 
-        The proof reads the file itself.
+        The claim has no poses, because the proof reads the file itself.
         """
         op = self.operation
         free = tuple(
@@ -199,7 +199,8 @@ class PosedJob(Job[Posed]):
 
 
 def _travel_lengths(poses: Mapping[str, FloatArray]) -> FloatArray:
-    steps = [np.linalg.norm(np.diff(p[:, :3, 3], axis=0), axis=1) for p in poses.values()]
+    """Return the distance (N,) [m] that the TCP that moves farthest moves to each target."""
+    steps = [np.linalg.norm(np.diff(pose[:, :3, 3], axis=0), axis=1) for pose in poses.values()]
     return np.concatenate([[0.0], np.max(steps, axis=0)])
 
 
@@ -210,17 +211,19 @@ def _min_feeds(
     travel: FloatArray,
     segment: tuple[Segment, ...],
 ) -> FloatArray:
-    """Return minimum feeds (N,) [mm/s] on the way to each target, 0 for none.
+    """Return the minimum feeds (N,) [mm/s] of the moves to each target, 0 for none.
+
+    ``feed`` (N,) [mm/s] and ``travel`` (N,) [m] are those of the same moves.
 
     Raises:
-        TandemError: A minimum feed cannot be kept, whatever the arms can do.
+        TandemError: If a minimum feed is invalid, or cannot be kept by any arms.
     """
     default = operation.feed_min_mm_s
     min_feed = np.array(
         [_parse_number(row, "feed_min_mm_s", i, operation, default) for i, row in enumerate(rows)]
     )
     min_feed[0] = 0.0
-    coupled = [operation.coupled and label.kind == "transit" for label in segment]
+    is_coupled_transit = [operation.coupled and label.kind == "transit" for label in segment]
     faults = (
         (min_feed < 0.0, "is below 0; give 0 for none"),
         (
@@ -229,34 +232,36 @@ def _min_feeds(
         ),
         ((min_feed > 0.0) & (travel < REST_DISTANCE_M), "is set where the tools rest or only rotate; give 0"),
         (
-            (min_feed > 0.0) & np.array(coupled),
+            (min_feed > 0.0) & np.array(is_coupled_transit),
             "is set in a transit of joined tools, whose path may be changed; give 0",
         ),
     )
-    for bad, why in faults:
-        if bad.any():
-            first = int(np.argmax(bad))
-            raise TandemError(_table_issue(operation, first, f"feed_min_mm_s of {min_feed[first]:g} {why}"))
+    for is_faulty, fault in faults:
+        if is_faulty.any():
+            first = int(np.argmax(is_faulty))
+            raise TandemError(_table_issue(operation, first, f"feed_min_mm_s of {min_feed[first]:g} {fault}"))
     slides = [axis.name for axis in operation.free if axis.slide_mm is not None]
     if slides and min_feed.any():
-        what = (
+        message = (
             f"free axis '{slides[0]}' slides, which changes the tool's speed, but feed_min_mm_s sets a "
             "minimum speed; leave only rotations free, or remove feed_min_mm_s"
         )
-        raise issue_error("targets.freedom", what, field="operations.free")
+        raise issue_error("targets.freedom", message, field="operations.free")
     return min_feed
 
 
 def _twist(axis: FreeAxis) -> FloatArray:
+    """Return the unit twist (6,) of a free axis in the tool frame, angular part first."""
     twist = np.zeros(6)
     twist[AXIS_INDEX[axis.axis] + (0 if axis.turn_deg is not None else 3)] = 1.0
     return twist
 
 
 def _screw_freedom(axis: FreeAxis, count: int) -> ScrewFreedom:
+    """Return a free axis, which must have either ``turn_deg`` or ``slide_mm``, as a freedom of targets."""
     if (axis.turn_deg is None) == (axis.slide_mm is None):
-        what = f"free axis '{axis.name}': give either turn_deg or slide_mm, one of them"
-        raise issue_error("targets.freedom", what, field="operations.free")
+        message = f"free axis '{axis.name}': give either turn_deg or slide_mm, one of them"
+        raise issue_error("targets.freedom", message, field="operations.free")
     bounds = axis.turn_deg or axis.slide_mm or (0.0, 0.0)
     scale = DEG if axis.turn_deg is not None else MM
     lower, upper = (np.full(count, bound * scale) for bound in bounds)
@@ -265,15 +270,16 @@ def _screw_freedom(axis: FreeAxis, count: int) -> ScrewFreedom:
 
 
 def _read_rows(operation: Posed) -> list[Mapping[str, Any]]:
+    """Return the rows of the operation's file, by column; faults of the file raise `TandemError`."""
     path = operation.file
     if not is_file(path):
-        what = (
+        message = (
             f"{path}: {missing_file_reason(path)}; check the path, which starts at the problem file's folder"
         )
-        raise issue_error("problem.missing_file", what, file=str(path), field="operations.file")
+        raise issue_error("problem.missing_file", message, file=str(path), field="operations.file")
     if path.stat().st_size > MAX_TABLE_BYTES:
-        what = f"{path}: over {MAX_TABLE_BYTES // 1_000_000} MB; split the job"
-        raise issue_error("problem.too_large", what, file=str(path))
+        message = f"{path}: over {MAX_TABLE_BYTES // 1_000_000} MB; split the job"
+        raise issue_error("problem.too_large", message, file=str(path))
     try:
         text = path.read_bytes().decode("utf-8-sig")
         rows = json.loads(text) if path.suffix.lower() == ".json" else _parse_csv(text, operation)
@@ -284,20 +290,24 @@ def _read_rows(operation: Posed) -> list[Mapping[str, Any]]:
         ) from error
     if not isinstance(rows, list) or len(rows) < 2 or not all(isinstance(row, dict) for row in rows):
         raise TandemError(_table_issue(operation, None, "expected a list of at least 2 targets; add them"))
-    known = {f"{arm}.{column}" for arm in operation.arms for column in POSE_COLUMNS} | set(ROW_COLUMNS)
-    unknown = sorted({str(key) for row in rows for key in row} - known)
+    allowed = {f"{arm}.{column}" for arm in operation.arms for column in POSE_COLUMNS} | set(ROW_COLUMNS)
+    unknown = sorted({str(key) for row in rows for key in row} - allowed)
     if unknown:
-        more, names = ", ".join(unknown[:5]), ", ".join(sorted(known))
-        what = f"unknown columns {more}; remove them or correct their spelling (known: {names})"
-        raise TandemError(_table_issue(operation, None, what))
+        unknown_names, allowed_names = ", ".join(unknown[:5]), ", ".join(sorted(allowed))
+        message = (
+            f"unknown columns {unknown_names}; remove them or correct their spelling (known: {allowed_names})"
+        )
+        raise TandemError(_table_issue(operation, None, message))
     return rows
 
 
 def _parse_csv(text: str, operation: Posed) -> list[Mapping[str, Any]]:
-    """Return the rows of a CSV text, by column.
+    """Return the rows of a CSV text, by column; empty lines are skipped.
 
     Raises:
-        TandemError: A header or row does not fit.
+        TandemError: If columns are separated by semicolons, a column occurs twice, or a row has another
+            number of cells than the header.
+        csv.Error: If the text is not valid CSV.
     """
     lines = [line for line in csv.reader(io.StringIO(text), strict=True) if any(map(str.strip, line))]
     header = [name.strip() for name in lines[0]] if lines else []
@@ -308,12 +318,13 @@ def _parse_csv(text: str, operation: Posed) -> list[Mapping[str, Any]]:
         raise TandemError(_table_issue(operation, None, f"column '{repeated[0]}' occurs twice; keep one"))
     for i, line in enumerate(lines[1:]):
         if len(line) != len(header):
-            what = f"{len(line)} cells where the header has {len(header)}; correct the row"
-            raise TandemError(_table_issue(operation, i, what))
+            message = f"{len(line)} cells where the header has {len(header)}; correct the row"
+            raise TandemError(_table_issue(operation, i, message))
     return [dict(zip(header, line, strict=True)) for line in lines[1:]]
 
 
 def _parse_poses(rows: list[Mapping[str, Any]], arm: str, operation: Posed) -> FloatArray:
+    """Return the poses (N, 4, 4) [m] of an arm from the rows of a table; faults raise `TandemError`."""
     table = np.array(
         [
             [_parse_number(row, f"{arm}.{column}", i, operation) for column in POSE_COLUMNS]
@@ -321,9 +332,9 @@ def _parse_poses(rows: list[Mapping[str, Any]], arm: str, operation: Posed) -> F
         ]
     )
     norm = np.linalg.norm(table[:, 3:], axis=1)
-    wrong = np.abs(norm - 1.0) > 1e-3
-    if wrong.any():
-        first = int(np.argmax(wrong))
+    is_not_unit = np.abs(norm - 1.0) > 1e-3
+    if is_not_unit.any():
+        first = int(np.argmax(is_not_unit))
         raise TandemError(
             _table_issue(
                 operation,
@@ -334,14 +345,15 @@ def _parse_poses(rows: list[Mapping[str, Any]], arm: str, operation: Posed) -> F
     is_too_far = (np.abs(table[:, :3]) > MAX_COORDINATE_MM).any(axis=1)
     if is_too_far.any():
         first = int(np.argmax(is_too_far))
-        what = f"{arm}: a position beyond {MAX_COORDINATE_MM / 1000:g} m; give positions in mm"
-        raise TandemError(_table_issue(operation, first, what))
+        message = f"{arm}: a position beyond {MAX_COORDINATE_MM / 1000:g} m; give positions in mm"
+        raise TandemError(_table_issue(operation, first, message))
     return from_parts(from_quaternion(table[:, 3:]), table[:, :3] * MM)
 
 
 def _parse_number(
     row: Mapping[str, Any], column: str, index: int, operation: Posed, default: float | None = None
 ) -> float:
+    """Return a finite number from row ``index``, or ``default`` for an empty cell, or raise `TandemError`."""
     value = row.get(column)
     if value in (None, "") and default is not None:
         return default
@@ -360,14 +372,16 @@ def _parse_number(
 
 
 def _parse_segment(row: Mapping[str, Any], index: int, operation: Posed) -> Segment:
+    """Return the segment of row ``index``, or raise `TandemError`; an empty cell means ``cut/path``."""
     value = row.get("segment") or "cut/path"
     if not isinstance(value, str) or not SEGMENT_LABEL.fullmatch(value):
-        what = f"segment is {repr(value)[:60]}; use <kind> or <kind>/<name> of letters, digits and _"
-        raise TandemError(_table_issue(operation, index, what))
+        message = f"segment is {repr(value)[:60]}; use <kind> or <kind>/<name> of letters, digits and _"
+        raise TandemError(_table_issue(operation, index, message))
     return Segment.of(value)
 
 
 def _parse_flag(row: Mapping[str, Any], index: int, operation: Posed) -> bool:
+    """Return whether the tools stop at row ``index``, or raise `TandemError` for an unknown word."""
     value = row.get("stop")
     text = "" if value is None else str(value).strip().lower()
     if text not in FLAG_WORDS:
@@ -375,7 +389,8 @@ def _parse_flag(row: Mapping[str, Any], index: int, operation: Posed) -> bool:
     return FLAG_WORDS[text]
 
 
-def _table_issue(operation: Posed, index: int | None, what: str) -> Issue:
+def _table_issue(operation: Posed, index: int | None, fault: str) -> Issue:
+    """Return the issue of a fault in the operation's file, in row ``index`` or in the whole file."""
     row = "" if index is None else f", target {index}"
-    message = format_message("targets.file", file=operation.file, row=row, fault=what)
+    message = format_message("targets.file", file=operation.file, row=row, fault=fault)
     return Issue("targets.file", message, file=str(operation.file), index=index)

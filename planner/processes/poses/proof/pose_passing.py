@@ -6,12 +6,13 @@ order takes a time that is linear in their number.
 
 **Minimum feeds**: the check finds tools that are too slow between poses, or stop where they must not. A
 stretch is a run of poses with a minimum feed between two stops of the table. It also starts and ends where
-the minimum feed does, and where two feeds have no speed in common. Within the run-up from either end, a
-reference point accelerates uniformly to the minimum feed.
+the minimum feed does, and where the permitted speeds of two moves have no speed in common. The motion is
+compared with a reference point, which moves along the stretch at the minimum feed. It accelerates uniformly
+to it over the run-up from the start, and decelerates in the same way to the end.
 
-- From pose to pose the tools take no longer than that point.
+- From pose to pose the tools take no longer than the reference point.
 - The moves of the program between the ends of a stretch, and the corners between them, have at least the
-  fraction ``MIN_FEED_FRACTION`` of its speed.
+  fraction ``MIN_FEED_FRACTION`` of the reference point's speed.
 - No move inside a stretch ends in a stop.
 """
 
@@ -46,13 +47,14 @@ _MAX_BATCH = 4096
 """Maximum number of poses that are compared with consecutive targets at once."""
 _NEWTON_ITERATIONS = 8
 """Number of Newton iterations for values of freedoms."""
-_INITIAL_ROTATION_RAD = 2.1  # rad: a third of a turn
+_INITIAL_ROTATION_RAD = 2.1
+"""Other initial rotations of Newton's method [rad]: plus and minus about a third of a revolution."""
 _RESTART_RESIDUAL = 1e-3
 """Poses with a larger residual [m or rad] are solved again from other initial rotations."""
 _MAX_REPETITIONS = 2
 """Maximum number of repetitions for poses that have not converged."""
 _CONVERGENCE_LIMIT = 1e-6
-"""Convergence limit of the residual [m or rad]."""
+"""Residual [m or rad] below which a solution has converged."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,9 +62,10 @@ class PoseMatch:
     """Match of poses with targets.
 
     Attributes:
-        target: First targets (P,) in order that match the poses, or the nearest remaining target for a missed
-            pose.
-        deviation: Distance and angle between pose and target (P, 2) [m, rad].
+        target: Index (P,) of the first target that matches each pose, at or after that of the previous pose.
+            For a missed pose it is the nearest one of these targets.
+        deviation: Distance and angle between pose and target (P, 2) [m, rad], NaN if the pose was not
+            checked.
         is_matched: Whether the pose is matched (P,).
         checked_count: Number of poses that were checked, less than P if too many were missed.
     """
@@ -80,12 +83,13 @@ def match_poses(
     tolerance: tuple[float, float],
     bounds: Sequence[FloatArray] | None = None,
 ) -> PoseMatch:
-    """Match poses of tools that move together with their paths.
+    """Match the poses of one or more tools with the targets of their paths.
 
-    A target may match several consecutive poses, but no pose is matched before the previous one.
+    Tools move together: a target matches a pose if all tools do. A target may match several consecutive
+    poses, but no pose is matched by a target before that of the previous pose.
 
     Args:
-        paths: Path of each tool (S, 4, 4) [m], S > 0.
+        paths: Poses of each tool at the targets of its path (S, 4, 4) [m], S > 0.
         poses: Poses of each tool (P, 4, 4) [m].
         free: Twists (6,) of each tool, angular part first, along which it may differ in the pose's own frame.
             Later ones act after earlier ones.
@@ -102,7 +106,7 @@ def match_poses(
     count, length = len(poses[0]), len(paths[0])
     target, deviation = np.zeros(count, dtype=np.int64), np.full((count, 2), np.nan)
     is_matched = np.zeros(count, dtype=bool)
-    i = start = missed = 0
+    i = start = missed = 0  # next pose, target of the previous pose, number of missed poses
     block = 1
     while i < count and missed < MAX_MISSED:
         # usual case: each pose is matched by the target after that of the previous pose, and not before
@@ -110,10 +114,8 @@ def match_poses(
         run = 0
         if size > 0:
             pose = np.arange(i, i + size)
-            at_same, at_next = (
-                search.deviation(start + pose - i, pose),
-                search.deviation(start + 1 + pose - i, pose),
-            )
+            at_same = search.deviation(start + pose - i, pose)
+            at_next = search.deviation(start + 1 + pose - i, pose)
             is_usual = search.is_within(at_next) & (
                 ~search.is_within(at_same) if bounds is None else pose > 0
             )
@@ -132,7 +134,7 @@ def match_poses(
 
 @dataclasses.dataclass(frozen=True)
 class _PosedTool:
-    """A path, inverse poses, and free twists with their ranges."""
+    """A tool: its path (S, 4, 4), inverse poses (P, 4, 4), and F free twists with their ranges (F, 2)."""
 
     path: FloatArray
     inverse_poses: FloatArray
@@ -140,31 +142,32 @@ class _PosedTool:
     bounds: FloatArray | None = None
 
     def deviation(self, target: IntArray, pose: IntArray) -> FloatArray:
-        """Return distance and angle (K, 2) between targets (K,) and poses (K,), without what is free."""
+        """Return distance and angle (K, 2) between targets (K,) and poses (K,), up to free twists."""
         value, twist = free_values(self.inverse_poses[pose] @ self.path[target], self.free)
         residual = np.stack(
             [np.linalg.norm(twist[:, 3:], axis=1), np.linalg.norm(twist[:, :3], axis=1)], axis=1
         )
         if self.bounds is None or not self.free:
             return residual
-        turns = np.linalg.norm(np.stack(self.free)[:, :3], axis=1) > 0.0
-        excess = value - self.bounds.mean(axis=1)
-        excess = np.abs(excess - np.where(turns, 2.0 * np.pi * np.round(excess / (2.0 * np.pi)), 0.0))
-        beyond = np.maximum(excess - 0.5 * np.diff(self.bounds, axis=1)[:, 0], 0.0)
+        is_rotation = np.linalg.norm(np.stack(self.free)[:, :3], axis=1) > 0.0
+        offset = value - self.bounds.mean(axis=1)
+        offset = np.abs(offset - np.where(is_rotation, 2.0 * np.pi * np.round(offset / (2.0 * np.pi)), 0.0))
+        beyond = np.maximum(offset - 0.5 * np.diff(self.bounds, axis=1)[:, 0], 0.0)
         return np.asarray(
-            residual + np.stack([beyond[:, ~turns].sum(axis=1), beyond[:, turns].sum(axis=1)], axis=1)
+            residual
+            + np.stack([beyond[:, ~is_rotation].sum(axis=1), beyond[:, is_rotation].sum(axis=1)], axis=1)
         )
 
 
 @dataclasses.dataclass(frozen=True)
 class _PoseSearch:
-    """Tools that move together, and the tolerances (2,)."""
+    """Tools that move together, and the allowed distance [m] and angle [rad] (2,)."""
 
     tools: tuple[_PosedTool, ...]
     tolerance: FloatArray
 
     def deviation(self, target: IntArray, pose: IntArray) -> FloatArray:
-        """Return distance and angle (K, 2) of the tool that deviates more."""
+        """Return the largest distance and the largest angle (K, 2) of all tools."""
         return np.asarray(np.max([tool.deviation(target, pose) for tool in self.tools], axis=0))
 
     def is_within(self, deviation: FloatArray) -> BoolArray:
@@ -172,30 +175,30 @@ class _PoseSearch:
         return np.asarray((deviation <= self.tolerance).all(axis=1))
 
     def find_target(self, start: int, pose: int) -> tuple[int, FloatArray, bool]:
-        """Return the first target from ``start`` on that matches a pose, or the nearest one.
+        """Return the first target from ``start`` on that matches a pose, or the nearest one if none does.
 
-        The deviation is returned with it, and whether it matches.
+        The deviation (2,) of the target is returned with it, and whether it matches.
         """
         size, first, length = _FIRST_WINDOW, start, len(self.tools[0].path)
         deviations: list[FloatArray] = []
         while first < length:
-            rows = np.arange(first, min(first + size, length))
-            deviation = self.deviation(rows, np.full(len(rows), pose))
+            targets = np.arange(first, min(first + size, length))
+            deviation = self.deviation(targets, np.full(len(targets), pose))
             matching = np.flatnonzero(self.is_within(deviation))
             if len(matching):
-                return int(rows[matching[0]]), deviation[matching[0]], True
+                return int(targets[matching[0]]), deviation[matching[0]], True
             deviations.append(deviation)
-            first, size = first + len(rows), 4 * size
+            first, size = first + len(targets), 4 * size
         deviation = np.concatenate(deviations)
         best = int(np.argmin((deviation / self.tolerance).max(axis=1)))
         return start + best, deviation[best], False
 
 
 def free_values(relative: FloatArray, free: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Return values of free twists, and residuals.
+    """Solve for the values of free twists that explain relative poses as well as possible.
 
-    A single twist follows from the logarithm. Several twists need Newton's method, because rotations do not
-    commute. If it ends far away, it starts again from other rotations.
+    The value of a single twist follows from the logarithm of the pose. Several twists need Newton's method,
+    because rotations do not commute. Where it does not converge, it starts again from other rotations.
 
     Args:
         relative: Relative poses (K, 4, 4) [m].
@@ -215,7 +218,10 @@ def free_values(relative: FloatArray, free: Sequence[FloatArray]) -> tuple[Float
     best, residuals = _solve_newton(relative, axes, _pose_twist(relative) @ np.linalg.pinv(axes))
     is_rotation = np.linalg.norm(axes[:, :3], axis=1) > 0.0
     for start in itertools.product(
-        *((0.0, -_INITIAL_ROTATION_RAD, _INITIAL_ROTATION_RAD) if turns else (0.0,) for turns in is_rotation)
+        *(
+            (0.0, -_INITIAL_ROTATION_RAD, _INITIAL_ROTATION_RAD) if rotates else (0.0,)
+            for rotates in is_rotation
+        )
     ):
         unconverged = np.flatnonzero(np.linalg.norm(residuals, axis=1) > _RESTART_RESIDUAL)
         if not len(unconverged):
@@ -223,19 +229,23 @@ def free_values(relative: FloatArray, free: Sequence[FloatArray]) -> tuple[Float
         new_values, residual = _solve_newton(
             relative[unconverged], axes, np.tile(start, (len(unconverged), 1))
         )
-        nearer = np.linalg.norm(residual, axis=1) < np.linalg.norm(residuals[unconverged], axis=1)
-        best[unconverged[nearer]], residuals[unconverged[nearer]] = new_values[nearer], residual[nearer]
+        better = np.linalg.norm(residual, axis=1) < np.linalg.norm(residuals[unconverged], axis=1)
+        best[unconverged[better]], residuals[unconverged[better]] = new_values[better], residual[better]
     for _ in range(_MAX_REPETITIONS):  # convergence is slow if two axes nearly coincide
         unconverged = np.flatnonzero(np.linalg.norm(residuals, axis=1) > _CONVERGENCE_LIMIT)
         if not len(unconverged):
             break
         new_values, residual = _solve_newton(relative[unconverged], axes, best[unconverged])
-        nearer = np.linalg.norm(residual, axis=1) < np.linalg.norm(residuals[unconverged], axis=1)
-        best[unconverged[nearer]], residuals[unconverged[nearer]] = new_values[nearer], residual[nearer]
+        better = np.linalg.norm(residual, axis=1) < np.linalg.norm(residuals[unconverged], axis=1)
+        best[unconverged[better]], residuals[unconverged[better]] = new_values[better], residual[better]
     return best, residuals
 
 
 def _solve_newton(relative: FloatArray, axes: FloatArray, start: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Solve for the values (K, F) of twists ``axes`` (F, 6) by Newton's method from values ``start`` (K, F).
+
+    Returns the values, and the residual twists (K, 6) of the relative poses (K, 4, 4).
+    """
     value = np.array(start, dtype=np.float64)
     for _ in range(_NEWTON_ITERATIONS):
         later_motion = np.broadcast_to(np.eye(4), relative.shape)
@@ -252,7 +262,7 @@ def _solve_newton(relative: FloatArray, axes: FloatArray, start: FloatArray) -> 
 
 
 def _transform_twist(pose: FloatArray, twist: FloatArray) -> FloatArray:
-    """Return a twist (6,) in other frames (K, 6), by the adjoint of poses (K, 4, 4).
+    """Transform a twist (6,) to other frames (K, 6), by the adjoint of poses (K, 4, 4).
 
     Source: Lynch and Park, "Modern Robotics", 2017, definition 3.20.
     """
@@ -267,28 +277,28 @@ def _pose_twist(relative: FloatArray) -> FloatArray:
 
 
 MIN_FEED_FRACTION: Final = 0.8
-"""Fraction of the minimum feed that tools keep at every instant between ramps."""
+"""Fraction of the minimum feed that tools have to keep at every instant between both ramps."""
 TIME_ROUNDING: Final = 1.001, 2e-5
-"""Allowed factor and additional seconds of durations, because times are rounded."""
+"""Factor and additional time [s] by which durations may be longer, because times in programs are rounded."""
 MOVE_INSTANTS: Final = np.linspace(0.0, 1.0, 21)
-"""Instants of a move at which a speed is checked."""
+"""Instants of a corner at which the speed is checked, as fractions of its duration."""
 MAX_ISSUES: Final = 20
 """Maximum number of issues of one kind."""
 
 
 @dataclasses.dataclass(frozen=True)
 class PoseTiming:
-    """P poses and R targets of the programs.
+    """P poses of a table, and the R targets of the programs.
 
     Attributes:
         step: Distance from each pose to the next (P - 1,) [m], of the tool that moves farthest.
-        min_feed: Minimum feed there (P - 1,) [m/s].
-        feed: Feed there (P - 1,) [m/s].
+        min_feed: Minimum feed from each pose to the next (P - 1,) [m/s], 0 for none.
+        feed: Feed from each pose to the next (P - 1,) [m/s].
         may_stop: Whether the motion may stop at each pose (P,).
-        node: Target that matches each pose (P,).
-        end: When the move to each target ends, pauses excluded (R,) [s].
-        stops: Whether the arms stop there (R,).
-        positions: Positions of each tool (R, 3) [m].
+        node: Index (P,) among the R targets of the one that matches each pose.
+        end: Time at which the move to each target ends, pauses excluded (R,) [s].
+        stops: Whether the arms stop at each target (R,).
+        positions: Positions of each tool at the targets (R, 3) [m].
     """
 
     step: FloatArray
@@ -303,12 +313,12 @@ class PoseTiming:
 
 @dataclasses.dataclass(frozen=True)
 class SlowFault:
-    """A fault of speed.
+    """A place at which the tools are too slow.
 
     Attributes:
-        message: What is wrong.
-        pose: Pose, from 0.
-        got: Speed [m/s].
+        message: Message for the user.
+        pose: Index of the pose.
+        got: Actual speed [m/s].
         limit: Minimum speed [m/s].
     """
 
@@ -319,7 +329,7 @@ class SlowFault:
 
 
 def find_slow_motion(timing: PoseTiming, run_up: float) -> list[SlowFault]:
-    """Return where minimum feeds are not kept, some of each kind.
+    """Return faults where minimum feeds are not kept, at most ``MAX_ISSUES`` of each kind.
 
     Args:
         timing: Poses and targets.
@@ -337,7 +347,7 @@ def find_slow_motion(timing: PoseTiming, run_up: float) -> list[SlowFault]:
 
 
 def _find_stretches(timing: PoseTiming) -> list[tuple[int, int]]:
-    """Return the poses (first, last) at the ends of stretches."""
+    """Return the first and last pose of each stretch."""
     min_feed, max_feed = timing.min_feed, timing.feed
     cut = timing.may_stop[1:-1] | (min_feed[1:] > max_feed[:-1]) | (min_feed[:-1] > max_feed[1:])
     cut |= (min_feed[1:] > 0.0) != (min_feed[:-1] > 0.0)
@@ -346,24 +356,27 @@ def _find_stretches(timing: PoseTiming) -> list[tuple[int, int]]:
 
 
 def _reference_times(along: FloatArray, run_up: float) -> FloatArray:
-    """Return when (K,) the reference point passes positions (K,) of a stretch, for a minimum feed of 1.
+    """Return the times (K,) at which the reference point passes positions (K,) [m] of a stretch.
 
-    It accelerates from rest with v^2 = s / run_up, and decelerates to rest in the same way.
+    The minimum feed is taken as 1 m/s, so the times have to be divided by it. The point accelerates from rest
+    with v^2 = s / run_up over the run-up, and decelerates to rest in the same way.
     """
 
     def time_from_rest(s: FloatArray) -> FloatArray:
+        # dt = ds / v: t = 2 sqrt(run_up s) up to s = run_up, and then t = 2 run_up + (s - run_up)
         return np.where(s < run_up, 2.0 * np.sqrt(run_up * s), s + run_up)
 
-    half = along[-1] / 2.0
-    up = along <= half
-    whole = 2.0 * float(time_from_rest(np.array(half)))
-    return np.where(up, time_from_rest(along), whole - time_from_rest(along[-1] - along))
+    half_length = along[-1] / 2.0
+    in_first_half = along <= half_length
+    total_time = 2.0 * float(time_from_rest(np.array(half_length)))
+    return np.where(in_first_half, time_from_rest(along), total_time - time_from_rest(along[-1] - along))
 
 
 def _slow_means(timing: PoseTiming, first: int, last: int, clock: FloatArray) -> list[SlowFault]:
-    """Return moves between poses of a stretch that take too long.
+    """Return faults where the tools take longer from pose to pose of a stretch than the reference point.
 
-    Poses that one target matches count as one.
+    Poses that one target matches count as one. ``clock`` (K,) is the result of :func:`_reference_times` for
+    the poses from ``first`` to ``last``.
     """
     node = timing.node[first : last + 1]
     first_poses = np.flatnonzero(np.diff(node, prepend=-1))
@@ -384,7 +397,7 @@ def _slow_means(timing: PoseTiming, first: int, last: int, clock: FloatArray) ->
 
 
 def _stop_faults(timing: PoseTiming, first: int, last: int) -> list[SlowFault]:
-    """Return stops inside a stretch, and at its ends where the table has none."""
+    """Return faults for stops inside a stretch, and at its ends where the table has no stop."""
     out = []
     low, high = int(timing.node[first]), int(timing.node[last])
     for j in (np.flatnonzero(timing.stops[low : high + 1]) + low).tolist():
@@ -398,10 +411,10 @@ def _stop_faults(timing: PoseTiming, first: int, last: int) -> list[SlowFault]:
 
 
 def _slow_instants(timing: PoseTiming, first: int, last: int, run_up: float) -> list[SlowFault]:
-    """Return moves of the programs inside a stretch, and corners between them, that are too slow.
+    """Return faults where moves of the programs inside a stretch, or corners between them, are too slow.
 
     A move has one speed. In a corner the velocity changes linearly from that of one move to that of the next.
-    Moves from and to stops are ramps.
+    The first and the last move of a stretch, in which the tools accelerate and decelerate, are not checked.
     """
     low, high = int(timing.node[first]), int(timing.node[last])
     if high - low < 2:
@@ -416,26 +429,30 @@ def _slow_instants(timing: PoseTiming, first: int, last: int, run_up: float) -> 
     pose = np.clip(np.searchsorted(timing.node, moves), first + 1, last)
     min_speed = MIN_FEED_FRACTION * timing.min_feed[pose - 1]
     speed = size / span
-    inner = np.ones(len(size), dtype=bool)
-    inner[[0, -1]] = False
-    is_slow = inner & (speed < min_speed * np.minimum(ramp[:-1], ramp[1:]) / TIME_ROUNDING[0])
+    is_inner = np.ones(len(size), dtype=bool)
+    is_inner[[0, -1]] = False
+    is_slow = is_inner & (speed < min_speed * np.minimum(ramp[:-1], ramp[1:]) / TIME_ROUNDING[0])
     out = [
         _slow_fault(pose[j], speed[j], min_speed[j], "on the way to pose")
         for j in np.flatnonzero(is_slow).tolist()
     ]
+    # at the inner ends of the first and the last move the speed is at most twice the mean speed of the move
     speed = speed.copy()
     speed[0] = np.clip(speed[1], speed[0], 2.0 * speed[0])
     speed[-1] = np.clip(speed[-2], speed[-1], 2.0 * speed[-1])
     scale = (speed / np.maximum(size, 1e-12))[:, None]
+    # speed of the fastest tool at each instant of each corner
     fastest = np.zeros((len(MOVE_INSTANTS), len(size) - 1))
     for step in steps:
-        rate = step * scale
-        mixed = (1.0 - MOVE_INSTANTS)[:, None, None] * rate[:-1] + MOVE_INSTANTS[:, None, None] * rate[1:]
-        fastest = np.maximum(fastest, np.linalg.norm(mixed, axis=2))
+        velocity = step * scale
+        corner_velocity = (1.0 - MOVE_INSTANTS)[:, None, None] * velocity[:-1] + (
+            MOVE_INSTANTS[:, None, None] * velocity[1:]
+        )
+        fastest = np.maximum(fastest, np.linalg.norm(corner_velocity, axis=2))
     slowest = fastest.min(axis=0)
     limit = np.minimum(min_speed[:-1], min_speed[1:]) * ramp[1:-1]
-    sharp = np.flatnonzero(slowest < limit / TIME_ROUNDING[0]).tolist()
-    return out + [_slow_fault(pose[j], slowest[j], limit[j], "in the corner at pose") for j in sharp]
+    slow_corners = np.flatnonzero(slowest < limit / TIME_ROUNDING[0]).tolist()
+    return out + [_slow_fault(pose[j], slowest[j], limit[j], "in the corner at pose") for j in slow_corners]
 
 
 def _slow_fault(pose: int, speed: float, limit: float, where: str) -> SlowFault:
@@ -455,7 +472,7 @@ MIN_FEED_COLUMN = "feed_min_mm_s"
 STOP_COLUMN = "stop"
 """Column of stops."""
 _YES_WORDS = ("1", "true", "yes")
-"""Words for true in that column."""
+"""Words for true in the column of stops."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -464,9 +481,9 @@ class PoseTable:
 
     Attributes:
         poses: Poses (P, 4, 4) [m] by arm.
-        feed: Feed on the way to each (P,) [m/s], NaN if the row has none.
-        min_feed: Minimum feed on the way to each (P,) [m/s], NaN if the row has none.
-        stop: Whether the motion may stop there (P,).
+        feed: Feed on the way to each pose (P,) [m/s], NaN if the row has none.
+        min_feed: Minimum feed on the way to each pose (P,) [m/s], NaN if the row has none.
+        stop: Whether the motion may stop at each pose (P,).
     """
 
     poses: Mapping[str, FloatArray]
@@ -476,14 +493,15 @@ class PoseTable:
 
 
 def read_pose_table(path: Path, arms: Sequence[str]) -> PoseTable:
-    """Read a table of poses.
+    """Read a table of poses from a JSON file, or from a CSV file with any other suffix.
 
     Args:
         path: The file.
         arms: Names of the arms.
 
     Raises:
-        ValueError: The file is not a table of poses; also ``KeyError`` and ``OSError``.
+        ValueError: If the file is not a table of numbers; also ``KeyError``, ``TypeError``, ``csv.Error``,
+            ``OSError``.
     """
     text = path.read_text("utf-8-sig")
     rows: list[dict[str, Any]]
@@ -507,11 +525,12 @@ def read_pose_table(path: Path, arms: Sequence[str]) -> PoseTable:
 
 
 def _parse_number(value: Any) -> float:
+    """Return the number in a cell, NaN for an empty or missing one."""
     return float("nan") if value is None or str(value).strip() == "" else float(value)
 
 
 def _parse_poses(values: FloatArray) -> FloatArray:
-    """Return poses (P, 4, 4) [m] of rows (P, 7): position [mm] and quaternion, real part first.
+    """Return poses (P, 4, 4) [m] from values (P, 7): position [mm] and quaternion, real part first.
 
     R v = v + 2 w (u x v) + 2 u x (u x v) for the unit quaternion (w, u), column by column.
 

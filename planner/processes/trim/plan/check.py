@@ -22,7 +22,7 @@ from planner.processes.trim.plan.slots import PlannedOutline, Slot
 ROUNDING_MARGIN_M: Final = 1e-6
 """Margin for rounding where points that are too far away are left out [m]."""
 FACE_SPACING_M: Final = 2.0 * MM
-"""Distance of face points at which a torch is checked [m]."""
+"""Maximum distance of face points at which the clearance of a tool is checked [m]."""
 MAX_FACE_POINTS: Final = 200_000
 """Maximum number of these points."""
 PART_SPACING_M: Final = 0.5 * MM
@@ -41,23 +41,27 @@ Otherwise it never reaches the safe plane.
 def curve_issues(
     outlines: Sequence[PlannedOutline], opening: FloatArray, reach: float, tolerance: float
 ) -> Iterator[Issue]:
-    """Yield issues of the outlines.
+    """Yield issues of outlines that cannot be cut.
 
-    They cross themselves or each other, lie in the waste of another one, or leave the opening of the clamp.
-    Two of them may also be so close that nothing is sure to remain between them.
+    Such outlines cross themselves or each other, lie in the waste of another one, or leave the opening of the
+    clamp. Two of them may also be so close that nothing is sure to remain between them.
 
     Args:
         outlines: Outlines on the face.
         opening: Opening of the clamp (K, 2) [m].
-        reach: Width beside the outlines that is cut as well [m].
+        reach: Width of the slot and its leads beside an outline, in the waste [m].
         tolerance: Allowed deviation of the cut edges [m].
     """
     opening_area = shapely.Polygon(opening)
     for outline in outlines:
         name = outline.spec.name
         if not outline.area.is_valid:
-            what = f"{name}: the curve crosses itself{_fault_position(shapely.is_valid_reason(outline.area))}"
-            yield Issue("trim.crosses", what, hint="redraw it as one closed curve that does not cross itself")
+            message = (
+                f"{name}: the curve crosses itself{_fault_position(shapely.is_valid_reason(outline.area))}"
+            )
+            yield Issue(
+                "trim.crosses", message, hint="redraw it as one closed curve that does not cross itself"
+            )
             continue
         side = 0.0 if outline.drops_inside else reach
         distances = shapely.distance(opening_area, shapely.points(outline.curve.point[:, :2]))
@@ -66,34 +70,40 @@ def curve_issues(
             k = int(np.argmax(distances)) if distances.max() > 0.0 else _nearest_point(outline, opening_area)
             x, y, _ = outline.curve.point[k] / MM
             beyond = float(distances.max()) + side if distances.max() > 0.0 else -gap
-            what = f"{name}: at ({x:.1f}, {y:.1f}) mm the curve, with slot and leads, is {beyond / MM:.1f} "
-            what += "mm beyond the opening of the clamp"
+            message = (
+                f"{name}: at ({x:.1f}, {y:.1f}) mm the curve, with slot and leads, is {beyond / MM:.1f} "
+            )
+            message += "mm beyond the opening of the clamp"
             hint = "move the curve inwards, or use a larger opening"
-            yield Issue("trim.off_part", what, value=beyond / MM, limit=0.0, unit="mm", hint=hint)
-    for outline, other in itertools.combinations([w for w in outlines if w.area.is_valid], 2):
+            yield Issue("trim.off_part", message, value=beyond / MM, limit=0.0, unit="mm", hint=hint)
+    for outline, other in itertools.combinations([valid for valid in outlines if valid.area.is_valid], 2):
         names = f"{outline.spec.name} and {other.spec.name}"
         if shapely.intersects(outline.area.exterior, other.area.exterior):
-            where = (
+            crossing = (
                 shapely.get_coordinates(shapely.intersection(outline.area.exterior, other.area.exterior))[0]
                 / MM
             )
-            what = f"{names} cross or meet, at ({where[0]:.1f}, {where[1]:.1f}) mm"
-            yield Issue("trim.crosses", what, hint="move one of them, or join them to one curve")
+            message = f"{names} cross or meet, at ({crossing[0]:.1f}, {crossing[1]:.1f}) mm"
+            yield Issue("trim.crosses", message, hint="move one of them, or join them to one curve")
             continue
         between = float(shapely.distance(outline.area.exterior, other.area.exterior))
         if between < 2.0 * tolerance:
-            gap = shapely.get_coordinates(shapely.shortest_line(outline.area.exterior, other.area.exterior))
-            x, y = gap.mean(axis=0) / MM
-            what = f"{names} come within {between / MM:.2f} mm of each other, at ({x:.1f}, {y:.1f}) mm; as "
-            what += f"both edges may deviate by shape_tol_mm, allowed {2.0 * tolerance / MM:g} mm or more"
+            gap_ends = shapely.get_coordinates(
+                shapely.shortest_line(outline.area.exterior, other.area.exterior)
+            )
+            x, y = gap_ends.mean(axis=0) / MM
+            message = (
+                f"{names} come within {between / MM:.2f} mm of each other, at ({x:.1f}, {y:.1f}) mm; as "
+            )
+            message += f"both edges may deviate by shape_tol_mm, allowed {2.0 * tolerance / MM:g} mm or more"
             hint = "move them apart, join them to one curve, or use a smaller shape_tol_mm"
             value, limit = between / MM, 2.0 * tolerance / MM
-            yield Issue("trim.crosses", what, value=value, limit=limit, unit="mm", hint=hint)
+            yield Issue("trim.crosses", message, value=value, limit=limit, unit="mm", hint=hint)
             continue
         for a, b in ((outline, other), (other, outline)):
             if bool(a.in_waste(b.curve.point[:1, :2])[0]):
-                what = f"{b.spec.name} lies in the waste of {a.spec.name}, so that nothing is cut there"
-                yield Issue("trim.in_waste", what, hint="leave it out, or swap drops of one of them")
+                message = f"{b.spec.name} lies in the waste of {a.spec.name}, so that nothing is cut there"
+                yield Issue("trim.in_waste", message, hint="leave it out, or swap drops of one of them")
 
 
 def _fault_position(reason: str) -> str:
@@ -105,39 +115,45 @@ def _fault_position(reason: str) -> str:
     return f", at ({x:.1f}, {y:.1f}) mm"
 
 
-def _nearest_point(outline: PlannedOutline, free: shapely.Polygon) -> int:
-    return int(np.argmin(shapely.distance(free.exterior, shapely.points(outline.curve.point[:, :2]))))
+def _nearest_point(outline: PlannedOutline, opening: shapely.Polygon) -> int:
+    """Return the index of the point of an outline that is nearest to the edge of the opening."""
+    return int(np.argmin(shapely.distance(opening.exterior, shapely.points(outline.curve.point[:, :2]))))
 
 
 def body_clearance(
     body: RoundBody, points: FloatArray, tips: FloatArray, axes: FloatArray, max_distance: float
 ) -> FloatArray:
-    """Return the distance (N, L) [m] of a tool's body from points.
+    """Return the distance (N, L) [m] of a tool's body from points, at N positions with L tilts each.
 
     Args:
         body: Body of the tool.
         points: Points (P, 3) [m].
-        tips: Tips (N, L, 3) [m]; the L of one row are tilted about one point.
+        tips: Tips (N, L, 3) [m]. The L tilts of one position are about one point.
         axes: Axes into the tool (N, L, 3).
         max_distance: Upper bound of the reported distance [m].
     """
     out = np.empty(tips.shape[:2])
     max_radius, max_axial = body.max_radius + max_distance, max(abs(body.start), abs(body.end)) + max_distance
-    # points near any tool of a row are near the first one, plus the displacement of the tilted ones
+    # points near the tool at any tilt are near the first one, plus the displacement of the others
     displacement = np.linalg.norm(tips - tips[:, :1], axis=2) + max_axial * np.linalg.norm(
         axes - axes[:, :1], axis=2
     )
-    square = np.einsum("ij,ij->i", points, points)
-    for k, (row, row_axes) in enumerate(zip(tips, axes, strict=True)):
-        axial = points @ row_axes[0] - row[0] @ row_axes[0]
-        radial_square = square - 2.0 * (points @ row[0]) + row[0] @ row[0] - axial * axial
+    squared_norm = np.einsum("ij,ij->i", points, points)
+    for k, (position_tips, position_axes) in enumerate(zip(tips, axes, strict=True)):
+        axial = points @ position_axes[0] - position_tips[0] @ position_axes[0]
+        radial_square = (
+            squared_norm
+            - 2.0 * (points @ position_tips[0])
+            + position_tips[0] @ position_tips[0]
+            - axial * axial
+        )
         max_radial = max_radius + float(displacement[k].max()) + ROUNDING_MARGIN_M
         nearby = points[(radial_square < max_radial * max_radial) & (np.abs(axial) < max_axial + max_radial)]
-        for number, (tip, axis) in enumerate(zip(row, row_axes, strict=True)):
+        for tilt_index, (tip, axis) in enumerate(zip(position_tips, position_axes, strict=True)):
             rest = nearby - tip
             axial = rest @ axis
             radial = np.sqrt(np.maximum(np.einsum("ij,ij->i", rest, rest) - axial * axial, 0.0))
-            out[k, number] = body.distance(axial, radial).min(initial=max_distance)
+            out[k, tilt_index] = body.distance(axial, radial).min(initial=max_distance)
     return out
 
 
@@ -149,18 +165,19 @@ def gouge_depths(
     side: int,
     path: tuple[FloatArray, FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
-    """Return how far the cutter is in the part at each row of a path.
+    """Return how far a mill's cutter is in the part at each position of a path, 0 for other tools.
 
     Args:
         outline: Outline of the slot.
         tool: How the tool cuts.
-        points: Points of the face (P, 3) [m]. The other face is lower by the thickness.
-        thickness: Thickness of the sheet [m]. A cut through it may be as oblique as that on the other face.
+        points: Points of the face (P, 3) [m]. The other face is moved along z by the thickness.
+        thickness: Thickness of the sheet [m]. On the other face the cut may be off the outline by as much.
         side: +1 for the upper face, -1 for the lower one.
-        path: Tips and axes of the path (N, 3).
+        path: Tips (N, 3) [m] and axes (N, 3) of the path.
 
     Returns:
-        Depth over the outline (N,) [m], and where it occurs (N, 3) [m].
+        Maximum distance from the outline (N,) [m] of points of the part in the cutter, and these points (N,
+        3) [m].
     """
     depth, where = np.zeros(len(path[0])), np.zeros((len(path[0]), 3))
     if tool.cutter is None or not len(points):
@@ -182,17 +199,17 @@ def gouge_depths(
         radial = np.linalg.norm(rest - axial[:, None] * axis, axis=1)
         inside = (radial < cutter.radius) & (axial > 0.0) & (axial < cutter.flute)
         depths = np.where(inside, distances[nearby], 0.0)
-        j = int(np.argmax(depths))
-        depth[k], where[k] = depths[j], both_faces[nearby[j]]
+        deepest = int(np.argmax(depths))
+        depth[k], where[k] = depths[deepest], both_faces[nearby[deepest]]
     return depth, where
 
 
 def gouge_issue(slot: Slot, depth: FloatArray, where: FloatArray, op: Trim) -> Iterator[Issue]:
-    """Yield the issue of a cutter that enters the part where the part is bent.
+    """Yield an issue if the cutter enters the part beyond the tolerance, where the part is bent.
 
     Args:
         slot: Slot.
-        depth: Depths along it (N,) [m].
+        depth: Depths along it (N,) [m], the first result of :func:`gouge_depths`.
         where: Points at which they occur (N, 3) [m].
         op: Operation.
     """
@@ -200,23 +217,25 @@ def gouge_issue(slot: Slot, depth: FloatArray, where: FloatArray, op: Trim) -> I
     if depth[k] <= op.shape_tol_mm * MM:
         return
     x, y, z = where[k] / MM
-    what = f"{slot.outline}: the cutter goes {depth[k] / MM:.2f} mm over the curve into the part, at "
-    what += f"({x:.1f}, {y:.1f}, {z:.1f}) mm, allowed {op.shape_tol_mm:g} mm"
+    message = f"{slot.outline}: the cutter goes {depth[k] / MM:.2f} mm over the curve into the part, at "
+    message += f"({x:.1f}, {y:.1f}, {z:.1f}) mm, allowed {op.shape_tol_mm:g} mm"
     hint = "move the curve away from the wall there, use a thinner cutter, or less below_mm"
     value, limit = float(depth[k]) / MM, op.shape_tol_mm
-    yield Issue("trim.wall", what, value=value, limit=limit, unit="mm", hint=hint)
+    yield Issue("trim.wall", message, value=value, limit=limit, unit="mm", hint=hint)
 
 
 def part_points(
     face: SheetFace, size: FloatArray, tool: CuttingTool, path: tuple[FloatArray, FloatArray]
 ) -> FloatArray:
-    """Return points of the sheet at which a cutter may be in one of its faces.
+    """Return points of the sheet's face near a mill's flute, at which it may cut one of both faces.
+
+    There are none for other tools.
 
     Args:
         face: Face of the sheet.
         size: Size of the sheet (3,) [m].
         tool: How the tool cuts.
-        path: Tips and axes of the path (N, 3).
+        path: Tips (N, 3) [m] and axes (N, 3) of the path.
 
     Returns:
         Points (P, 3) [m], at most ``PART_SPACING_M`` apart.
@@ -230,9 +249,9 @@ def part_points(
     flute = SweptBody(*path, flute_body(tool.cutter))
     points, _, count = points_near(vertices[faces], flute, float(size[2]), PART_SPACING_M, MAX_PART_POINTS)
     if count > MAX_PART_POINTS:
-        what = f"the slot needs {count} points to be checked, allowed {MAX_PART_POINTS}"
+        message = f"the slot needs {count} points to be checked, allowed {MAX_PART_POINTS}"
         hint = "cut it in several pieces (joints), or use a thinner cutter"
-        raise issue_error("trim.wall", what, value=count, limit=MAX_PART_POINTS, hint=hint)
+        raise issue_error("trim.wall", message, value=count, limit=MAX_PART_POINTS, hint=hint)
     return points
 
 
@@ -252,7 +271,7 @@ def face_points(face: SheetFace, size: FloatArray) -> FloatArray:
 def wall_issue(
     slot: Slot, tips: FloatArray, distances: FloatArray, op: Trim, tool: CuttingTool
 ) -> Iterator[Issue]:
-    """Yield the issue of a tool, normal to the face, that is too near to the sheet.
+    """Yield an issue if a tool that is normal to the face is too near to the sheet.
 
     Args:
         slot: Slot.
@@ -265,32 +284,32 @@ def wall_issue(
     if distances[k] >= op.clear_mm * MM:
         return
     x, y, z = tips[k] / MM
-    what = (
+    message = (
         f"{slot.outline}: at ({x:.1f}, {y:.1f}, {z:.1f}) mm the {_clear_part_name(tool)}, square to the "
         "sheet, "
     )
-    what += (
+    message += (
         f"{'enters it by' if distances[k] < 0.0 else 'is away from its wall by'} "
         f"{abs(distances[k]) / MM:.2f} mm, "
     )
-    what += f"required {op.clear_mm:g} mm"
+    message += f"required {op.clear_mm:g} mm"
     hint = "move the curve away from the wall, use a longer flute or a slimmer holder"
     if tool.blade is not None:
         hint = "move the curve away from the wall, use a longer blade_mm or a slimmer body"
     elif tool.cutter is None:
         hint = "move the curve away from the wall, use a slimmer nozzle, or a larger standoff_mm"
-    yield Issue("trim.wall", what, value=float(distances[k]) / MM, limit=op.clear_mm, unit="mm", hint=hint)
+    yield Issue("trim.wall", message, value=float(distances[k]) / MM, limit=op.clear_mm, unit="mm", hint=hint)
 
 
 def _clear_part_name(tool: CuttingTool) -> str:
-    """Return the name of what has to keep its clearance from the sheet."""
+    """Return the name of the part of the tool that has to keep its clearance from the sheet."""
     if tool.blade is not None:
         return f"{tool.label}'s body"
     return tool.label if tool.cutter is None else f"{tool.label}'s shank or holder"
 
 
 def rise_issue(slot: Slot, axes: FloatArray, side: int) -> Iterator[Issue]:
-    """Yield the issue of a tool that is too flat at the ends of a slot to rise to the safe plane.
+    """Yield an issue if the tool is too flat at the ends of a slot to rise along its axis to the safe plane.
 
     Args:
         slot: Slot.
@@ -301,11 +320,11 @@ def rise_issue(slot: Slot, axes: FloatArray, side: int) -> Iterator[Issue]:
     if up < np.sin(MIN_RISE_RAD):
         wall_deg = float(np.rad2deg(np.arccos(np.clip(up, -1.0, 1.0))))
         max_deg = 90.0 - MIN_RISE_RAD / DEG
-        what = f"{slot.outline}: at an end of its slot the wall is {wall_deg:.0f} deg steep, and a tool "
-        what += f"normal to it cannot come down to it from the safe plane, allowed {max_deg:g} deg"
+        message = f"{slot.outline}: at an end of its slot the wall is {wall_deg:.0f} deg steep, and a tool "
+        message += f"normal to it cannot come down to it from the safe plane, allowed {max_deg:g} deg"
         yield Issue(
             "trim.wall",
-            what,
+            message,
             value=wall_deg,
             limit=max_deg,
             unit="deg",
@@ -314,16 +333,18 @@ def rise_issue(slot: Slot, axes: FloatArray, side: int) -> Iterator[Issue]:
 
 
 def tilted_axes(axes: FloatArray, angle: float) -> list[FloatArray]:
-    """Return axes (N, 3) tilted in ``TILT_DIRECTIONS`` directions.
+    """Return the axes (N, 3) tilted in each of ``TILT_DIRECTIONS`` directions.
 
     Args:
-        axes: Axes (N, 3).
+        axes: Unit axes (N, 3).
         angle: Tilt [rad].
     """
     first = unit(np.cross(axes, np.eye(3)[int(np.abs(axes).max(axis=0).argmin())]))
     second = np.cross(axes, first)
     directions = 2.0 * np.pi * np.arange(TILT_DIRECTIONS) / TILT_DIRECTIONS
     return [
-        np.asarray(np.cos(angle) * axes + np.sin(angle) * (np.cos(t) * first + np.sin(t) * second))
-        for t in directions
+        np.asarray(
+            np.cos(angle) * axes + np.sin(angle) * (np.cos(direction) * first + np.sin(direction) * second)
+        )
+        for direction in directions
     ]

@@ -23,15 +23,15 @@ from planner.tooling import Knife, Mill, Torch
 
 
 def trim_claims(op: Trim, setup: Setup, tool: TrimTool, surface_error: float) -> tuple[Claim, ...]:
-    """Return the claims on the cut curves and the operator dialogue.
+    """Return the claims on the cut curves, the operator dialogue, and a spindle or drive if there is one.
 
-    The proof derives from these what is switched at each curve.
+    The proof derives from these what a torch switches and waits for at each curve.
 
     Args:
         op: Operation.
         setup: Cell and stock as the operation finds them.
         tool: Tool of the arm.
-        surface_error: Stated deviation of the face [m].
+        surface_error: Possible deviation of the vertices of the mesh from the face [m].
     """
     surface = None
     if not isinstance(op.surface, str):
@@ -103,7 +103,7 @@ def _blade_claim(op: Trim, by: KnifeCut, tool: Knife) -> TrimBlade:
 
 
 def operator_figures(op: Trim, setup: Setup, tool: TrimTool) -> dict[str, float | str]:
-    """Return the values of sheet and tool that the operator is shown.
+    """Return the values of sheet and tool in the messages to the operator, by their name in the sentence.
 
     Args:
         op: Operation.
@@ -111,46 +111,47 @@ def operator_figures(op: Trim, setup: Setup, tool: TrimTool) -> dict[str, float 
         tool: Tool of the arm.
     """
     sheet = setup.stock.sheet
-    figures: dict[str, float | str] = {
+    values: dict[str, float | str] = {
         "t_mm": float(setup.stock.size[2]) / MM,
         "metal": "" if sheet is None else sheet.metal.name,
     }
     if isinstance(op.by, MillCut) and isinstance(tool, Mill):
-        return figures | {
+        return values | {
             "kind": tool.cutter.kind,
             "diameter_mm": 2.0 * tool.cutter.radius / MM,
             "rpm": op.by.spindle_rpm,
             "below_mm": op.by.below_mm,
         }
     if isinstance(op.by, KnifeCut) and isinstance(tool, Knife):
-        return figures | {
+        return values | {
             "wide_mm": tool.blade.width / MM,
             "thick_mm": tool.blade.thickness / MM,
             "below_mm": op.by.below_mm,
         }
     if not isinstance(tool, Torch):
-        return figures
-    return figures | {"cuts_by": tool.cuts_by, "kerf_mm": tool.kerf / MM, "off_mm": tool.standoff / MM}
+        return values
+    return values | {"cuts_by": tool.cuts_by, "kerf_mm": tool.kerf / MM, "off_mm": tool.standoff / MM}
 
 
 def _operator_dialogue(op: Trim, setup: Setup, tool: TrimTool) -> OperatorDialogue:
-    figures = operator_figures(op, setup, tool)
+    """Return the claimed dialogue: messages and questions at start and end, and switched outputs."""
+    values = operator_figures(op, setup, tool)
     if isinstance(op.by, MillCut):
         start = (
-            message_step(trim_sentences.TRIM_MILL, **figures),
+            message_step(trim_sentences.TRIM_MILL, **values),
             question_step(trim_sentences.TRIM_MILL_READY),
         )
         end = question_step(trim_sentences.TRIM_MILL_STOPPED)
         return _powered_dialogue(op, start, end, op.by.spin_up_s, op.by.spin_down_s)
     if isinstance(op.by, KnifeCut):
         start = (
-            message_step(trim_sentences.TRIM_KNIFE, **figures),
+            message_step(trim_sentences.TRIM_KNIFE, **values),
             question_step(trim_sentences.TRIM_KNIFE_READY),
         )
         end = question_step(trim_sentences.TRIM_KNIFE_DONE)
         return _powered_dialogue(op, start, end, op.by.start_up_s, op.by.run_down_s)
     first = (
-        message_step(trim_sentences.TORCH, **figures),
+        message_step(trim_sentences.TORCH, **values),
         message_step(trim_sentences.TORCH_STOPPED),
         question_step(trim_sentences.TORCH_READY),
     )
@@ -160,7 +161,7 @@ def _operator_dialogue(op: Trim, setup: Setup, tool: TrimTool) -> OperatorDialog
 def _powered_dialogue(
     op: Trim, start: tuple[DialogueStep, ...], end: DialogueStep, spin_up: float, spin_down: float
 ) -> OperatorDialogue:
-    """Return the dialogue of a tool whose signal, if it has one, is on throughout."""
+    """Return the dialogue of a tool whose signal, if it has one, is on throughout the operation."""
     if op.signal is None:
         return OperatorDialogue(op.arms, start, (end,))
     on_steps, off_steps = power_on_steps(op.signal, spin_up), power_off_steps(op.signal, spin_down)
@@ -181,6 +182,7 @@ def _outline_claim(outline: OutlineFile) -> TrimOutline:
 
 
 def _drawn_curve(outline: OutlineFile) -> DrawnCurve | None:
+    """Return the curve of an outline, whose height does not count; None for a circle."""
     if outline.drawing is not None:
         return outline.drawing.to_drawn_curve()
     return None if outline.curve is None else dataclasses.replace(outline.curve.to_drawn_curve(), z_mm=None)

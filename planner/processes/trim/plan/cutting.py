@@ -1,4 +1,4 @@
-"""What cuts a sheet, as the job sees it.
+"""The parts of trimming tools that cut, and the parts that keep clear of the sheet, as planning uses them.
 
 The TCP of a torch is on the face. A mill or knife goes through the sheet.
 """
@@ -31,12 +31,12 @@ class CuttingTool:
         label: Name of the tool in messages.
         kerf: Width of its slot [m].
         depth: Depth of the TCP behind the face in a slot, along the tool's axis [m].
-        lift: How much higher the TCP is where a slot starts [m].
-        clear_body: Body that keeps clear of the sheet.
-        cutter: Cutter of a mill, which cuts what it meets.
-        plunge: Speed at which a mill or knife goes down [m/s].
-        is_ramp: Whether it goes down along its lead-in, or else straight.
-        blade: Blade of a knife, which cuts in its plane.
+        lift: Height of the TCP above its height in the slot where a slot starts [m].
+        clear_body: Part of the tool that keeps clear of the sheet.
+        cutter: Cutter of a mill, None for other tools.
+        plunge: Speed at which a mill or knife goes down [m/s], infinite for a torch.
+        is_ramp: Whether it goes down along its lead-in, otherwise straight down.
+        blade: Blade of a knife, None for other tools.
     """
 
     label: str
@@ -79,11 +79,11 @@ def mounted_tool(op: Trim, tool: Tool) -> TrimTool:
     if isinstance(tool, Mill | Torch | Knife) and op.by.kind == _TOOL_KINDS[type(tool)]:
         return tool
     required = op.by.kind
-    what = f"{op.name}: arm {op.arms[0]} carries {tool.name}, which is not a {required}"
+    message = f"{op.name}: arm {op.arms[0]} carries {tool.name}, which is not a {required}"
     hint = f"give it tool: {{kind: {required}, ...}}, in a setup if necessary"
     if isinstance(tool, Mill | Torch | Knife):
         hint += f", or state by: {{kind: {_TOOL_KINDS[type(tool)]}}}"
-    raise issue_error("trim.tool", what, hint=hint)
+    raise issue_error("trim.tool", message, hint=hint)
 
 
 _TOOL_KINDS: Final = {Mill: "mill", Torch: "torch", Knife: "knife"}
@@ -116,10 +116,12 @@ def cutting_tool(op: Trim, tool: TrimTool, thickness: float) -> CuttingTool:
     depth = thickness + by.below_mm * MM
     _require_reach(op, ("flute", "flute_mm"), cutter.flute, depth)
     if cutter.corner > by.below_mm * MM:
-        what = f"{op.name}: the end of the {cutter.kind} cutter, round over {cutter.corner / MM:g} mm, stays "
-        what += f"in the sheet with below_mm: {by.below_mm:g}"
+        message = (
+            f"{op.name}: the end of the {cutter.kind} cutter, round over {cutter.corner / MM:g} mm, stays "
+        )
+        message += f"in the sheet with below_mm: {by.below_mm:g}"
         hint = f"use a cylinder, or below_mm: {cutter.corner / MM:g}"
-        raise issue_error("trim.tool", what, limit=by.below_mm, unit="mm", hint=hint)
+        raise issue_error("trim.tool", message, limit=by.below_mm, unit="mm", hint=hint)
     return CuttingTool(
         "cutter",
         2.0 * cutter.radius,
@@ -133,17 +135,20 @@ def cutting_tool(op: Trim, tool: TrimTool, thickness: float) -> CuttingTool:
 
 
 def _require_reach(op: Trim, names: tuple[str, str], length: float, depth: float) -> None:
-    """Check that what cuts reaches ``depth`` [m] behind the face, with a margin for what does not cut.
+    """Check that a cutting part is long enough for the rest of the tool to stay clear of the sheet.
 
-    ``names`` are those of what cuts and of the field of its ``length`` [m].
+    ``names`` are those of the part and of the field with its ``length`` [m]; ``depth`` [m] is that of the tip
+    behind the face.
     """
     required = depth + op.clear_mm * MM + SHANK_MARGIN_M
     if length < required:
-        what = f"{op.name}: the {names[0]} of {length / MM:g} mm does not reach through the sheet, required "
-        what += f"{required / MM:.2f} mm (sheet, below_mm and clear_mm)"
+        message = (
+            f"{op.name}: the {names[0]} of {length / MM:g} mm does not reach through the sheet, required "
+        )
+        message += f"{required / MM:.2f} mm (sheet, below_mm and clear_mm)"
         hint = f"use a longer {names[1]}, or less below_mm"
         value, limit = length / MM, required / MM
-        raise issue_error("trim.tool", what, value=value, limit=limit, unit="mm", hint=hint)
+        raise issue_error("trim.tool", message, value=value, limit=limit, unit="mm", hint=hint)
 
 
 def torch_body(torch: Torch) -> RoundBody:

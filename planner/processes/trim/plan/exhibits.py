@@ -1,4 +1,4 @@
-"""Exhibits of a trimmed sheet: the tool for the setup sheet, slots in order, curves, heights."""
+"""Exhibits of a trim operation for the report: setup sheet, slots in order, curves, heights of the tool."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -37,7 +37,7 @@ def exhibits(
     outlines: Sequence[PlannedOutline],
     slot_targets: Sequence[SlotTargets],
 ) -> dict[str, Any]:
-    """Return exhibits by name, in the forms that the report knows.
+    """Return the exhibits of a trim operation by name, in the formats of the report.
 
     Args:
         op: Operation.
@@ -48,14 +48,13 @@ def exhibits(
         slot_targets: Targets of each slot.
     """
     items = _setup_items(op, mounted_tool, cut_slots)
-    tool_end = (
-        mounted_tool.standoff if isinstance(mounted_tool, Torch) else 0.0
-    )  # from the TCP to the tool's end
+    # distance from the TCP to the tool's end
+    tool_end = mounted_tool.standoff if isinstance(mounted_tool, Torch) else 0.0
     rows = []
     for slot in cut_slots:
         length = float(np.linalg.norm(np.diff(slot.point[slot.first : slot.last + 1], axis=0), axis=1).sum())
         wall = np.rad2deg(np.arccos(np.clip(np.abs(slot.normal[:, 2]), 0.0, 1.0)))
-        spec = next(w.spec for w in outlines if w.spec.name == slot.outline)
+        spec = next(outline.spec for outline in outlines if outline.spec.name == slot.outline)
         joints = f"{spec.joints} of {spec.joint_mm:g}" if spec.joints else "none"
         rows.append(
             (slot.name, spec.drops, f"{length / MM:.1f}", f"{wall.min():.0f} to {wall.max():.0f}", joints)
@@ -65,10 +64,8 @@ def exhibits(
     for slot, targets in zip(cut_slots, slot_targets, strict=True):
         along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(targets.tip, axis=0), axis=1)))
         series.append({"name": slot.name, "x": along / MM, "y": (targets.height + tool_end) / MM})
-    nominal_height, end_name = (
-        (tool_end - tool.depth) / MM,
-        {Torch: "Nozzle", Mill: "Cutter's tip", Knife: "Blade's tip"}[type(mounted_tool)],
-    )
+    nominal_height = (tool_end - tool.depth) / MM
+    end_name = {Torch: "Nozzle", Mill: "Cutter's tip", Knife: "Blade's tip"}[type(mounted_tool)]
     return {
         "setup": {"kind": "setup", "title": "Trimming", "items": items},
         "slots": {"kind": "table", "title": "Slots in order", "columns": columns, "rows": rows},
@@ -77,7 +74,7 @@ def exhibits(
             "title": f"Cut curves, with the path of the {end_name.lower()} and pierce points",
             "near": True,
             "curves": [
-                *(np.concatenate([w.curve.point, w.curve.point[:1]]) for w in outlines),
+                *(np.concatenate([outline.curve.point, outline.curve.point[:1]]) for outline in outlines),
                 *(targets.tip + tool_end * targets.axis for targets in slot_targets),
             ],
             "points": np.array([targets.tip[0] for targets in slot_targets]),
@@ -97,6 +94,7 @@ def exhibits(
 
 
 def _setup_items(op: Trim, tool: TrimTool, cut_slots: Sequence[Slot]) -> list[tuple[str, ...]]:
+    """Return the items of the setup sheet: name, value, and for some items a unit or a remark."""
     match tool:
         case Torch():
             return _torch_items(op, tool)
@@ -107,7 +105,8 @@ def _setup_items(op: Trim, tool: TrimTool, cut_slots: Sequence[Slot]) -> list[tu
 
 
 def _torch_items(op: Trim, torch: Torch) -> list[tuple[str, ...]]:
-    ok = (
+    """Return the items of the setup sheet for a torch."""
+    ok_input = (
         "none: the program does not wait"
         if op.ok_signal is None
         else f"{op.ok_signal}, at most {op.ok_timeout_s:g} s"
@@ -116,7 +115,7 @@ def _torch_items(op: Trim, torch: Torch) -> list[tuple[str, ...]]:
         ("torch", f"{torch.cuts_by}, nozzle {2.0 * torch.nozzle / MM:g} mm, kerf {torch.kerf / MM:g} mm"),
         ("TCP", f"{torch.standoff / MM:g} mm before the nozzle, on its axis; z out of the torch"),
         ("output that starts the arc", op.signal or ""),
-        ("input that reports the arc", ok),
+        ("input that reports the arc", ok_input),
         ("configure at the controller", "both signals; the programs do not load without them"),
         ("pierce", f"{op.pierce.seconds:g}", "s after that, at rest in the waste"),
         ("feed in the flat sheet", f"{op.feed_mm_s:g}", "mm/s; over the cosine of the wall's angle"),
@@ -128,6 +127,7 @@ def _torch_items(op: Trim, torch: Torch) -> list[tuple[str, ...]]:
 
 
 def _mill_items(op: Trim, tool: Mill) -> list[tuple[str, ...]]:
+    """Return the items of the setup sheet for a mill."""
     by, cutter = op.by, tool.cutter
     if not isinstance(by, MillCut):
         return []
@@ -147,6 +147,7 @@ def _mill_items(op: Trim, tool: Mill) -> list[tuple[str, ...]]:
 
 
 def _knife_items(op: Trim, tool: Knife, cut_slots: Sequence[Slot]) -> list[tuple[str, ...]]:
+    """Return the items of the setup sheet for a knife."""
     by, blade = op.by, tool.blade
     if not isinstance(by, KnifeCut):
         return []

@@ -17,10 +17,15 @@ POINT_TOLERANCE_M: Final = 1e-7
 
 
 class SheetFace:
-    """Upper or lower side of a formed sheet.
+    """Upper or lower face of a formed sheet.
 
     By the sine law the upper face is the lower one moved along z by the thickness. Beyond the mesh the sheet
     is flat.
+
+    Attributes:
+        side: +1 for the upper face, -1 for the lower one.
+        rise: Height z of the flat of this face [m].
+        mesh: Mesh of this face.
 
     Args:
         mesh: Lower face in the sheet's frame.
@@ -31,21 +36,23 @@ class SheetFace:
     def __init__(self, mesh: Mesh, thickness: float, side: int) -> None:
         self.side, self.rise = side, thickness if side > 0 else 0.0
         self.mesh = Mesh(mesh.vertices + np.array([0.0, 0.0, self.rise]), mesh.faces)
-        self._over = FaceFromAbove(self.mesh.vertices, self.mesh.faces)
+        self._from_above = FaceFromAbove(self.mesh.vertices, self.mesh.faces)
 
     def at(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return points (N, 3) over ``xy`` (N, 2) [m], and upward normals (N, 3) there."""
-        projected = self._over.at(xy)
+        """Return points (N, 3) [m] of the face over ``xy`` (N, 2) [m], and upward normals (N, 3) there."""
+        projected = self._from_above.at(xy)
         point = np.where(
             projected.on[:, None], projected.point, np.column_stack([xy, np.full(len(xy), self.rise)])
         )
         return point, np.where(projected.on[:, None], projected.normal, np.array([0.0, 0.0, 1.0]))
 
     def sheet_triangles(self, size: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Return the whole sheet as vertices and triangles: the mesh, and the flat part around it.
+        """Return the whole face of the sheet as vertices (V, 3) [m] and triangles (F, 3).
+
+        They are the mesh and eight rectangles of flat sheet around it, as far as these are in the sheet.
 
         Args:
-            size: Minimum size of the sheet (2,) [m].
+            size: Size of the sheet (2,) [m]. The result is larger if the mesh is.
         """
         low, high = self.mesh.vertices[:, :2].min(axis=0), self.mesh.vertices[:, :2].max(axis=0)
         half_size = np.maximum(np.maximum(-low, high), 0.5 * size)
@@ -105,10 +112,14 @@ def project_curve(name: str, points: FloatArray, face: SheetFace) -> FaceCurve:
         xy = xy[::-1]
     lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
     count = max(int(np.ceil(lengths[-1] / CURVE_SPACING_M)), 24)
-    at = np.union1d(lengths[-1] * np.arange(count) / count, lengths[:-1])
-    at = at[np.append(np.diff(at) > POINT_TOLERANCE_M, lengths[-1] - at[-1] > POINT_TOLERANCE_M)]
-    flat = np.stack([np.interp(at, lengths, xy[:, k]) for k in range(2)], axis=1)
-    point, normal = face.at(flat)
+    # evenly spaced points and the curve's own ones, without duplicates
+    sampled = np.union1d(lengths[-1] * np.arange(count) / count, lengths[:-1])
+    is_distinct = np.append(
+        np.diff(sampled) > POINT_TOLERANCE_M, lengths[-1] - sampled[-1] > POINT_TOLERANCE_M
+    )
+    sampled = sampled[is_distinct]
+    plan = np.stack([np.interp(sampled, lengths, xy[:, k]) for k in range(2)], axis=1)
+    point, normal = face.at(plan)
     ring = np.concatenate([point, point[:1]])
     along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(ring, axis=0), axis=1)))
     return FaceCurve(name, point, normal, along)
@@ -125,7 +136,8 @@ SMOOTH_ANGLE_RAD: Final = np.deg2rad(3.0)
 def curve_distance(points: FloatArray, curve: FloatArray) -> FloatArray:
     """Return the distance (N,) [m] of points from a closed polyline.
 
-    It is computed at the edges beside the nearest vertices.
+    It is that from the edges adjacent to the three nearest vertices, so it may be too large where the lengths
+    of edges differ much.
 
     Args:
         points: Points (N, 3) [m].
@@ -134,10 +146,10 @@ def curve_distance(points: FloatArray, curve: FloatArray) -> FloatArray:
     from scipy.spatial import cKDTree  # slow to import
 
     nearest = np.asarray(cKDTree(curve).query(points, k=min(3, len(curve)))[1]).reshape(len(points), -1)
-    after = np.roll(curve, -1, axis=0)
+    next_vertex = np.roll(curve, -1, axis=0)
     best = np.full(len(points), np.inf)
     for first in (*nearest.T, *((column - 1) % len(curve) for column in nearest.T)):
-        start, edge = curve[first], after[first] - curve[first]
+        start, edge = curve[first], next_vertex[first] - curve[first]
         fraction = np.clip(dots(points - start, edge) / np.maximum(dots(edge, edge), 1e-24), 0.0, 1.0)
         best = np.minimum(best, np.linalg.norm(points - start - fraction[:, None] * edge, axis=1))
     return best
@@ -178,7 +190,7 @@ def offset_curve(
         np.linalg.norm(np.cross(previous_side, next_side), axis=1), dots(previous_side, next_side)
     )
     is_convex = sign * dots(np.cross(np.roll(direction, 1, axis=0), direction), normal) < 0.0
-    rows: list[FloatArray] = []
+    directions_of_points: list[FloatArray] = []
     owner: list[IntArray] = []
     for i in range(len(point)):
         if angle[i] < SMOOTH_ANGLE_RAD:
@@ -192,39 +204,40 @@ def offset_curve(
             directions = directions / np.sin(angle[i]) if angle[i] < np.pi - 1e-3 else unit(directions)
         else:
             directions = np.stack([previous_side[i], next_side[i]])
-        rows.append(directions)
+        directions_of_points.append(directions)
         owner.append(np.full(len(directions), i))
-    out, rows_of_points = np.concatenate(rows), np.concatenate(owner)
-    scale = np.ones(len(rows_of_points))
+    into_waste, curve_index = np.concatenate(directions_of_points), np.concatenate(owner)
+    scale = np.ones(len(curve_index))
     for _ in range(REACH_ITERATIONS):  # scale the step until the distance is half the kerf on a bent face too
-        middle, _ = face.at((point[rows_of_points] + (half_kerf * scale)[:, None] * out)[:, :2])
-        reach = np.linalg.norm(middle - point[rows_of_points], axis=1)
+        middle, _ = face.at((point[curve_index] + (half_kerf * scale)[:, None] * into_waste)[:, :2])
+        reach = np.linalg.norm(middle - point[curve_index], axis=1)
         scale = np.clip(scale * half_kerf / np.maximum(reach, 0.2 * half_kerf), *REACH_SCALES)
     kept = curve_distance(middle, point) >= half_kerf - OFFSET_TOLERANCE_M
-    return _join_sides(middle, unit(out), kept)
+    return _join_sides(middle, unit(into_waste), kept)
 
 
 def _join_sides(middle: FloatArray, out: FloatArray, kept: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return the kept points of a closed path, plus the intersections of its sides where others are left out.
+    """Return the kept points (K, 3) of a closed path, joined where others are left out.
 
-    The directions ``out`` are returned with them.
+    There the intersection of the sides of the path is added if they intersect. The directions ``out`` (N, 3)
+    of the points are returned with them.
     """
-    rows = np.flatnonzero(kept)
-    if kept.all() or len(rows) < 4:
-        return middle[rows], out[rows]
+    kept_indices = np.flatnonzero(kept)
+    if kept.all() or len(kept_indices) < 4:
+        return middle[kept_indices], out[kept_indices]
     points, directions = [], []
-    for k, row in enumerate(rows.tolist()):
-        points.append(middle[row])
-        directions.append(out[row])
-        after = rows[(k + 1) % len(rows)]
-        if (after - row) % len(kept) == 1:
+    for k, index in enumerate(kept_indices.tolist()):
+        points.append(middle[index])
+        directions.append(out[index])
+        next_index = kept_indices[(k + 1) % len(kept_indices)]
+        if (next_index - index) % len(kept) == 1:
             continue
-        a, b = middle[row], middle[after]
-        ahead, back = a - middle[rows[k - 1]], b - middle[rows[(k + 2) % len(rows)]]
+        a, b = middle[index], middle[next_index]
+        ahead, back = a - middle[kept_indices[k - 1]], b - middle[kept_indices[(k + 2) % len(kept_indices)]]
         # nearest points of both lines
         parameters = np.linalg.lstsq(np.stack([ahead, -back], axis=1), b - a, rcond=None)[0]
         on_first, on_second = a + parameters[0] * ahead, b + parameters[1] * back
         if parameters.min() > 0.0 and float(np.linalg.norm(on_first - on_second)) < OFFSET_TOLERANCE_M:
             points.append(0.5 * (on_first + on_second))
-            directions.append(unit((out[row] + out[after])[None])[0])
+            directions.append(unit((out[index] + out[next_index])[None])[0])
     return np.array(points), np.array(directions)

@@ -23,18 +23,18 @@ LINGER_FACTOR: Final = 2.5
 The proof allows more.
 """
 LINGER_TIME_S: Final = 0.4
-"""Duration for which the torch may additionally stop there [s]."""
+"""Duration for which the torch may additionally stop on a short stretch [s]."""
 LINGER_KERF_FACTOR: Final = 3.0
-"""Length of such a stretch in kerfs."""
+"""Length of a short stretch, in kerfs."""
 MIN_STRETCH_M: Final = 3.0 * MM
-"""Minimum length of such a stretch [m]."""
+"""Minimum length of a short stretch [m]."""
 
 
 def mean_feed_fractions(stop: BoolArray, tool: CuttingTool) -> FloatArray:
-    """Return the mean speeds (N,) of moves as fractions of their feeds.
+    """Return the mean speeds (N,) of the moves to N targets as fractions of their feeds.
 
-    Moves from or to a stop are slower on average. Stretches of a knife may be short, so its moves next to
-    those are slower too.
+    Moves from or to a stop are slower on average. Stretches of a knife may be short, so moves adjacent to
+    those are slower, too.
 
     Args:
         stop: Whether the tool stops at each target (N,).
@@ -48,9 +48,10 @@ def mean_feed_fractions(stop: BoolArray, tool: CuttingTool) -> FloatArray:
 
 
 def slow_issues(op: Trim, tool: CuttingTool, targets: Targets, time: FloatArray) -> tuple[Issue, ...]:
-    """Return issues of slots in which the arm is slower on average than allowed.
+    """Return issues of slots in which the arm is slower than allowed.
 
-    A torch then burns away more than its kerf.
+    It may be too slow on average, or with a torch on a short stretch. A torch that is too slow burns away
+    more than its kerf. A knife has no minimum feed.
 
     Args:
         op: Operation.
@@ -60,35 +61,39 @@ def slow_issues(op: Trim, tool: CuttingTool, targets: Targets, time: FloatArray)
     """
     out = []
     if tool.blade is not None:
-        return ()  # a knife has no minimum feed
+        return ()
     for segment in dict.fromkeys(s for s in targets.segment if s.kind == TRIM and not s.phase):
-        rows = np.array([s == segment for s in targets.segment])
-        full = targets.feed / np.where(
+        in_slot = np.array([s == segment for s in targets.segment])
+        # targets have the mean feed of their moves; here the feed itself is needed
+        full_feed = targets.feed / np.where(
             np.append(False, targets.stop[:-1]) | targets.stop, MEAN_FEED_FRACTION, 1.0
         )
-        actual, ideal = np.diff(time, prepend=time[0])[rows], targets.travel[rows] / full[rows]
+        actual = np.diff(time, prepend=time[0])[in_slot]
+        ideal = targets.travel[in_slot] / full_feed[in_slot]
         fraction = float(ideal.sum()) / max(float(actual.sum()), 1e-9)
-        lengths = targets.travel[rows]
-        level = np.cumsum(lengths) - lengths > op.lead.length_mm * MM
-        if tool.cutter is not None and level.any():  # a fast plunge must not hide a slow cut
-            fraction = min(fraction, float(ideal[level].sum()) / max(float(actual[level].sum()), 1e-9))
+        lengths = targets.travel[in_slot]
+        after_lead = np.cumsum(lengths) - lengths > op.lead.length_mm * MM
+        if tool.cutter is not None and after_lead.any():  # a fast plunge must not mask a slow cut
+            fraction = min(
+                fraction, float(ideal[after_lead].sum()) / max(float(actual[after_lead].sum()), 1e-9)
+            )
         if fraction < op.least_feed:
-            what = f"{segment}: the arm reaches {100 * fraction:.0f} % of the feed on average, required "
-            what += f"{100 * op.least_feed:.0f} %"
+            message = f"{segment}: the arm reaches {100 * fraction:.0f} % of the feed on average, required "
+            message += f"{100 * op.least_feed:.0f} %"
             hint = f"use a lower feed_mm_s, round the corners, or allow it: least_feed: {0.95 * fraction:.2f}"
-            out.append(Issue("trim.slow", what, value=fraction, limit=op.least_feed, hint=hint))
+            out.append(Issue("trim.slow", message, value=fraction, limit=op.least_feed, hint=hint))
         elif tool.cutter is None:
-            out += _linger_issues(op, tool.kerf, segment, targets.travel[rows], time, rows)
+            out += _linger_issues(op, tool.kerf, segment, targets.travel[in_slot], time, in_slot)
     return tuple(out)
 
 
 def _linger_length(kerf: float) -> float:
-    """Return the length [m] of a stretch on which a torch of that kerf [m] must not linger."""
+    """Return the length [m] of a short stretch, on which a torch of that kerf [m] must not linger."""
     return max(LINGER_KERF_FACTOR * kerf, MIN_STRETCH_M)
 
 
 def max_stop_time(op: Trim, kerf: float) -> float:
-    """Return how long [s] a torch may take for such a stretch, and therefore stop in one place.
+    """Return the maximum time [s] that a torch may take for a short stretch, and so may stop in one place.
 
     Args:
         op: Operation.
@@ -98,15 +103,16 @@ def max_stop_time(op: Trim, kerf: float) -> float:
 
 
 def _linger_issues(
-    op: Trim, kerf: float, segment: Segment, travel: FloatArray, time: FloatArray, rows: BoolArray
+    op: Trim, kerf: float, segment: Segment, travel: FloatArray, time: FloatArray, in_slot: BoolArray
 ) -> list[Issue]:
-    """Return the issue of a short stretch of a slot on which a torch would burn away more than its kerf.
+    """Return an issue if a torch takes so long for a short stretch that it burns away more than its kerf.
 
-    The stretch is a few kerfs long. ``travel`` (R,) [m] are the lengths of the moves to its targets, which
-    are ``rows`` (N,) of those with ``time`` (N,).
+    ``travel`` (R,) [m] are the lengths of the moves to the targets of the slot, ``time`` (N,) [s] the times
+    of all targets, ``in_slot`` (N,) tells which of them belong to the slot.
     """
-    target_rows = np.flatnonzero(rows)
-    along, clock = np.append(0.0, np.cumsum(travel)), time[np.append(target_rows[0] - 1, target_rows)]
+    target_rows = np.flatnonzero(in_slot)
+    along = np.append(0.0, np.cumsum(travel))
+    clock = time[np.append(target_rows[0] - 1, target_rows)]
     stretch = _linger_length(kerf)
     # stretches from each target on, and those up to each
     start = np.concatenate([along, np.maximum(along - stretch, 0.0)])
@@ -116,8 +122,10 @@ def _linger_issues(
     k = int(np.argmax(durations - allowed))
     if durations[k] <= allowed[k]:
         return []
-    what = f"{segment}: the arm takes {durations[k]:.2f} s for {(end[k] - start[k]) / MM:.2f} mm, where the "
-    what += f"torch burns away more than its kerf, allowed {allowed[k]:.2f} s"
+    message = (
+        f"{segment}: the arm takes {durations[k]:.2f} s for {(end[k] - start[k]) / MM:.2f} mm, where the "
+    )
+    message += f"torch burns away more than its kerf, allowed {allowed[k]:.2f} s"
     hint = "round the corner there, start the slot elsewhere, or use a lower feed_mm_s"
     value, limit = float(durations[k]), float(allowed[k])
-    return [Issue("trim.slow", what, value=value, limit=limit, unit="s", hint=hint)]
+    return [Issue("trim.slow", message, value=value, limit=limit, unit="s", hint=hint)]

@@ -1,9 +1,9 @@
 """The process ``trim``: from closed curves on a formed sheet to targets of one arm's tool, and claims.
 
 The tool is a torch, a mill or a knife. See `face` (curves on the face, offset slots), `slots` (leads,
-micro-joints), `stretches` (cuts of a knife), `cutting` (what cuts), `check` (checks before motion planning),
-`route` (path through all slots), `route_targets` (its targets), `pace` (feeds), `claims` and `shown`
-(exhibits).
+micro-joints), `stretches` (cuts of a knife), `cutting` (tools), `check` (checks before motion planning),
+`route` (path through all slots), `route_targets` (its targets), `feed_check` (feeds), `claims` and
+`exhibits`.
 
 **Poses**: the TCP of a torch is the point that is cut. That of a mill or knife is its tip, as deep behind
 that point as it goes through the sheet. z is the tool's axis, which points into the sheet; x of a knife is
@@ -53,7 +53,7 @@ class TrimJob(Job[Trim]):
         """The tool of the arm.
 
         Raises:
-            TandemError: ``trim.tool``.
+            TandemError: ``trim.tool`` if it does not cut as the operation states.
         """
         return mounted_tool(self.operation, self.setup.cell.arm(self.operation.arms[0]).tool)
 
@@ -62,7 +62,7 @@ class TrimJob(Job[Trim]):
         """How the tool cuts.
 
         Raises:
-            TandemError: ``trim.tool``.
+            TandemError: ``trim.tool`` also for cutters and blades that do not go through the sheet.
         """
         return cutting_tool(self.operation, self.tool, float(self.setup.stock.size[2]))
 
@@ -78,58 +78,64 @@ class TrimJob(Job[Trim]):
 
     @functools.cached_property
     def surface(self) -> FormedPart:
-        """The face as the file has it, and its possible deviation. Raises as :attr:`face`."""
+        """The formed sheet of the operation's file or of the part. It raises as :attr:`face` does."""
         op, stock, part = self.operation, self.setup.stock, self.part
         if not isinstance(op.surface, str):
             pose = None if op.surface.frame == "find" else np.eye(4)
             part = sheet_file.build_formed_part(op.surface, Path(), stock, pose)
         if stock.sheet is None or part is None or part.formed is None:
-            what = f"{op.name}: there is no formed sheet; give sheet: and a part of kind sheet_mesh"
-            raise issue_error("trim.no_sheet", what, field="sheet")
+            message = f"{op.name}: there is no formed sheet; give sheet: and a part of kind sheet_mesh"
+            raise issue_error("trim.no_sheet", message, field="sheet")
         return part.formed
 
     @functools.cached_property
     def formed(self) -> Mesh:
-        """The lower face of the sheet as it is trimmed. Raises as :attr:`face`."""
+        """The lower face of the sheet as it is trimmed.
+
+        If later operations form more of the part, it has only the features that are formed before. It raises
+        the same errors as :attr:`face`.
+        """
         mesh, sheet = self.surface.mesh, self.setup.stock.sheet
         stages = None if sheet is None else sheet.stages
         if isinstance(self.operation.surface, str) and stages is not None and stages.following:
             tree = build_feature_tree(mesh, FEATURE_STEP, max(MIN_BUMP_HEIGHT_M, self.surface.tolerance))
             done = {number for _, numbers in stages.previous for number in numbers or ()}
-            known = sorted(done.intersection(feature.id for feature in tree.features))
-            mesh = formed_sheet(mesh, tree, known)
+            formed_features = sorted(done.intersection(feature.id for feature in tree.features))
+            mesh = formed_sheet(mesh, tree, formed_features)
         return mesh
 
     @functools.cached_property
     def outlines(self) -> tuple[PlannedOutline, ...]:
-        """The outlines in the order of cutting: those inside most others first."""
+        """The outlines in the order of cutting: first those that are inside most other outlines."""
         outlines = []
         for spec, points in every_outline(self.operation):
             curve = project_curve(spec.name, points, self.face)
             outlines.append(PlannedOutline(spec, curve, shapely.Polygon(curve.point[:, :2])))
-        inside = [
+        nesting_depths = [
             sum(
-                shapely.contains_properly(o.area.buffer(0), shapely.Point(w.curve.point[0, :2]))
-                for o in outlines
+                shapely.contains_properly(other.area.buffer(0), shapely.Point(outline.curve.point[0, :2]))
+                for other in outlines
             )
-            for w in outlines
+            for outline in outlines
         ]
-        return tuple(outlines[k] for k in sorted(range(len(outlines)), key=lambda k: -inside[k]))
+        return tuple(outlines[k] for k in sorted(range(len(outlines)), key=lambda k: -nesting_depths[k]))
 
     def targets(self) -> Targets:
         """Return the targets of the operation.
 
+        Slots are planned along all outlines, then the route through them, then its targets.
+
         Raises:
-            TandemError: Codes ``trim.*``.
+            TandemError: All issues ``trim.*`` of the first of these steps that fails, and issues of files.
         """
         op, tool, outlines = self.operation, self.cutting, self.outlines
         sheet = self.setup.stock.sheet
         if sheet is None:
             raise issue_error("trim.no_sheet", f"{op.name}: there is no sheet to trim", field="sheet")
         if tool.goes_through and sheet.die:
-            what = format_message("trim.die", operation=op.name, tool=tool.label)
+            message = format_message("trim.die", operation=op.name, tool=tool.label)
             hint = "remove the die and trim in a separate problem (surface:), or use a torch or laser"
-            raise issue_error("trim.die", what, field="operations.die", hint=hint)
+            raise issue_error("trim.die", message, field="operations.die", hint=hint)
         reach = tool.kerf + op.lead.length_mm * MM if tool.blade is None else tool.blade.width
         issues = list(check.curve_issues(outlines, sheet.opening, reach, op.shape_tol_mm * MM))
         if issues:
@@ -141,7 +147,7 @@ class TrimJob(Job[Trim]):
                     cut_slots += plan_stretches(op, outline, self.face, tool)
                     continue
                 cut_slots += plan_slots(
-                    op, outline, [o for o in outlines if o is not outline], self.face, tool.kerf
+                    op, outline, [other for other in outlines if other is not outline], self.face, tool.kerf
                 )
             except TandemError as error:
                 issues += error.issues
@@ -151,10 +157,14 @@ class TrimJob(Job[Trim]):
         trim_route, issues = plan_route(op, self.setup, self.face, tool, slot_plan, self.surface.tolerance)
         if has_errors(issues):
             raise TandemError(aggregate(issues))
-        free = [w for w in outlines if not w.spec.joints]  # pieces held by joints stay in the sheet
-        cut = [SheetHole(w.spec.name, w.curve.point[:, :2], w.spec.drops == "inside") for w in free]
-        drawn = sheet.stages is not None and not self.is_brief
-        sheet_exhibits = sheet_exhibit(self.formed, (*sheet.holes, *cut), op.name) if drawn else {}
+        # pieces held by joints stay in the sheet
+        cut_free = [outline for outline in outlines if not outline.spec.joints]
+        new_holes = [
+            SheetHole(outline.spec.name, outline.curve.point[:, :2], outline.spec.drops == "inside")
+            for outline in cut_free
+        ]
+        is_drawn = sheet.stages is not None and not self.is_brief
+        sheet_exhibits = sheet_exhibit(self.formed, (*sheet.holes, *new_holes), op.name) if is_drawn else {}
         targets = build_targets(op, self.setup, tool, slot_plan, trim_route, self.claims())
         if self.is_brief:
             return targets
@@ -165,13 +175,13 @@ class TrimJob(Job[Trim]):
     def check_timing(
         self, targets: Targets, time: FloatArray, program_clock: FloatArray | None = None
     ) -> tuple[Issue, ...]:
-        """Return the slots in which the arm is slower on average than the operation allows.
+        """Return issues of slots in which the arm is slower than the operation allows.
 
         Args:
             targets: Targets of the operation.
-            time: Times of the targets (N,) [s], or of the indices in ``program_clock``.
-            program_clock: Fractional indices of targets and their times, if the motion does not stop at
-                targets.
+            time: Times of the targets (N,) [s]; not used if there is a ``program_clock``.
+            program_clock: Fractional indices (2, K) of targets and their times [s], if the motion does not
+                pass exactly through targets.
         """
         if program_clock is not None:
             time = np.interp(np.arange(targets.count), *program_clock)

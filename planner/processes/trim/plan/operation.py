@@ -4,6 +4,7 @@ Lengths are in mm, angles in degrees, speeds in mm/s.
 """
 
 import dataclasses
+import functools
 import math
 import re
 from pathlib import Path
@@ -229,19 +230,23 @@ class Trim(Strict):
 
     @model_validator(mode="after")
     def _apply_tool_defaults(self) -> Self:
-        """Remove the fields of an arc from a mill or knife, and set its output if none is stated."""
-        knife = isinstance(self.by, KnifeCut)
-        if not knife and self.signal is None:
+        """Set the default signals of a mill or a knife, and refuse fields that do not apply to it."""
+        is_knife = isinstance(self.by, KnifeCut)
+        if not is_knife and self.signal is None:
             raise ValueError("signal: only a knife that is dragged needs none; name the output")
-        if not knife and not isinstance(self.by, MillCut):
+        if not is_knife and not isinstance(self.by, MillCut):
             return self
-        for name, value in (("signal", None if knife else SPINDLE_SIGNAL), ("ok_signal", None)):
+        for name, value in (("signal", None if is_knife else SPINDLE_SIGNAL), ("ok_signal", None)):
             if name not in self.model_fields_set:
                 object.__setattr__(self, name, value)  # the model is frozen, but not shared yet
-        given = set(self.model_fields_set) | {f"pierce.{name}" for name in self.pierce.model_fields_set}
-        given -= {"ok_signal"} if self.ok_signal is None else set()
-        unsuitable = [name for name in (NON_KNIFE_FIELDS if knife else TORCH_ONLY_FIELDS) if name in given]
-        if unsuitable and knife:
+        stated_fields = set(self.model_fields_set) | {
+            f"pierce.{name}" for name in self.pierce.model_fields_set
+        }
+        stated_fields -= {"ok_signal"} if self.ok_signal is None else set()
+        unsuitable = [
+            name for name in (NON_KNIFE_FIELDS if is_knife else TORCH_ONLY_FIELDS) if name in stated_fields
+        ]
+        if unsuitable and is_knife:
             raise ValueError(
                 f"{', '.join(unsuitable)}: does not apply to a knife, which goes in on the curve at any "
                 "speed; it has by.start_mm, by.plunge_mm_s and by.start_up_s"
@@ -254,6 +259,7 @@ class Trim(Strict):
 
     @model_validator(mode="after")
     def _check_consistency(self) -> Self:
+        """Check fields that depend on one another."""
         if len({fold(outline.name) for outline in self.outlines}) != len(self.outlines):
             raise ValueError(
                 "outlines: each needs a unique name, where case and runs of underscores do not count"
@@ -277,35 +283,29 @@ class Trim(Strict):
         return self
 
     def leaves(self, stock: Stock) -> Stock:
-        """Return the sheet as it stays clamped, with holes. Bodies also keep clear of what was cut out."""
+        """Return the stock with the cut outlines as holes. Bodies still keep clear of the cut out pieces."""
         if stock.sheet is None:
             return stock
         # a cut through the sheet is no longer than this, so its other edge is no farther off in plan
-        across = float(stock.size[2]) / math.cos(self.cone_deg * DEG)
+        max_cut_length = float(stock.size[2]) / math.cos(self.cone_deg * DEG)
         try:
-            cut = tuple(
-                SheetHole(outline.name, ring[:, :2], outline.drops == "inside", across)
+            new_holes = tuple(
+                SheetHole(outline.name, ring[:, :2], outline.drops == "inside", max_cut_length)
                 for outline, ring in every_outline(self)
             )
         except TandemError:
             return stock  # the operation itself reports a file that cannot be read
         return dataclasses.replace(
-            stock, sheet=dataclasses.replace(stock.sheet, holes=(*stock.sheet.holes, *cut))
+            stock, sheet=dataclasses.replace(stock.sheet, holes=(*stock.sheet.holes, *new_holes))
         )
 
 
 CIRCLE_POINTS: Final = 720
-"""Number of points of a circle."""
+"""Number of points that represent a circle."""
 MAX_OUTLINES: Final = 500
-"""Maximum number of curves of an operation, those of drawings included."""
+"""Maximum number of outlines of an operation, with each curve of a drawing as one."""
 _Curves = tuple[tuple[FloatArray, ...], tuple[Issue, ...]]
 """Points of curves, and notes about their file."""
-_CURVE_CACHE: dict[tuple[str, int, int], _Curves] = {}
-"""Cache of curves.
-
-The key is all that is stated about them, with time and size of their file, because a drawing may be changed
-while a process runs.
-"""
 MAX_CACHED_CURVES: Final = 1000
 """Maximum number of cached curves."""
 
@@ -313,7 +313,8 @@ MAX_CACHED_CURVES: Final = 1000
 def every_outline(op: Trim) -> list[tuple[OutlineFile, FloatArray]]:
     """Return all outlines of an operation with their points (K, 2 or 3) [m].
 
-    A drawing gives each of its curves, under its name with a number. Files are read once.
+    Each curve of a drawing is an outline, with a number after the drawing's name. Files are read once and
+    cached.
 
     Args:
         op: Operation.
@@ -330,61 +331,80 @@ def every_outline(op: Trim) -> list[tuple[OutlineFile, FloatArray]]:
             continue
         for number, points in enumerate(curves, 1):
             out.append((outline.model_copy(update={"name": f"{outline.name}_{number}"}), points))
-    known: dict[str, str] = {}
+    names: dict[str, str] = {}  # name of each outline by its folded name
     for named, _ in out:
-        if other := known.get(fold(named.name)):
-            what = f"outlines: {other} and {named.name} have the same name; curves of drawings have numbers"
+        if other := names.get(fold(named.name)):
+            message = (
+                f"outlines: {other} and {named.name} have the same name; curves of drawings have numbers"
+            )
             hint = "give the outline, or the drawing, another name"
-            raise issue_error("problem.field", what, field="operations.outlines", hint=hint)
-        known[fold(named.name)] = named.name
-    for name in known if isinstance(op.by, KnifeCut) else ():
-        base = known.get(re.sub(r"_p\d+$", "", name))
-        if base is not None and base != known[name]:
-            what = f"outlines: {known[name]} is the name of a stretch of {base} between lifts of the knife"
+            raise issue_error("problem.field", message, field="operations.outlines", hint=hint)
+        names[fold(named.name)] = named.name
+    for name in names if isinstance(op.by, KnifeCut) else ():
+        base = names.get(re.sub(r"_p\d+$", "", name))
+        if base is not None and base != names[name]:
+            message = f"outlines: {names[name]} is the name of a stretch of {base} between lifts of the knife"
             hint = "give the outline another name"
-            raise issue_error("problem.field", what, field="operations.outlines", hint=hint)
+            raise issue_error("problem.field", message, field="operations.outlines", hint=hint)
     if len(out) > MAX_OUTLINES:
-        what = f"outlines: {len(out)} curves, those of drawings included, allowed {MAX_OUTLINES}"
+        message = f"outlines: {len(out)} curves, those of drawings included, allowed {MAX_OUTLINES}"
         hint = "name layers, or distribute the curves over several operations"
-        raise issue_error("problem.field", what, field="operations.outlines", hint=hint)
+        raise issue_error("problem.field", message, field="operations.outlines", hint=hint)
     return out
 
 
 def outline_notes(op: Trim) -> list[Issue]:
     """Return notes about the outlines' files, each once.
 
-    They state what is omitted, and that a file has another unit.
+    They state which curves of a file are omitted, and that a file has another unit.
 
     Args:
         op: Operation.
 
     Raises:
-        TandemError: As :func:`every_outline`.
+        TandemError: The same issues as :func:`every_outline`.
     """
-    known: dict[tuple[str, str], Issue] = {}
+    distinct_notes: dict[tuple[str, str], Issue] = {}
     for outline in op.outlines:
         for note in _read_curves(outline)[1]:
-            known.setdefault((note.code, note.message), note)
-    return list(known.values())
+            distinct_notes.setdefault((note.code, note.message), note)
+    return list(distinct_notes.values())
+
+
+@dataclasses.dataclass(frozen=True)
+class _OutlineKey:
+    """Key of the cached curves of an outline. A drawing may be changed while a process runs.
+
+    Attributes:
+        text: JSON text of the outline.
+        modified_ns: Modification time [ns] of its file, 0 without a file.
+        size: Size [bytes] of its file, 0 without a file.
+        outline: The outline itself.
+    """
+
+    text: str
+    modified_ns: int
+    size: int
+    outline: OutlineFile = dataclasses.field(compare=False)
 
 
 def _read_curves(outline: OutlineFile) -> _Curves:
-    """Return the curves of an outline from the cache or its file. Raises as :func:`every_outline`."""
-    key = outline.model_dump_json(), *_file_stamp(outline)
-    if key not in _CURVE_CACHE:
-        while len(_CURVE_CACHE) >= MAX_CACHED_CURVES:
-            _CURVE_CACHE.pop(next(iter(_CURVE_CACHE)))
-        if outline.drawing is None:
-            points, notes = outline_points(outline)
-            _CURVE_CACHE[key] = (points,), tuple(notes)
-        else:
-            _CURVE_CACHE[key] = _drawing_curves(outline, outline.drawing)
-    return _CURVE_CACHE[key]
+    """Return the curves of an outline from the cache or its file, or raise the issues of the file."""
+    return _cached_curves(_OutlineKey(outline.model_dump_json(), *_file_stamp(outline), outline))
+
+
+@functools.lru_cache(maxsize=MAX_CACHED_CURVES)
+def _cached_curves(key: _OutlineKey) -> _Curves:
+    if key.outline.drawing is not None:
+        return _drawing_curves(key.outline, key.outline.drawing)
+    points, notes = outline_points(key.outline)
+    return (points,), tuple(notes)
 
 
 def _file_stamp(outline: OutlineFile) -> tuple[int, int]:
-    """Return modification time and size of the file of an outline, zeros without a file."""
-    source = outline.drawing or (None if outline.curve is None else outline.curve.dxf)
+    """Return modification time [ns] and size [bytes] of the file of an outline, zeros without a file."""
+    curve = outline.curve
+    source = outline.drawing or (None if curve is None else curve.dxf or curve.rhino)
     try:
         status = None if source is None else Path(source.file).stat()
     except OSError:  # the reader of the file reports it
@@ -416,24 +436,26 @@ def _open_issue(name: str, points: FloatArray, field: str) -> Issue:
     """Return the issue of a curve that does not close, with its ends."""
     (x, y), (u, v) = points[0, :2] / MM, points[-1, :2] / MM
     gap = float(np.linalg.norm(points[0] - points[-1])) / MM
-    what = f"{name} is open by {gap:.3g} mm, from ({x:.2f}, {y:.2f}) to ({u:.2f}, {v:.2f}) mm; only closed "
-    what += "curves are cut"
+    message = (
+        f"{name} is open by {gap:.3g} mm, from ({x:.2f}, {y:.2f}) to ({u:.2f}, {v:.2f}) mm; only closed "
+    )
+    message += "curves are cut"
     hint = "close it, or move what must not be cut to another layer"
-    return Issue("trim.open", what, field=field, value=gap, limit=0.01, unit="mm", hint=hint)
+    return Issue("trim.open", message, field=field, value=gap, limit=0.01, unit="mm", hint=hint)
 
 
 def outline_points(outline: OutlineFile) -> tuple[FloatArray, list[Issue]]:
-    """Return points (K, 2 or 3) [m] of an outline that is one curve, and notes.
+    """Return the points (K, 2 or 3) [m] of an outline that is a circle or one curve, and notes on its file.
 
     Args:
-        outline: Outline.
+        outline: Outline, which is not a drawing.
 
     Raises:
-        TandemError: Issues of files, ``part.guide``.
+        TandemError: Issues of files, ``part.guide``, ``trim.open``.
     """
     if outline.circle is not None:
-        around = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS, endpoint=False)
-        ring = np.stack([np.cos(around), np.sin(around)], axis=1)
+        angles = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS, endpoint=False)
+        ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         return np.asarray((np.array(outline.circle.at_mm) + 0.5 * outline.circle.diameter_mm * ring) * MM), []
     field = f"operations.outlines.{outline.name}"
     curve = outline.curve
@@ -445,18 +467,19 @@ def outline_points(outline: OutlineFile) -> tuple[FloatArray, list[Issue]]:
 
 
 def _require_closed(curve: GuideFile, field: str) -> None:
-    """Check that a drawing has no open curve.
+    """Check that the curve of a DXF or Rhino file is closed, if the file has only one.
+
+    A file with several curves is left to `build_guide`.
 
     Raises:
-        TandemError: ``trim.open``.
+        TandemError: ``trim.open``, and issues of files.
     """
     if (source := curve.dxf) is not None:
-        curves, file = (
-            read_dxf(Path(source.file), LENGTH_UNITS[source.unit], source.layer, f"{field}.dxf")[0],
-            source.file,
-        )
+        curves = read_dxf(Path(source.file), LENGTH_UNITS[source.unit], source.layer, f"{field}.dxf")[0]
+        file = source.file
     elif curve.rhino is not None:
-        curves, file = rhino.read_curves(curve.rhino, Path(), f"{field}.rhino")[0], curve.rhino.file
+        curves = rhino.read_curves(curve.rhino, Path(), f"{field}.rhino")[0]
+        file = curve.rhino.file
     else:
         return
     if len(curves) == 1 and not curves[0].closed:

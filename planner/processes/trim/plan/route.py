@@ -27,15 +27,15 @@ TRIM: Final = "trim"
 CHORD_FRACTION: Final = 0.1
 """Fraction of the tolerance that straight moves between targets may use."""
 AXIS_LEVER_M: Final = 0.03
-"""Distance behind the TCP [m] of a second point that also keeps the chord error."""
+"""Distance behind the TCP [m] of a second point of the tool's axis that also keeps the chord error."""
 TILT_FRACTION: Final = 0.85
 """Fraction of the cone that motion planning may use at targets. The rest is for the motion between them."""
 HEADING_FRACTION: Final = 0.4
-"""Fraction of the angle between blade and curve that motion planning may use at targets."""
+"""Fraction of the allowed angle between blade and curve that motion planning may use at targets."""
 CHORD_ROTATION_FRACTION: Final = 0.2
-"""Fraction of that angle that straight moves between targets may use."""
+"""Fraction of the allowed angle between blade and curve that straight moves between targets may use."""
 SIDE_FRACTION: Final = 0.2
-"""Fraction of the tolerance by which front and back of a blade may then deviate at targets."""
+"""Fraction of the tolerance by which front and back of a blade may deviate when motion planning spins it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,12 +46,12 @@ class TrimRoute:
         tip: Tips (N, 3) [m].
         axis: Axes from the TCP into the tool (N, 3).
         feed: Speed of the move to each target (N,) [m/s].
-        max_tilt: Maximum tilt of the tool, or spin of a knife (N,) [rad].
+        max_tilt: Maximum tilt of the tool, or spin of a knife, by motion planning (N,) [rad].
         segment: Segment of each target.
-        stop: Whether the tool stops (N,).
+        stop: Whether the tool stops at each target (N,).
         height: Height of the TCP above the face in slots (N,) [m], NaN elsewhere.
-        start_rows: Rows at which the slots start.
-        end_rows: Rows at which the slots end.
+        start_rows: Index of the first target of each slot, the pierce point.
+        end_rows: Index of the last target of each slot.
         heading: Heading of a knife's edge (N,) [rad], NaN for other tools.
     """
 
@@ -93,8 +93,8 @@ def plan_route(
     heights: list[FloatArray] = []
     headings: list[FloatArray] = []
     segments: list[Segment] = []
-    pierce: list[int] = []
-    end: list[int] = []
+    start_rows: list[int] = []
+    end_rows: list[int] = []
     tilt_limit = _max_tilt(op, tool)
     for number, slot in enumerate(slot_plan.slots):
         outline_of_slot = next(o for o in slot_plan.outlines if o.spec.name == slot.outline)
@@ -102,7 +102,7 @@ def plan_route(
             # targets of the slot, and points of the sheet that the cutter may gouge
             rows, lifts = _target_rows(slot, op, tool, (outline_of_slot.curve, surface_error))
             slot_path = _slot_path(slot, face, tool, rows, lifts)
-            part = check.part_points(face, setup.stock.size, tool, slot_path)
+            gouge_points = check.part_points(face, setup.stock.size, tool, slot_path)
         except TandemError as error:
             issues += error.issues
             continue
@@ -119,7 +119,7 @@ def plan_route(
             *check.wall_issue(slot, tip, clearances[:, 0], op, tool),
             *check.rise_issue(slot, axis, face.side),
         ]
-        cut = (outline_of_slot, tool, part, float(setup.stock.size[2]), face.side)
+        cut = (outline_of_slot, tool, gouge_points, float(setup.stock.size[2]), face.side)
         issues += check.gouge_issue(slot, *check.gouge_depths(*cut, slot_path), op)
         if has_errors(issues):
             continue
@@ -143,20 +143,20 @@ def plan_route(
         feed = _tip_feed(feed, tool, point, tip, lifts)
         segment = Segment(TRIM, slot.name)
         if tool.blade is not None and number:  # rotate back, or to the next stretch, in the air
-            air = rotate_in_air(
+            rotation = rotate_in_air(
                 (tips[-1][-1], axes[-1][-1], float(headings[-1][-1])), (above[0], axis[0], float(heading[0]))
             )
-            count = len(air.heading)
-            tips.append(air.tip)
-            axes.append(air.axis)
-            headings.append(air.heading)
+            count = len(rotation.heading)
+            tips.append(rotation.tip)
+            axes.append(rotation.axis)
+            headings.append(rotation.heading)
             feeds.append(np.full(count, op.rapid_mm_s * MM))
             tilts.append(np.zeros(count))
             heights.append(np.full(count, np.nan))
             segments += [Segment("link")] * count
         # above the start, down, along the slot, up above the end
-        pierce.append(sum(map(len, tips)) + 1)
-        end.append(pierce[-1] + len(tip) - 1)
+        start_rows.append(sum(map(len, tips)) + 1)
+        end_rows.append(start_rows[-1] + len(tip) - 1)
         tips += [above[0][None], tip, above[1][None]]
         axes += [axis[:1], axis, axis[-1:]]
         headings += [heading[:1], heading, heading[-1:]]
@@ -174,7 +174,7 @@ def plan_route(
     tip, axis = np.concatenate(tips), np.concatenate(axes)
     # stops above both ends of a slot and at its corners, and a last target farther up
     stop = np.zeros(len(tip), dtype=bool)
-    for first, last in zip(pierce, end, strict=True):
+    for first, last in zip(start_rows, end_rows, strict=True):
         stop[[first - 1, last + 1]] = True
         stop[first : last + 1] = stop_flags(tip[first : last + 1])
     rise = tip[-1] + op.safe_mm * MM * axis[-1]
@@ -187,8 +187,8 @@ def plan_route(
         (*segments, Segment("retreat")),
         np.append(stop, True),
         np.append(np.concatenate(heights), np.nan),
-        tuple(pierce),
-        tuple(end),
+        tuple(start_rows),
+        tuple(end_rows),
         np.append(heading, heading[-1]),
     ), issues
 
@@ -208,10 +208,10 @@ def _max_tilt(op: Trim, tool: CuttingTool) -> float:
 def _slot_path(
     slot: Slot, face: SheetFace, tool: CuttingTool, rows: IntArray, lifts: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return tips and axes (N, 3) at all points of a slot; ``lifts`` (R,) [m] are the lifts at ``rows``."""
+    """Return tips and axes (N, 3) at all points of a slot; ``lifts`` (R,) [m] are those at ``rows`` (R,)."""
     axis = face.side * slot.normal
-    lift_rows = np.interp(np.arange(len(axis)), rows, lifts)
-    return slot.point + (lift_rows - tool.depth)[:, None] * axis, axis
+    all_lifts = np.interp(np.arange(len(axis)), rows, lifts)
+    return slot.point + (all_lifts - tool.depth)[:, None] * axis, axis
 
 
 PLUNGE_FRACTION: Final = 0.8
@@ -223,40 +223,50 @@ MIN_FEED_FRACTION: Final = 0.05
 def _tip_feed(
     feed: FloatArray, tool: CuttingTool, point: FloatArray, tip: FloatArray, lifts: FloatArray
 ) -> FloatArray:
-    """Return the feed (N,) [m/s] of a tip behind the face.
+    """Return the feed (N,) [m/s] of the tip of a tool, which is behind the face for a mill or knife.
 
-    It gives ``feed`` on the face and is no faster than the plunge feed downwards.
+    With it the point on the face moves at ``feed`` where the tip's path is shorter than that on the face, as
+    in a bend, and the tip goes down no faster than the plunge feed. ``point`` (N, 3) [m] are the points on
+    the face, ``lifts`` (N,) [m] the lifts of the TCP.
     """
     if not tool.goes_through:
         return feed
-    out, along = feed.copy(), np.linalg.norm(np.diff(point, axis=0), axis=1)
-    lengths, down = np.linalg.norm(np.diff(tip, axis=0), axis=1), -np.diff(lifts)
+    out = feed.copy()
+    along = np.linalg.norm(np.diff(point, axis=0), axis=1)
+    lengths = np.linalg.norm(np.diff(tip, axis=0), axis=1)
+    down = -np.diff(lifts)
     fraction = np.maximum(lengths / np.maximum(along, 1e-9), MIN_FEED_FRACTION)
     out[1:] *= np.where(along > 1e-9, np.minimum(fraction, 1.0), 1.0)
-    steep = down > 1e-9
+    goes_down = down > 1e-9
     max_feed = PLUNGE_FRACTION * tool.plunge * lengths / np.maximum(down, 1e-9)
-    out[1:][steep] = np.minimum(out[1:], max_feed)[steep]
+    out[1:][goes_down] = np.minimum(out[1:], max_feed)[goes_down]
     return out
 
 
 def _empty_route() -> TrimRoute:
-    none = np.zeros((0, 3))
-    flat = none[:, 0]
-    return TrimRoute(none, none, flat, flat, (), flat > 0.0, flat, (), (), flat)
+    """Return a route without targets, for slots with errors."""
+    no_vectors = np.zeros((0, 3))
+    no_values = no_vectors[:, 0]
+    return TrimRoute(
+        no_vectors, no_vectors, no_values, no_values, (), no_values > 0.0, no_values, (), (), no_values
+    )
 
 
 DEPTH_TOLERANCE_FACTOR: Final = 2.0
 """Distance of a slot's edge from the curve, in tolerances, at which the tool has to be at its depth."""
 DEPTH_MARGIN_M: Final = 0.05 * MM
-"""Margin added to that distance [m]. The proof requires the depth at all points near a curve."""
+"""Margin added to the distance at which the tool has to be at its depth [m]. The proof requires the depth at
+all points near a curve.
+"""
 
 
 def _lift_fractions(
     slot: Slot, op: Trim, tool: CuttingTool, curve_and_error: tuple[FaceCurve, float]
 ) -> FloatArray:
-    """Return how far (N,) the tool is still lifted on its lead-in, from 1 to 0.
+    """Return the fraction (N,) of its lift that the tool still has at each point of a slot.
 
-    ``curve_and_error`` is its curve, and the possible deviation of the face [m].
+    It falls from 1 at the start of the lead-in to 0 where the tool has to be at its depth.
+    ``curve_and_error`` is the curve of the slot and the possible deviation of the face [m].
 
     Raises:
         TandemError: ``trim.lead`` if the lead-in is too short.
@@ -266,13 +276,15 @@ def _lift_fractions(
     edge_distances = curve_distance(slot.point[: slot.first + 1], curve.point) - 0.5 * tool.kerf
     last = int(np.argmax(edge_distances < depth_distance)) - 1
     if last < 1 and tool.lift != 0.0 and tool.is_ramp:
-        what = f"{slot.outline}: the lead-in of {op.lead.length_mm:g} mm is too short for the tool to reach "
-        what += f"its depth {depth_distance / MM:.2f} mm before the curve"
+        message = (
+            f"{slot.outline}: the lead-in of {op.lead.length_mm:g} mm is too short for the tool to reach "
+        )
+        message += f"its depth {depth_distance / MM:.2f} mm before the curve"
         hint = (
             f"use a longer lead.length_mm (about {1.3 * depth_distance / MM:.1f}), or a smaller shape_tol_mm"
         )
         value, limit = op.lead.length_mm, depth_distance / MM
-        raise issue_error("trim.lead", what, value=value, limit=limit, unit="mm", hint=hint)
+        raise issue_error("trim.lead", message, value=value, limit=limit, unit="mm", hint=hint)
     step = np.linalg.norm(np.diff(slot.point[: max(last, 1) + 1], axis=0), axis=1)
     remaining = np.append(np.cumsum(step[::-1])[::-1], np.zeros(len(slot.point) - len(step)))
     return np.asarray(remaining / float(remaining[0]))
@@ -281,9 +293,11 @@ def _lift_fractions(
 def _target_rows(
     slot: Slot, op: Trim, tool: CuttingTool, curve_and_error: tuple[FaceCurve, float]
 ) -> tuple[IntArray, FloatArray]:
-    """Return the rows of a slot's points that become targets, and the lift (N,) [m] of the TCP there.
+    """Return the indices (R,) of a slot's points that become targets, and the lift (R,) [m] of the TCP there.
 
-    ``curve_and_error`` is as for :func:`_lift_fractions`. A cutter that plunges has its first point twice.
+    Points are thinned as far as straight moves keep the chord error at the tip, at the face and on the tool's
+    axis. A tool that goes straight down has its first point twice: lifted and down. ``curve_and_error`` is
+    that of :func:`_lift_fractions`.
     """
     chord = CHORD_FRACTION * min(op.shape_tol_mm, op.height_tol_mm) * MM
     chord = min(chord, CHORD_FRACTION * tool.depth) if tool.goes_through else chord
@@ -297,9 +311,10 @@ def _target_rows(
         directions = heading_vectors(slot.normal, slot.heading)
         points = np.concatenate([points, slot.point[:, None] + ends[:, None] * directions[:, None]], axis=1)
     lift = _lift_fractions(slot, op, tool, curve_and_error)
-    low = int(np.argmax(lift == 0.0))
+    at_depth = int(np.argmax(lift == 0.0))
+    # points that are targets in any case
     marks = [0, slot.first, slot.last, len(slot.point) - 1]
-    breaks = np.unique(marks if tool.blade is not None else [*marks, low])
+    breaks = np.unique(marks if tool.blade is not None else [*marks, at_depth])
     kept = [np.zeros(1, dtype=np.int64)]
     for first, last in zip(breaks[:-1].tolist(), breaks[1:].tolist(), strict=True):
         kept.append(first + thin_rows(points[first : last + 1], chord, op.step_mm * MM)[1:])
@@ -318,13 +333,13 @@ MAX_LENGTH_RATIO: Final = 1.3
 
 
 def _even_last_moves(rows: IntArray, point: FloatArray) -> IntArray:
-    """Return rows (K,) of points (N, 3) with last moves of equal length, so that no short one remains."""
+    """Move the last of the points ``rows`` (K,) so that the last moves are equally long and none is short."""
     lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(point, axis=0), axis=1)))
     count = min(EVENED_MOVES, len(rows) - 1)
-    step = np.diff(lengths[rows[-count - 1 :]])
-    if count > 2 and step[:-1].max() > MAX_LENGTH_RATIO * step[:-1].min():
+    move_lengths = np.diff(lengths[rows[-count - 1 :]])
+    if count > 2 and move_lengths[:-1].max() > MAX_LENGTH_RATIO * move_lengths[:-1].min():
         count = 2
-    if count < 2 or step[-1] >= step[-2]:
+    if count < 2 or move_lengths[-1] >= move_lengths[-2]:
         return rows
     first = rows[-count - 1]
     positions = np.linspace(lengths[first], lengths[rows[-1]], count + 1)[1:-1]

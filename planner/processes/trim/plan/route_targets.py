@@ -1,4 +1,4 @@
-"""From the route of a tool to targets: poses, freedoms, feeds, and what is switched and asked."""
+"""From the route of a tool to targets: poses, freedoms, feeds, switched outputs and operator messages."""
 
 from typing import Final
 
@@ -26,9 +26,9 @@ ROUNDED_FRACTION: Final = 0.25
 AIR_LEVER_M: Final = 0.05
 """Distance behind the TCP [m] of the point whose speed counts in the air, where the tool rotates."""
 ROUNDED_ROTATION_FRACTION: Final = 0.1
-"""Fraction of the angle between blade and curve that rounded corners may use."""
+"""Fraction of the allowed angle between blade and curve that rounded corners may use."""
 SPIN_TOLERANCE_M: Final = 5e-4
-"""Allowed displacement [m] of what spins with the tool, at the lever of its rotation."""
+"""Allowed displacement [m] due to the spin of the tool, at the lever of its rotation."""
 
 
 def build_targets(
@@ -79,10 +79,10 @@ def build_targets(
 
 
 def _slot_targets(route: TrimRoute) -> list[SlotTargets]:
-    rows = [slice(a, b + 1) for a, b in zip(route.start_rows, route.end_rows, strict=True)]
+    """Return the targets of each slot of a route."""
+    slot_slices = [slice(a, b + 1) for a, b in zip(route.start_rows, route.end_rows, strict=True)]
     return [
-        SlotTargets(route.tip[slot_rows], route.axis[slot_rows], route.height[slot_rows])
-        for slot_rows in rows
+        SlotTargets(route.tip[targets], route.axis[targets], route.height[targets]) for targets in slot_slices
     ]
 
 
@@ -95,17 +95,18 @@ def _tcp_poses(route: TrimRoute, tool: CuttingTool) -> FloatArray:
 
 
 def _freedoms(arm: str, max_tilt: FloatArray, tool: CuttingTool) -> tuple[ScrewFreedom, ...]:
-    """Return spin of the tool, and tilts about x and y within the circle of ``max_tilt`` (N,) [rad].
+    """Return the freedoms of the tool: spin, and tilts about x and y by at most ``max_tilt`` (N,) [rad].
 
-    All rotate about the point of the face that is cut, which is behind the TCP by the depth. A knife spins by
-    ``max_tilt`` and does not tilt.
+    Tilts rotate about the point of the face that is cut, which is behind the TCP by the depth. A knife spins
+    by at most ``max_tilt`` and does not tilt.
     """
-    out, depth, spin = [], tool.depth, {arm: np.eye(6)[2]}
+    out, depth = [], tool.depth
+    spin = {arm: np.eye(6)[2]}
     if tool.blade is not None:
         return (ScrewFreedom(f"spin_{arm}", spin, -max_tilt, max_tilt),)
     # a rotation w about a point p of the TCP frame displaces its origin by -w x p
     for name, k, displacement in (("tilt_x", 0, [0.0, -depth, 0.0]), ("tilt_y", 1, [depth, 0.0, 0.0])):
-        bound = max_tilt / np.sqrt(2.0)
+        bound = max_tilt / np.sqrt(2.0)  # half side of the square within the circle
         twist = np.concatenate([np.eye(3)[k], displacement])
         out.append(ScrewFreedom(f"{name}_{arm}", {arm: twist}, -bound, bound))
     half_turn = np.full(len(max_tilt), np.pi)
@@ -113,22 +114,24 @@ def _freedoms(arm: str, max_tilt: FloatArray, tool: CuttingTool) -> tuple[ScrewF
 
 
 def _corner_rounding(op: Trim, arm: str, tool: CuttingTool) -> CornerRounding:
-    """Return which fraction of the tolerances rounded corners use.
+    """Return how far corners may be rounded: by a fraction of the tolerances.
 
-    A torch or a cutter may spin freely, a knife by a fraction of the angle between blade and curve.
+    Rotations about the tool's axes count as deviations by levers [m/rad]. A torch or a cutter may spin
+    more freely, a knife by a fraction of the allowed angle between blade and curve.
     """
-    work = min(CornerRounding.work, ROUNDED_FRACTION * min(op.shape_tol_mm, op.height_tol_mm) * MM)
-    spin = ROTATION_LEVER_MM * MM * work / SPIN_TOLERANCE_M
+    deviation = min(CornerRounding.work, ROUNDED_FRACTION * min(op.shape_tol_mm, op.height_tol_mm) * MM)
+    spin_lever = ROTATION_LEVER_MM * MM * deviation / SPIN_TOLERANCE_M
     if tool.blade is not None and isinstance(op.by, KnifeCut):
-        spin = max(tool.blade.width, work / (ROUNDED_ROTATION_FRACTION * op.by.heading_deg * DEG))
-    levers = {arm: np.array([ROTATION_LEVER_MM * MM, ROTATION_LEVER_MM * MM, spin])}
-    return CornerRounding(work, work, min(CornerRounding.air, work), levers)
+        spin_lever = max(tool.blade.width, deviation / (ROUNDED_ROTATION_FRACTION * op.by.heading_deg * DEG))
+    levers = {arm: np.array([ROTATION_LEVER_MM * MM, ROTATION_LEVER_MM * MM, spin_lever])}
+    return CornerRounding(deviation, deviation, min(CornerRounding.air, deviation), levers)
 
 
 def _travel_lengths(route: TrimRoute, tool: CuttingTool) -> FloatArray:
-    """Return the distance (N,) [m] that the TCP moves to each target.
+    """Return the distance (N,) [m] that the TCP moves to each target, to which the feed applies.
 
-    In the air it is that of a point behind it, and of a knife also of one before it, if that is longer.
+    In the air, where the tool rotates, it is at least that of a point behind the TCP, and for a knife also
+    that of a point ahead of it.
     """
     out = np.zeros(len(route.tip))
     out[1:] = np.linalg.norm(np.diff(route.tip, axis=0), axis=1)
@@ -136,18 +139,19 @@ def _travel_lengths(route: TrimRoute, tool: CuttingTool) -> FloatArray:
     if tool.blade is not None:
         ends.append(route.tip + AIR_LEVER_M * heading_vectors(route.axis, route.heading))
     lever_lengths = np.max([np.linalg.norm(np.diff(end, axis=0), axis=1) for end in ends], axis=0)
-    air = np.array([s.kind != TRIM or s.phase != "" for s in route.segment[1:]])
-    out[1:] = np.where(air, np.maximum(out[1:], lever_lengths), out[1:])
+    in_air = np.array([s.kind != TRIM or s.phase != "" for s in route.segment[1:]])
+    out[1:] = np.where(in_air, np.maximum(out[1:], lever_lengths), out[1:])
     return out
 
 
 def _build_actions(
     op: Trim, setup: Setup, arm_tool: TrimTool, tool: CuttingTool, route: TrimRoute
 ) -> tuple[TargetAction, ...]:
-    """Return messages, questions, and switching of arc or spindle."""
-    last, figures = len(route.segment) - 1, operator_figures(op, setup, arm_tool)
+    """Return the actions at targets: messages, questions, and switching of arc, spindle or drive."""
+    last = len(route.segment) - 1
+    message_values = operator_figures(op, setup, arm_tool)
     if isinstance(op.by, MillCut):
-        tool_message = TargetAction(0, "message", trim_sentences.TRIM_MILL.format(**figures))
+        tool_message = TargetAction(0, "message", trim_sentences.TRIM_MILL.format(**message_values))
         ready_question = TargetAction(0, "confirm", trim_sentences.TRIM_MILL_READY.format())
         final_question = TargetAction(last, "confirm", trim_sentences.TRIM_MILL_STOPPED.format())
         return (
@@ -157,7 +161,7 @@ def _build_actions(
             final_question,
         )
     if isinstance(op.by, KnifeCut):
-        tool_message = TargetAction(0, "message", trim_sentences.TRIM_KNIFE.format(**figures))
+        tool_message = TargetAction(0, "message", trim_sentences.TRIM_KNIFE.format(**message_values))
         ready_question = TargetAction(0, "confirm", trim_sentences.TRIM_KNIFE_READY.format())
         final_question = TargetAction(last, "confirm", trim_sentences.TRIM_KNIFE_DONE.format())
         return (
@@ -167,7 +171,7 @@ def _build_actions(
             final_question,
         )
     out = [
-        TargetAction(0, "message", trim_sentences.TORCH.format(**figures)),
+        TargetAction(0, "message", trim_sentences.TORCH.format(**message_values)),
         TargetAction(0, "message", trim_sentences.TORCH_STOPPED.format()),
         TargetAction(0, "confirm", trim_sentences.TORCH_READY.format()),
     ]
@@ -183,7 +187,7 @@ def _build_actions(
 
 
 def _switch_actions(op: Trim, last: int, spin_up: float, spin_down: float) -> tuple[TargetAction, ...]:
-    """Return the actions of an output that is on from the first target to the ``last`` one."""
+    """Return the actions of an output, if there is one, that is on from the first to the ``last`` target."""
     if op.signal is None:
         return ()
     return (

@@ -13,33 +13,33 @@ from planner.processes.trim.plan.face import FaceCurve, SheetFace, curve_distanc
 from planner.processes.trim.plan.operation import OutlineFile, Trim
 
 START_TRIALS: Final = 48
-"""Number of points about a curve at which a slot is tried to start."""
+"""Number of points along a curve at which a slot is tried to start."""
 MAX_GAP_M: Final = 1.5 * MM
-"""Gap in a slot's centre line [m] from which on the waste is narrower than the slot."""
+"""A larger step between points of a slot's centre line [m] means that the waste is narrower than the slot."""
 MIN_LENGTH_FACTOR: Final = 0.5
 """Minimum length of a slot's centre line, as a factor of half the kerf."""
 LEAD_SPACING_M: Final = 0.5 * MM
 """Distance of points of leads [m]."""
 MIN_LEAD_POINTS: Final = 5
-"""Minimum number of points of a lead-in. Between two of them the tool goes down to its cutting height."""
+"""Minimum number of points of a lead-in, along which the tool goes down to its cutting height."""
 LEAD_MARGIN_M: Final = 0.05 * MM
-"""How much nearer to a curve than half the kerf leads may be [m]."""
+"""Length by which leads may be nearer to a curve than half the kerf [m]."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Slot:
-    """One slot without interruption.
+    """One uninterrupted slot, with its leads.
 
     Attributes:
         name: Name of its segment.
         outline: Name of its outline.
-        point: Points on the face (N, 3) [m].
+        point: Points of its centre line on the face (N, 3) [m].
         normal: Upward normals (N, 3).
-        first: Rows before this one lead in.
-        last: Rows after this one lead out.
+        first: Index of the first point after the lead-in.
+        last: Index of the last point before the lead-out.
         heading: Heading of a knife's edge (N,) [rad], seen from above and without jumps; empty for other
             tools.
-        overcut: How far a knife cuts into the part past corners [m].
+        overcut: Maximum length by which a knife cuts into the part past corners [m].
     """
 
     name: str
@@ -59,7 +59,7 @@ class PlannedOutline:
     Attributes:
         spec: Outline of the problem.
         curve: Curve on the face.
-        area: What it encloses in plan.
+        area: The area that it encloses in plan.
     """
 
     spec: OutlineFile
@@ -68,7 +68,7 @@ class PlannedOutline:
 
     @property
     def drops_inside(self) -> bool:
-        """Whether what is inside drops."""
+        """Whether the sheet inside the outline is waste and drops, otherwise the sheet outside."""
         return self.spec.drops == "inside"
 
     def in_waste(self, xy: FloatArray) -> BoolArray:
@@ -94,6 +94,8 @@ def plan_slots(
 ) -> list[Slot]:
     """Plan the slots of an outline: one, or one between each two micro-joints.
 
+    Several starting points are tried, until all leads keep their distances from all curves.
+
     Args:
         op: Operation.
         outline: Outline.
@@ -105,7 +107,7 @@ def plan_slots(
         TandemError: ``trim.narrow``, ``trim.corner``, ``trim.joints`` or ``trim.lead``.
     """
     half_kerf = 0.5 * kerf
-    middle, out = offset_curve(outline.curve, face, half_kerf, outline.drops_inside)
+    middle, into_waste = offset_curve(outline.curve, face, half_kerf, outline.drops_inside)
     _check_closed(outline, middle, half_kerf, op.shape_tol_mm * MM)
     ring = np.concatenate([middle, middle[:1]])
     along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(ring, axis=0), axis=1)))
@@ -113,14 +115,14 @@ def plan_slots(
     gap = outline.spec.joint_mm * MM + kerf if outline.spec.joints else 0.0
     if length / count <= gap + 2.0 * kerf:
         max_joints = int(length / (gap + 2.0 * kerf))
-        what = (
+        message = (
             f"{outline.spec.name}: {count} micro-joints of {outline.spec.joint_mm:g} mm leave nothing to cut "
         )
-        what += f"between them; at most {max_joints} fit on {length / MM:.1f} mm"
+        message += f"between them; at most {max_joints} fit on {length / MM:.1f} mm"
         raise issue_error(
-            "trim.joints", what, value=count, limit=max_joints, hint=f"use joints: {max_joints}"
+            "trim.joints", message, value=count, limit=max_joints, hint=f"use joints: {max_joints}"
         )
-    centre_line = CentreLine(along, ring, unit(np.concatenate([out, out[:1]])))
+    centre_line = CentreLine(along, ring, unit(np.concatenate([into_waste, into_waste[:1]])))
     best: tuple[float, list[Slot]] | None = None
     for start in length * np.arange(START_TRIALS) / START_TRIALS:
         candidates = [
@@ -133,31 +135,33 @@ def plan_slots(
         if best is None or margin > best[0] + 1e-9:
             best = margin, candidates
         if best is not None and best[0] >= op.lead.length_mm * MM:
-            break  # more margin than required is of no use
+            break  # more margin is of no use
     if best is None or best[0] < 0.0:
         missing = 0.0 if best is None else -best[0]
         fitting_mm = max(op.lead.length_mm - missing / MM, 0.0)
-        what = f"{outline.spec.name}: no lead-in of {op.lead.length_mm:g} mm with the pierce point "
-        what += f"{op.pierce.off_mm:g} mm from all curves fits into the waste; {missing / MM:.2f} mm missing"
+        message = f"{outline.spec.name}: no lead-in of {op.lead.length_mm:g} mm with the pierce point "
+        message += (
+            f"{op.pierce.off_mm:g} mm from all curves fits into the waste; {missing / MM:.2f} mm missing"
+        )
         hint = f"use a shorter lead.length_mm or pierce.off_mm (about {fitting_mm:.1f}), or a narrower kerf"
-        raise issue_error("trim.lead", what, value=missing / MM, limit=0.0, unit="mm", hint=hint)
+        raise issue_error("trim.lead", message, value=missing / MM, limit=0.0, unit="mm", hint=hint)
     return best[1]
 
 
 def _check_closed(outline: PlannedOutline, middle: FloatArray, half_kerf: float, tolerance: float) -> None:
-    """Check that the slot goes all the way round, and is near enough to all of the curve."""
+    """Check that a slot with the centre line ``middle`` (M, 3) closes and cuts all of the curve."""
     step = np.linalg.norm(np.diff(np.concatenate([middle, middle[:1]]), axis=0), axis=1) if len(middle) else 0
     # a centre line that shrinks to a point encloses nothing
     goes_round = len(middle) >= 8 and float(np.sum(step)) > MIN_LENGTH_FACTOR * half_kerf
     if not goes_round or float(np.max(step)) > MAX_GAP_M:
         where = middle[int(np.argmax(step))] if goes_round else outline.curve.point.mean(axis=0)
-        what = (
+        message = (
             f"{outline.spec.name}: about ({where[0] / MM:.1f}, {where[1] / MM:.1f}) mm the waste is narrower "
         )
-        what += f"than the kerf of {2.0 * half_kerf / MM:g} mm, so that its slot does not close"
+        message += f"than the kerf of {2.0 * half_kerf / MM:g} mm, so that its slot does not close"
         raise issue_error(
             "trim.narrow",
-            what,
+            message,
             limit=2.0 * half_kerf / MM,
             unit="mm",
             hint="widen it there, or use a narrower kerf",
@@ -166,22 +170,22 @@ def _check_closed(outline: PlannedOutline, middle: FloatArray, half_kerf: float,
     k = int(np.argmax(residual))
     if residual[k] > tolerance:
         x, y, _ = outline.curve.point[k] / MM
-        what = f"{outline.spec.name}: in the corner at ({x:.1f}, {y:.1f}) mm a round slot leaves "
-        what += f"{residual[k] / MM:.2f} mm, allowed {tolerance / MM:g} mm"
+        message = f"{outline.spec.name}: in the corner at ({x:.1f}, {y:.1f}) mm a round slot leaves "
+        message += f"{residual[k] / MM:.2f} mm, allowed {tolerance / MM:g} mm"
         hint = (
             f"round the corner with {half_kerf / MM:g} mm or more, or use shape_tol_mm: "
             f"{residual[k] / MM + 0.01:.2f}"
         )
         value, limit = float(residual[k]) / MM, tolerance / MM
-        raise issue_error("trim.corner", what, value=value, limit=limit, unit="mm", hint=hint)
+        raise issue_error("trim.corner", message, value=value, limit=limit, unit="mm", hint=hint)
 
 
 @dataclasses.dataclass(frozen=True)
 class CentreLine:
-    """Closed centre line of a slot. The first of its N rows is repeated at the end.
+    """Closed centre line of a slot. The first of its N points is repeated at the end.
 
     Attributes:
-        along: Lengths along it (N,) [m].
+        along: Length along it up to each point (N,) [m].
         point: Points (N, 3) [m].
         into_waste: Directions into the waste (N, 3).
     """
@@ -197,7 +201,7 @@ class _SlotSpan:
 
     Attributes:
         start: Length along the centre line at which it starts [m].
-        spacing: Length from its start to that of the next one [m].
+        spacing: Length from its start to that of the next span [m].
         gap: Length between two slots that is not cut [m], 0 for a slot all the way round.
         number: Number of the slot on the centre line, from 0.
     """
@@ -211,19 +215,24 @@ class _SlotSpan:
 def _build_slot(
     op: Trim, outline: PlannedOutline, face: SheetFace, centre_line: CentreLine, span: _SlotSpan
 ) -> Slot:
-    """Return the slot that starts half a gap after the start of its span.
+    """Build the slot of a span, with its leads.
 
-    It ends half a gap before the next one, or slightly past its own start.
+    It starts half a gap after the start of its span, and ends half a gap before the next span. A slot without
+    a gap goes all the way round and ends slightly past its own start.
     """
     along, ring_points, directions = centre_line.along, centre_line.point, centre_line.into_waste
     start, gap = span.start, span.gap
     length = float(along[-1])
     low = start + 0.5 * gap
     high = start + span.spacing - 0.5 * gap if gap else start + length + op.lead.overcut_mm * MM
-    inner = np.concatenate([along[:-1] + turn * length for turn in range(3)])
-    at = np.concatenate([[low], inner[(inner > low + 1e-6) & (inner < high - 1e-6)], [high]]) % length
-    point = np.stack([np.interp(at, along, ring_points[:, k]) for k in range(3)], axis=1)
-    into_waste = unit(np.stack([np.interp(at[[0, -1]], along, directions[:, k]) for k in range(3)], axis=1))
+    # the centre line's own lengths in three revolutions, because a span may go beyond its end
+    own_lengths = np.concatenate([along[:-1] + revolution * length for revolution in range(3)])
+    inner = own_lengths[(own_lengths > low + 1e-6) & (own_lengths < high - 1e-6)]
+    lengths = np.concatenate([[low], inner, [high]]) % length
+    point = np.stack([np.interp(lengths, along, ring_points[:, k]) for k in range(3)], axis=1)
+    into_waste = unit(
+        np.stack([np.interp(lengths[[0, -1]], along, directions[:, k]) for k in range(3)], axis=1)
+    )
     lead_in = _lead_in(op, point[0], into_waste[0], unit((point[1] - point[0])[None])[0])
     out_length = op.lead.out_mm * MM if not gap else 0.0
     steps = (
@@ -236,7 +245,10 @@ def _build_slot(
 
 
 def _lead_in(op: Trim, end: FloatArray, into_waste: FloatArray, direction: FloatArray) -> FloatArray:
-    """Return points (K, 3) of a lead-in to ``end``, without that point."""
+    """Return points (K, 3) [m] of a lead-in to ``end`` (3,), without that point.
+
+    ``into_waste`` and ``direction`` (3,) are unit vectors at ``end``, the latter along the slot.
+    """
     length = op.lead.length_mm * MM
     count = max(int(np.ceil(length / LEAD_SPACING_M)), MIN_LEAD_POINTS)
     if op.lead.shape == "line":
@@ -246,14 +258,16 @@ def _lead_in(op: Trim, end: FloatArray, into_waste: FloatArray, direction: Float
 
 
 def _lead_margin(
-    op: Trim, slot: Slot, outline: PlannedOutline, others: list[PlannedOutline], half: float
+    op: Trim, slot: Slot, outline: PlannedOutline, others: list[PlannedOutline], half_kerf: float
 ) -> float:
-    """Return the margin [m] between a slot's pierce point and leads and all curves, negative if too near."""
+    """Return the margin [m] of a slot's pierce point and leads, negative if they are too near to a curve."""
     leads = np.concatenate([slot.point[: slot.first], slot.point[slot.last + 1 :]])
     distances = np.where(outline.in_waste(leads[:, :2]), 1.0, -1.0) * curve_distance(
         leads, outline.curve.point
     )
-    margin = min(float(distances[0]) - op.pierce.off_mm * MM, float(distances.min()) - half + LEAD_MARGIN_M)
+    margin = min(
+        float(distances[0]) - op.pierce.off_mm * MM, float(distances.min()) - half_kerf + LEAD_MARGIN_M
+    )
     for other in others:
         margin = min(margin, float(curve_distance(leads[:1], other.curve.point)[0]) - op.pierce.off_mm * MM)
     return margin

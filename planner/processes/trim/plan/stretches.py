@@ -2,8 +2,8 @@
 
 The blade is in the plane of its curve. It is lifted out of the sheet, rotated and put in again at corners
 that are sharper than it can pass, at micro-joints, and where its heading has rotated by the maximum. The
-blade has a straight end behind its tip, and its edge rises forward before it. It is therefore put in and
-taken out at that distance from the ends of a stretch, and cuts past a corner only at the near face.
+blade has a straight end behind its tip, and its edge rises from the tip forward. So the tip enters and leaves
+the sheet at a distance from the ends of a stretch, and the blade cuts past a corner only at the near face.
 """
 
 import dataclasses
@@ -24,7 +24,7 @@ from planner.tooling import Blade
 OVERLAP_M: Final = 0.1 * MM
 """Length by which a stretch is cut past a corner, so that it meets the next one there [m]."""
 OVERLAP_FRACTION: Final = 0.3
-"""Upper bound of that length, as a fraction of the tolerance."""
+"""Upper bound of the overlap at a corner, as a fraction of the tolerance."""
 CLOSING_OVERLAP_M: Final = 0.5 * MM
 """Length by which a stretch is cut past a point where a smooth curve closes or is divided [m]."""
 MIN_STROKE_M: Final = 0.2 * MM
@@ -39,11 +39,11 @@ The blade's own half width is used in between.
 NORMAL_REACH_M: Final = 2.0 * MM
 """Length of the curve on either side over which the normal of a blade is averaged [m]."""
 NORMAL_SAMPLES: Final = 17
-"""Number of points in that average."""
+"""Number of points over which a normal is averaged."""
 TILT_FRACTION: Final = 0.5
-"""Maximum tilt of the average from the normal at its own point, as a fraction of the cone."""
+"""Maximum tilt of the averaged normal from the local one, as a fraction of the cone."""
 FAR_FACE_FRACTION: Final = 0.4
-"""Maximum deviation at the far face that follows from it, as a fraction of the tolerance."""
+"""Maximum deviation at the far face due to that tilt, as a fraction of the tolerance."""
 BLADE_DEVIATION_FRACTION: Final = 0.5
 """Maximum deviation of front and back of a blade from a bent curve, as a fraction of the tolerance."""
 BLADE_SAMPLES: Final = 9
@@ -59,7 +59,7 @@ StretchEnd = Literal["corner", "joint", "piece"]
 
 @dataclasses.dataclass(frozen=True)
 class _CurveSpan:
-    """A stretch of a curve from ``low`` to ``high`` [m] along it."""
+    """A stretch of a curve from ``low`` to ``high`` [m] along it, with the kinds of its ends."""
 
     low: float
     high: float
@@ -68,11 +68,11 @@ class _CurveSpan:
 
 
 def heading_vectors(axis: FloatArray, heading: FloatArray) -> FloatArray:
-    """Return directions (N, 3) normal to ``axis`` with a given heading, seen from above.
+    """Return unit vectors (N, 3) normal to ``axis`` that have a given heading, seen from above.
 
     Args:
-        axis: Axes (N, 3).
-        heading: Headings (N,) [rad].
+        axis: Unit axes (N, 3).
+        heading: Headings (N,) [rad], from the x axis in plan.
     """
     flat = np.stack([np.cos(heading), np.sin(heading)], axis=1)
     rise = np.copysign(np.maximum(np.abs(axis[:, 2]), 0.02), axis[:, 2])
@@ -80,7 +80,9 @@ def heading_vectors(axis: FloatArray, heading: FloatArray) -> FloatArray:
 
 
 def find_corners(curve: FaceCurve, min_angle: float) -> FloatArray:
-    """Return where along a curve (C,) [m] it has a corner on its face.
+    """Return the lengths (C,) [m] along a curve at which it has a corner.
+
+    The angle of a corner is that in the tangent plane of the face.
 
     Args:
         curve: Curve on the face.
@@ -89,7 +91,7 @@ def find_corners(curve: FaceCurve, min_angle: float) -> FloatArray:
     flat = curve.point[:, :2]
     following = unit(np.roll(flat, -1, axis=0) - flat)
     previous = np.roll(following, 1, axis=0)
-    plan = np.abs(
+    plan_angle = np.abs(
         np.arctan2(
             previous[:, 0] * following[:, 1] - previous[:, 1] * following[:, 0], dots(previous, following)
         )
@@ -99,20 +101,23 @@ def find_corners(curve: FaceCurve, min_angle: float) -> FloatArray:
         for direction in (previous, following)
     )
     angle = np.arctan2(np.linalg.norm(np.cross(incoming, outgoing), axis=1), dots(incoming, outgoing))
-    return np.asarray(curve.along[:-1][(plan > MIN_PLAN_CORNER_RAD) & (angle > min_angle)])
+    return np.asarray(curve.along[:-1][(plan_angle > MIN_PLAN_CORNER_RAD) & (angle > min_angle)])
 
 
 class _ClosedCurve:
-    """A closed curve parametrised by length, with the corners at which its stretches end."""
+    """A closed curve parametrised by length, with the lengths (C,) [m] of the corners at which stretches end.
+
+    Lengths may be negative or beyond the length of the curve, which is periodic.
+    """
 
     def __init__(self, curve: FaceCurve, face: SheetFace, corners: FloatArray) -> None:
         self.curve, self.face, self.corners, self.length = curve, face, corners, curve.length
         self._points = np.concatenate([curve.point, curve.point[:1]])
 
     def points(self, along: FloatArray, span: _CurveSpan) -> FloatArray:
-        """Return points (N, 3) at lengths ``along`` (N,) [m] of a stretch.
+        """Return points (N, 3) [m] on the face at lengths ``along`` (N,) [m] of a stretch.
 
-        Past corners and joints it is extended straight.
+        Past corners and joints the stretch is extended straight.
         """
         low = -np.inf if span.start_kind == "piece" else span.low
         high = np.inf if span.end_kind == "piece" else span.high
@@ -129,19 +134,20 @@ class _ClosedCurve:
         return self.face.at(out[:, :2])[0]
 
     def _points_on(self, along: FloatArray) -> FloatArray:
+        """Points (N, 3) [m] of the curve itself at lengths (N,) [m]."""
         positions = along % self.length
         return np.stack(
             [np.interp(positions, self.curve.along, self._points[:, k]) for k in range(3)], axis=1
         )
 
     def headings(self, along: FloatArray, span: _CurveSpan, reach: float) -> FloatArray:
-        """Return headings (N,) [rad], seen from above, of chords of ``reach`` [m] on either side.
+        """Return headings (N,) [rad], seen from above and without jumps, at lengths (N,) [m] of a stretch.
 
-        Chords do not extend past corners and joints.
+        They are those of chords that extend by ``reach`` [m] to either side, but not past corners and joints.
         """
         low = along - reach if span.start_kind == "piece" else np.clip(along - reach, span.low, span.high)
         high = along + reach if span.end_kind == "piece" else np.clip(along + reach, span.low, span.high)
-        is_short = high - low < reach
+        is_short = high - low < reach  # at the ends of a stretch chords are at least ``reach`` long
         low, high = np.where(is_short & (along > span.high - reach), high - reach, low), high
         high = np.where(is_short & (along < span.low + reach), low + reach, high)
         chords = self.points(high, span) - self.points(low, span)
@@ -164,16 +170,18 @@ class _ClosedCurve:
         return local_normals
 
     def far_face_extension(self, along: float, end: float, span: _CurveSpan, thickness: float) -> float:
-        """Return how much longer [m] a stretch has to be to reach its corner at the far face as well.
+        """Return by how much [m] a stretch has to be longer to reach its corner at the far face as well.
 
-        It is the extra distance between the normals at two points, ``thickness`` [m] behind the near face.
+        Between its end at ``along`` and the corner at ``end`` the normals rotate by an angle. So at the far
+        face, ``thickness`` [m] behind the near one, the corner may be farther by the thickness times that
+        angle. A margin of one half is added.
         """
         start_normal, end_normal = self.face.at(self.points(np.array([along, end]), span)[:, :2])[1]
         angle = float(np.arccos(np.clip(start_normal @ end_normal, -1.0, 1.0)))
         return 1.5 * thickness * min(angle, 0.5 * np.pi)
 
     def lengths_between(self, low: float, high: float) -> FloatArray:
-        """Return the curve's own points [m] along it from ``low`` to ``high``, with both of these."""
+        """Return the lengths (K,) [m] of the curve's own points from ``low`` to ``high``, both included."""
         revolutions = np.arange(np.floor(low / self.length), np.floor(high / self.length) + 1.0)
         vertices = (self.curve.along[:-1] + self.length * revolutions[:, None]).ravel()
         inner = vertices[(vertices > low + 1e-6) & (vertices < high - 1e-6)]
@@ -181,7 +189,7 @@ class _ClosedCurve:
 
 
 def plan_stretches(op: Trim, outline: PlannedOutline, face: SheetFace, tool: CuttingTool) -> list[Slot]:
-    """Plan the stretches of an outline, each a slot without leads.
+    """Plan the stretches of an outline that a knife cuts, each a slot without leads.
 
     Args:
         op: Operation.
@@ -196,14 +204,16 @@ def plan_stretches(op: Trim, outline: PlannedOutline, face: SheetFace, tool: Cut
     if not isinstance(by, KnifeCut) or blade is None:
         raise ValueError("stretches are those of a knife")
     ring = _ClosedCurve(outline.curve, face, find_corners(outline.curve, by.turns_deg * DEG))
-    long = blade.end + float(blade.front(tool.depth))
-    reach = float(np.clip(0.5 * long, *HEADING_REACH_M))
+    blade_width = blade.end + float(blade.front(tool.depth))
+    reach = float(np.clip(0.5 * blade_width, *HEADING_REACH_M))
     spans = _divide_spans(ring, _find_spans(outline, ring), by.most_turn_deg * DEG, reach)
     if len(spans) > MAX_STRETCHES:
-        what = f"{outline.spec.name}: the blade would be lifted {len(spans)} times, allowed {MAX_STRETCHES}"
+        message = (
+            f"{outline.spec.name}: the blade would be lifted {len(spans)} times, allowed {MAX_STRETCHES}"
+        )
         hint = "draw round shapes as arcs or splines, not as corners, or allow a larger turns_deg"
         value, limit = float(len(spans)), float(MAX_STRETCHES)
-        raise issue_error("trim.corner", what, value=value, limit=limit, hint=hint)
+        raise issue_error("trim.corner", message, value=value, limit=limit, hint=hint)
     knife = _BladeInSheet(by, blade, tool.depth, reach)
     out, issues = [], list[Issue]()
     for number, span in enumerate(spans, 1):
@@ -223,9 +233,10 @@ def _find_spans(outline: PlannedOutline, ring: _ClosedCurve) -> list[_CurveSpan]
     A curve without either starts where its heading is that of -x, so that all round curves start alike and
     rotate by half a revolution either way.
     """
-    half, joints = 0.5 * outline.spec.joint_mm * MM, _joint_centres(outline, ring)
+    half_joint, joints = 0.5 * outline.spec.joint_mm * MM, _joint_centres(outline, ring)
+    # length along the curve, half of the gap that is not cut there, kind
     marks: list[tuple[float, float, StretchEnd]] = [(float(at), 0.0, "corner") for at in ring.corners]
-    marks = sorted([*marks, *((at, half, "joint") for at in joints)])
+    marks = sorted([*marks, *((at, half_joint, "joint") for at in joints)])
     if not marks:
         whole = _CurveSpan(0.0, ring.length, "piece", "piece")
         lengths = ring.curve.along[:-1]
@@ -233,9 +244,11 @@ def _find_spans(outline: PlannedOutline, ring: _ClosedCurve) -> list[_CurveSpan]
         start = float(lengths[int(np.argmin(np.cos(heading)))])
         return [_CurveSpan(start, start + ring.length, "piece", "piece")]
     out = []
-    for (at, half_gap, kind), (following, other, end) in zip(marks, [*marks[1:], marks[0]], strict=True):
-        next_mark = following if following > at else following + ring.length
-        out.append(_CurveSpan(at + half_gap, next_mark - other, kind, end))
+    for (at, half_gap, kind), (next_at, next_half_gap, next_kind) in zip(
+        marks, [*marks[1:], marks[0]], strict=True
+    ):
+        next_mark = next_at if next_at > at else next_at + ring.length
+        out.append(_CurveSpan(at + half_gap, next_mark - next_half_gap, kind, next_kind))
     return out
 
 
@@ -248,22 +261,22 @@ def _joint_centres(outline: PlannedOutline, ring: _ClosedCurve) -> list[float]:
     count, width = outline.spec.joints, outline.spec.joint_mm * MM
     if not count:
         return []
-    even = ring.length * np.arange(count) / count
+    first_centres = ring.length * np.arange(count) / count
     shifts = ring.length / count * np.arange(JOINT_TRIALS) / JOINT_TRIALS
-    best, margin = shifts[0], np.inf
+    best_shift, margin = shifts[0], np.inf
     if len(ring.corners):
-        distances = np.abs(even[:, None, None] + shifts[:, None] - ring.corners) % ring.length
+        distances = np.abs(first_centres[:, None, None] + shifts[:, None] - ring.corners) % ring.length
         min_distances = np.minimum(distances, ring.length - distances).min(axis=(0, 2))
-        best, margin = float(shifts[int(np.argmax(min_distances))]), float(min_distances.max())
+        best_shift, margin = float(shifts[int(np.argmax(min_distances))]), float(min_distances.max())
     if ring.length / count <= 2.0 * width or margin <= width:
         max_joints = int(ring.length / (2.0 * width))
-        what = (
+        message = (
             f"{outline.spec.name}: {count} micro-joints of {width / MM:g} mm do not fit between its corners, "
         )
-        what += "each at a distance of its width"
+        message += "each at a distance of its width"
         hint = f"use fewer joints (at most {max_joints}), or a smaller joint_mm"
-        raise issue_error("trim.joints", what, value=count, limit=max_joints, hint=hint)
-    return [float(at) for at in (even + best) % ring.length]
+        raise issue_error("trim.joints", message, value=count, limit=max_joints, hint=hint)
+    return [float(at) for at in (first_centres + best_shift) % ring.length]
 
 
 def _divide_spans(
@@ -272,22 +285,23 @@ def _divide_spans(
     """Divide stretches so that the heading of none rotates by more than ``max_rotation`` [rad]."""
     out = []
     for span in spans:
-        at = ring.lengths_between(span.low, span.high)
-        heading = ring.headings(at, span, reach)
+        lengths = ring.lengths_between(span.low, span.high)
+        heading = ring.headings(lengths, span, reach)
         cuts = _division_rows(heading, max_rotation)
-        for fraction in np.linspace(1.0, 0.5, 26)[1:]:  # the same number of pieces, but of similar length
-            smaller = _division_rows(heading, fraction * max_rotation)
-            if len(smaller) > len(cuts):
+        # the smallest rotation that needs no more pieces makes them of similar length
+        for fraction in np.linspace(1.0, 0.5, 26)[1:]:
+            even_cuts = _division_rows(heading, fraction * max_rotation)
+            if len(even_cuts) > len(cuts):
                 break
-            cuts = smaller
-        ends = [span.low, *(float(at[k]) for k in cuts), span.high]
+            cuts = even_cuts
+        ends = [span.low, *(float(lengths[k]) for k in cuts), span.high]
         kinds: list[StretchEnd] = [span.start_kind, *["piece" for _ in cuts], span.end_kind]  # type: ignore[list-item]
         out += [_CurveSpan(ends[k], ends[k + 1], kinds[k], kinds[k + 1]) for k in range(len(ends) - 1)]
     return out
 
 
 def _division_rows(heading: FloatArray, max_rotation: float) -> list[int]:
-    """Return rows at which headings (N,) [rad] have rotated by ``max_rotation`` since the last such row."""
+    """Return the indices at which headings (N,) [rad] are divided, so that no piece rotates too far."""
     out, first = list[int](), 0
     for k in range(1, len(heading)):
         piece = heading[first : k + 1]
@@ -317,58 +331,61 @@ class _BladeInSheet:
 def _build_stretch(
     op: Trim, outline: PlannedOutline, ring: _ClosedCurve, span: _CurveSpan, knife: _BladeInSheet, name: str
 ) -> Slot:
-    """Plan one stretch.
+    """Plan one stretch: where the tip enters and leaves the sheet, and the points and headings between.
 
     Raises:
         TandemError: ``trim.corner`` or ``trim.joints``.
     """
-    by, blade, deep, reach = knife.by, knife.blade, knife.depth, knife.reach
-    far_front, near_front = float(blade.front(by.below_mm * MM)), float(blade.front(deep))
+    by, blade, depth, reach = knife.by, knife.blade, knife.depth, knife.reach
+    # length of the blade before its tip at the far and at the near face
+    far_front, near_front = float(blade.front(by.below_mm * MM)), float(blade.front(depth))
     overlap = min(OVERLAP_M, OVERLAP_FRACTION * op.shape_tol_mm * MM)
-    low, high = span.low, span.high + CLOSING_OVERLAP_M  # where a curve continues, the tip cuts all of it
+    # path of the tip; where a curve continues, the tip cuts all of it
+    low, high = span.low, span.high + CLOSING_OVERLAP_M
     if span.start_kind != "piece":
         low = span.low + blade.end
         low -= (
-            overlap + ring.far_face_extension(low, span.low, span, deep - by.below_mm * MM)
+            overlap + ring.far_face_extension(low, span.low, span, depth - by.below_mm * MM)
             if span.start_kind == "corner"
             else 0.0
         )
     if span.end_kind != "piece":
         high = span.high - (near_front if span.end_kind == "joint" else far_front)
         high += (
-            overlap + ring.far_face_extension(high, span.high, span, deep - by.below_mm * MM)
+            overlap + ring.far_face_extension(high, span.high, span, depth - by.below_mm * MM)
             if span.end_kind == "corner"
             else 0.0
         )
     if high - low < MIN_STROKE_M:
         if "joint" in (span.start_kind, span.end_kind):
-            what = f"{name}: the stretch of {(span.high - span.low) / MM:.1f} mm next to a micro-joint is "
-            what += f"shorter than the blade, {(blade.end + near_front) / MM:.1f} mm"
+            message = f"{name}: the stretch of {(span.high - span.low) / MM:.1f} mm next to a micro-joint is "
+            message += f"shorter than the blade, {(blade.end + near_front) / MM:.1f} mm"
             hint = "use fewer joints, or a narrower blade"
-            raise issue_error("trim.joints", what, hint=hint)
+            raise issue_error("trim.joints", message, hint=hint)
         middle = 0.5 * (low + high)
         low, high = middle - 0.5 * MIN_STROKE_M, middle + 0.5 * MIN_STROKE_M
     along = ring.lengths_between(low, high)
     point = ring.points(along, span)
-    max_far_tilt = float(np.arctan2(FAR_FACE_FRACTION * op.shape_tol_mm * MM, deep - by.below_mm * MM))
+    max_far_tilt = float(np.arctan2(FAR_FACE_FRACTION * op.shape_tol_mm * MM, depth - by.below_mm * MM))
     normal = ring.normals(along, span, min(TILT_FRACTION * op.cone_deg * DEG, max_far_tilt))
     heading = ring.headings(along, span, reach)
-    middle = 0.5 * (heading.max() + heading.min())
-    heading = heading - 2.0 * np.pi * np.round(middle / (2.0 * np.pi))
+    # whole revolutions are removed, so that the headings of all stretches are near 0
+    middle_heading = 0.5 * (heading.max() + heading.min())
+    heading = heading - 2.0 * np.pi * np.round(middle_heading / (2.0 * np.pi))
     overcut = _corner_overcut(
         outline, ring, span, (span.low - (low - blade.end), high + near_front - span.high)
     )
     if overcut > by.overcut_mm * MM + overlap + 1e-9:
         end = ring.points(np.array([span.high]), span)[0] / MM
-        what = f"{name}: the blade cuts {overcut / MM:.2f} mm past a corner into the part, about "
-        what += f"({end[0]:.1f}, {end[1]:.1f}) mm, allowed {by.overcut_mm:g} mm"
+        message = f"{name}: the blade cuts {overcut / MM:.2f} mm past a corner into the part, about "
+        message += f"({end[0]:.1f}, {end[1]:.1f}) mm, allowed {by.overcut_mm:g} mm"
         hint = f"allow overcut_mm: {np.ceil(10.0 * overcut / MM) / 10.0:g}, or use a narrower blade, "
         hint += f"or a below_mm of its ground_mm ({blade.ground / MM:g}), where both faces see its full width"
         value, limit = overcut / MM, by.overcut_mm
-        raise issue_error("trim.corner", what, value=value, limit=limit, unit="mm", hint=hint)
+        raise issue_error("trim.corner", message, value=value, limit=limit, unit="mm", hint=hint)
     slot = Slot(name, outline.spec.name, point, normal, 0, len(point) - 1, heading, overcut)
     _check_blade_deviation(
-        op, outline, slot, along, span, (blade, near_front, ring.face, deep - by.below_mm * MM)
+        op, outline, slot, along, span, (blade, near_front, ring.face, depth - by.below_mm * MM)
     )
     return slot
 
@@ -376,7 +393,7 @@ def _build_stretch(
 def _corner_overcut(
     outline: PlannedOutline, ring: _ClosedCurve, span: _CurveSpan, past: tuple[float, float]
 ) -> float:
-    """Return how far [m] a stretch that is cut ``past`` [m] both of its corners goes into the part there."""
+    """Return how far [m] a blade that goes ``past`` [m] both ends of a stretch cuts into the part."""
     out = 0.0
     for kind, end, sign, distance in (
         (span.start_kind, span.low, -1.0, past[0]),
@@ -403,23 +420,26 @@ def _check_blade_deviation(
     span: _CurveSpan,
     blade: tuple[Blade, float, SheetFace, float],
 ) -> None:
-    """Check that front and back of the blade stay near the curve where it is bent.
+    """Check that front and back of the blade stay near the curve where it is bent, at both faces.
+
+    ``along`` (N,) [m] are the lengths of the slot's points along the curve. ``blade`` is the blade, its
+    length before the tip at the near face [m], the face, and the sheet's thickness [m].
 
     Raises:
         TandemError: ``trim.corner``.
     """
     blade_shape, near_front, face, thickness = blade
     blade_offsets = np.linspace(-blade_shape.end, near_front, BLADE_SAMPLES)
-    at = along[:, None] + blade_offsets
+    lengths = along[:, None] + blade_offsets
     directions = heading_vectors(slot.normal, slot.heading)
     points = slot.point[:, None] + blade_offsets[:, None] * directions[:, None]
-    inside = ((at >= span.low) | (span.start_kind == "piece")) & (
-        (at <= span.high) | (span.end_kind == "piece")
+    inside = ((lengths >= span.low) | (span.start_kind == "piece")) & (
+        (lengths <= span.high) | (span.end_kind == "piece")
     )
     points = points[inside]
     if not len(points):
         return
-    # far face seen from the near one: the blade is normal to the sheet only at its tip
+    # far face relative to the near one: the blade is normal to the sheet only at its tip
     normal_change = face.at(points[:, :2])[1] - np.repeat(slot.normal, BLADE_SAMPLES, axis=0)[inside.ravel()]
     points = np.concatenate([points, points + face.side * thickness * normal_change])
     deviations = np.where(outline.in_waste(points[:, :2]), 0.0, curve_distance(points, outline.curve.point))
@@ -433,20 +453,20 @@ def _check_blade_deviation(
     k, limit = int(np.argmax(deviations)), BLADE_DEVIATION_FRACTION * op.shape_tol_mm * MM
     if deviations[k] > limit:
         x, y, _ = points[k] / MM
-        what = (
+        message = (
             f"{slot.name}: at ({x:.1f}, {y:.1f}) mm the blade, {(blade_shape.end + near_front) / MM:.1f} mm "
             "wide in the "
         )
-        what += f"sheet, is {deviations[k] / MM:.2f} mm off its curve, allowed {limit / MM:.2f} mm"
+        message += f"sheet, is {deviations[k] / MM:.2f} mm off its curve, allowed {limit / MM:.2f} mm"
         hint = "use a narrower blade, or less below_mm, draw a wider bend, or a sharp corner, at which it "
         hint += f"is lifted, or use shape_tol_mm: {np.ceil(200.0 * deviations[k] / MM) / 100.0:g}"
         value, limit_mm = float(deviations[k]) / MM, limit / MM
-        raise issue_error("trim.corner", what, value=value, limit=limit_mm, unit="mm", hint=hint)
+        raise issue_error("trim.corner", message, value=value, limit=limit_mm, unit="mm", hint=hint)
 
 
 @dataclasses.dataclass(frozen=True)
 class KnifeRotation:
-    """M positions in the air on the way from one stretch to the next, over which a knife rotates.
+    """M positions of a knife in the air between two stretches, over which it rotates.
 
     Attributes:
         tip: Tips (M, 3) [m].
@@ -464,11 +484,12 @@ def rotate_in_air(
 ) -> KnifeRotation:
     """Rotate a knife in the air from the end of a stretch to the start of the next one.
 
-    Headings have no jumps, so a knife rotates back what it has rotated in the sheet.
+    Headings have no jumps, so a knife rotates back what it has rotated in the sheet. Start and end themselves
+    are not included in the result.
 
     Args:
         start: Tip (3,) [m], axis (3,) and heading [rad] above the end of a stretch.
-        end: The same above the start of the next one.
+        end: Tip (3,) [m], axis (3,) and heading [rad] above the start of the next stretch.
     """
     rotation = end[2] - start[2]
     count = max(int(np.ceil(abs(rotation) / MAX_ROTATION_STEP_RAD - 1e-9)) - 1, 0)

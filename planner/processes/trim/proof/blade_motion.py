@@ -1,8 +1,8 @@
-"""Which part of a sheet a knife's blade cuts, and how the blade is aligned with its curve.
+"""Where a knife's blade cuts both faces of a sheet, and how the blade is aligned with its curve.
 
-The blade is represented by lines along its axis, from its back to its edge. Each line passes both faces of
-the sheet, and has cut a face if its lower end is behind it. Headings follow from the x axis of the TCP in the
-program text. They are compared with directions of the curve along the blade.
+The blade is represented by lines parallel to its axis, from its back to its edge. A line has cut a face of
+the sheet if its lower end is behind that face. Headings follow from the x axis of the TCP in the program
+text. They are compared with directions of the curve along the blade.
 """
 
 import dataclasses
@@ -22,21 +22,21 @@ from planner.processes.trim.proof.torch_motion import (
 )
 
 BLADE_LINES = 9
-"""Number of lines along a blade that are checked along the whole path."""
+"""Number of lines of a blade that are followed along the whole path."""
 END_SPACING_M = 0.04e-3
-"""Distance of the lines where the blade enters and leaves [m]."""
+"""Distance of the lines where the blade enters and leaves the sheet [m]."""
 FACE_TOLERANCE_M = 1e-6
 """A line that ends no farther above a face than this [m] has cut it."""
 MIN_PLAN_CORNER_RAD = np.deg2rad(1.0)
 """Minimum angle of a corner, seen from above [rad]."""
 CORNER_ERROR_RAD = np.deg2rad(1.0)
-"""Difference of the angle of a corner between two readings [rad]."""
+"""Possible difference of the angles of a corner as the planner and the proof read it [rad]."""
 MIN_CHORD_M = 0.3e-3
 """Minimum length of chords that define directions [m]."""
 DIRECTION_SAMPLES = 7
-"""Number of directions of a curve that count at one point."""
+"""Number of directions of a curve with which a blade is compared at one point."""
 MIN_ADVANCE_M = 0.1e-3
-"""A knife that has moved along the face by less than this [m] has only entered."""
+"""A knife that has moved along the face by less than this [m] has only entered the sheet."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,14 +58,14 @@ class SharpCorners:
     lengths: FloatArray
 
     def distance_past(self, points: FloatArray, max_distance: float) -> FloatArray:
-        """Return how far (N,) [m] points are past a corner, the smallest value of all corners.
+        """Return how far (N,) [m] points are past the corner that they are least past.
 
         A point is past a corner if it is within ``max_distance`` of the straight continuation of one of its
-        sides. The result is infinite for other points.
+        sides. The result is infinite for points that are past no corner.
 
         Args:
             points: Points (N, 3) [m].
-            max_distance: Allowed distance from the line [m].
+            max_distance: Maximum distance from the continuation [m].
         """
         out = np.full(len(points), np.inf)
         for corner, normal, incoming, outgoing in zip(
@@ -81,7 +81,7 @@ class SharpCorners:
 
 
 def find_corners(work: TrimmedSheet, curve: OutlineCurve, min_angle: float) -> SharpCorners:
-    """Return the corners of a curve on the face.
+    """Return the corners of a curve, whose angles are those in the tangent plane of the face.
 
     Args:
         work: Claim with the motion.
@@ -92,8 +92,8 @@ def find_corners(work: TrimmedSheet, curve: OutlineCurve, min_angle: float) -> S
     step = np.roll(flat, -1, axis=0) - flat
     following = step / np.linalg.norm(step, axis=1, keepdims=True)
     previous = np.roll(following, 1, axis=0)
-    plan = np.arccos(np.clip((previous * following).sum(axis=1), -1.0, 1.0))
-    candidates = np.flatnonzero(plan > MIN_PLAN_CORNER_RAD)
+    plan_angle = np.arccos(np.clip((previous * following).sum(axis=1), -1.0, 1.0))
+    candidates = np.flatnonzero(plan_angle > MIN_PLAN_CORNER_RAD)
     points, normal = work.sheet.at(flat[candidates])
     directions = []
     for plan_direction in (previous[candidates], following[candidates]):
@@ -109,14 +109,14 @@ def find_corners(work: TrimmedSheet, curve: OutlineCurve, min_angle: float) -> S
 
 @dataclasses.dataclass(frozen=True)
 class BladeCut:
-    """Where lines of a blade passed one face.
+    """Points at which lines of a blade have cut one face of the sheet.
 
     Attributes:
-        paths: The same line by line, and along the blade at both ends.
-        foot: Points on the near face (M, 3) [m].
+        paths: Path of each line, and the lines along the blade where it enters and where it leaves.
+        foot: Points of all paths, projected onto the near face (M, 3) [m].
         distances: Distances from the curve (M,) [m], negative on the part.
         at: Lengths along the curve (M,) [m].
-        rows: Samples of the motion (M,).
+        rows: Indices of the samples of the motion (M,).
     """
 
     paths: tuple[SlotPath, ...]
@@ -127,13 +127,15 @@ class BladeCut:
 
 
 class BladePath:
-    """Path of a knife in one slot, with samples at most ``SAMPLE_STEP_M`` apart.
+    """Path of a knife in the slot with the key ``key``, with samples at most ``SAMPLE_STEP_M`` apart.
 
     Attributes:
         tip: Tips (N, 3) [m].
         axis: Directions from the TCP into the tool (N, 3).
-        ahead: Cutting directions (N, 3).
-        rows: Samples of the motion (N,).
+        ahead: Cutting directions (N, 3), the x axes of the TCP.
+        rows: Indices of the samples of the motion (N,).
+        feet: Points at which the axis intersects the near face.
+        deep: Depth of the tip behind the near face along the axis (N,) [m].
     """
 
     def __init__(self, work: TrimmedSheet, knife: TrimBlade, key: str) -> None:
@@ -162,6 +164,7 @@ class BladePath:
         return self._face_cut(True)
 
     def _face_cut(self, is_far: bool) -> BladeCut:
+        """Calculate the cut of one face from lines along the whole path and dense lines at its ends."""
         blade = self.knife.blade
         front = float(
             blade.front(min(float(self.deep.max()) + self.work.claim.height_tolerance, blade.length))
@@ -182,18 +185,19 @@ class BladePath:
         return BladeCut(tuple(path for path in paths if len(path.rows)), foot, distances, at, rows)
 
     def _cut_lines(self, index: IntArray, offsets: FloatArray, is_far: bool) -> SlotPath:
-        """Return the lines of a blade that have cut a face.
+        """Return where lines of a blade have cut a face, without those lines that have not.
 
-        They are ``offsets`` (M,) [m] ahead of the TCP, at samples ``index`` (M,).
+        The lines are ``offsets`` (M,) [m] ahead of the TCP, at the samples ``index`` (M,) of the path.
         """
         blade, work = self.knife.blade, self.work
         axis = self.axis[index]
         base = self.tip[index] + offsets[:, None] * self.ahead[index]
-        up = face_distance(work.other_side if is_far else work.sheet, base, axis)
-        front, full = np.maximum(offsets, 0.0), blade.width - blade.end
-        low = front / full * blade.ground if full > 0.0 else np.zeros(len(offsets))
-        cut = (low <= up + FACE_TOLERANCE_M) & (up <= blade.length)
-        index, axis, points = index[cut], axis[cut], (base + up[:, None] * axis)[cut]
+        height = face_distance(work.other_side if is_far else work.sheet, base, axis)
+        # before its straight end the edge rises linearly, by the ground height over the rest of the width
+        front, slanted_width = np.maximum(offsets, 0.0), blade.width - blade.end
+        lower_end = front / slanted_width * blade.ground if slanted_width > 0.0 else np.zeros(len(offsets))
+        has_cut = (lower_end <= height + FACE_TOLERANCE_M) & (height <= blade.length)
+        index, axis, points = index[has_cut], axis[has_cut], (base + height[:, None] * axis)[has_cut]
         feet = work.sheet.project(points)
         distances, at = self.curve.distance(feet.foot)
         distances = np.where(self.curve.in_waste(feet.foot), distances, -distances)
@@ -202,7 +206,8 @@ class BladePath:
     def heading_errors(self) -> FloatArray:
         """Return the angle (N,) [rad] between the blade and the nearest direction of its curve.
 
-        Directions are those within half of the blade's width on either side, before or after a sharp corner.
+        The directions are those of the curve within half of the blade's width on either side. Near a sharp
+        corner they are those before or those after it, whichever fit better.
         """
         work, curve, blade = self.work, self.curve, self.knife.blade
         normal, foot = self.feet.normal, self.feet.foot
@@ -210,9 +215,9 @@ class BladePath:
         ends = find_corners(
             work, curve, self.knife.max_corner + CORNER_ERROR_RAD + work.sheet.normal_error
         ).lengths
-        long = blade.end + float(blade.front(min(float(np.max(self.deep)), blade.length)))
-        reach, best = max(0.5 * long, MIN_CHORD_M), np.full(len(at), np.inf)
-        for low, high in _sides(at, ends, curve.length, long + work.edge_tolerance):
+        width_in_sheet = blade.end + float(blade.front(min(float(np.max(self.deep)), blade.length)))
+        reach, best = max(0.5 * width_in_sheet, MIN_CHORD_M), np.full(len(at), np.inf)
+        for low, high in _sides(at, ends, curve.length, width_in_sheet + work.edge_tolerance):
             low_angle, high_angle = np.full(len(at), np.inf), np.full(len(at), -np.inf)
             for x in np.linspace(-reach, reach, DIRECTION_SAMPLES):
                 first = np.clip(at + x - 0.5 * MIN_CHORD_M, low, high - MIN_CHORD_M)
@@ -226,27 +231,29 @@ class BladePath:
 def _sides(
     at: FloatArray, ends: FloatArray, length: float, reach: float
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Return between which corners (N,) [m] points at ``at`` (N,) along a curve are.
+    """Return the sections between sharp corners to which points of a closed curve may belong.
 
-    For a point within ``reach`` [m] of a corner, the corners on its other side are returned as well.
+    The points are at lengths ``at`` (N,) [m] of the curve, the corners at ``ends`` (C,) [m]. A point within
+    ``reach`` [m] of a corner may also belong to the section on its other side. Each of the three alternatives
+    has the start (N,) and end (N,) [m] of the section of each point.
     """
     if not len(ends):
         return [(np.full(len(at), -np.inf), np.full(len(at), np.inf))]
-    marks = np.concatenate([ends + turn * length for turn in (-2.0, -1.0, 0.0, 1.0, 2.0)])
-    k = np.searchsorted(marks, at, side="right")
-    near_previous, near_next = at - marks[k - 1] < reach, marks[k] - at < reach
+    corners = np.concatenate([ends + revolution * length for revolution in (-2.0, -1.0, 0.0, 1.0, 2.0)])
+    k = np.searchsorted(corners, at, side="right")
+    near_previous, near_next = at - corners[k - 1] < reach, corners[k] - at < reach
     return [
-        (marks[k - 1], marks[k]),
+        (corners[k - 1], corners[k]),
         (
-            np.where(near_previous, marks[k - 2], marks[k - 1]),
-            np.where(near_previous, marks[k - 1], marks[k]),
+            np.where(near_previous, corners[k - 2], corners[k - 1]),
+            np.where(near_previous, corners[k - 1], corners[k]),
         ),
-        (np.where(near_next, marks[k], marks[k - 1]), np.where(near_next, marks[k + 1], marks[k])),
+        (np.where(near_next, corners[k], corners[k - 1]), np.where(near_next, corners[k + 1], corners[k])),
     ]
 
 
 def _line_angles(ahead: FloatArray, direction: FloatArray, normal: FloatArray) -> FloatArray:
-    """Return the angle (N,) [rad] between lines about the normal (N, 3), at most a quarter revolution."""
+    """Return the signed angle (N,) [rad] between lines about a normal, within a quarter revolution."""
     across = (np.cross(ahead, direction) * normal).sum(axis=1)
     cosine_part = (ahead * direction).sum(axis=1) - (ahead * normal).sum(axis=1) * (direction * normal).sum(
         axis=1
@@ -255,7 +262,7 @@ def _line_angles(ahead: FloatArray, direction: FloatArray, normal: FloatArray) -
 
 
 def blade_path(work: TrimmedSheet, knife: TrimBlade, key: str) -> BladePath:
-    """Return the path of a knife in one slot, which is computed once.
+    """Return the path of a knife in one slot, which is computed once and cached in ``work``.
 
     Args:
         work: Claim with the motion.

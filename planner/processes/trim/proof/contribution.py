@@ -12,7 +12,9 @@ from planner.proof.contribution import ProofOfProcess, WorkingEdges
 
 
 def contact_segments(group: Sequence[Claim], arm: str) -> WorkingEdges | None:
-    """Return the segments in which a tool on ``arm`` is near the sheet: its slots with their leads.
+    """Return the segments in which a tool on ``arm`` is at the sheet: its slots with their leads.
+
+    The result is None if the arm does not trim.
 
     Args:
         group: Claims of one operation.

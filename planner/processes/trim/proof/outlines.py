@@ -1,4 +1,4 @@
-"""Outlines as the proof reads them from the files and projects them onto the sheet's face, and their order.
+"""Outlines as the proof reads them from files and projects them onto the sheet's face, and their order.
 
 The face is that of the part's own mesh file. Curves are projected along z; beyond the mesh the sheet is flat.
 The winding number about a point decides whether a curve encloses it, seen along z.
@@ -48,13 +48,13 @@ def plan_curve(outline: TrimOutline) -> FloatArray:
         outline: Outline.
 
     Raises:
-        UnreadError: The curve cannot be read.
+        UnreadError: If the curve cannot be read or has fewer than three points.
     """
     if outline.drawn is None:
-        turn = 2.0 * np.pi * np.arange(CIRCLE_VERTICES) / CIRCLE_VERTICES
+        angle = 2.0 * np.pi * np.arange(CIRCLE_VERTICES) / CIRCLE_VERTICES
         radius = 0.5 * outline.diameter * MILLIMETRE_M
         centre = np.array(outline.centre) * MILLIMETRE_M
-        return np.asarray(centre + radius * np.stack([np.cos(turn), np.sin(turn)], axis=1))
+        return np.asarray(centre + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
     try:
         flat = curve_points(outline.drawn)[0][:, :2]
     except CurveReadError as error:
@@ -64,13 +64,13 @@ def plan_curve(outline: TrimOutline) -> FloatArray:
         flat = flat[:-1]
     if len(flat) < 3:
         raise UnreadError(f"{outline.name} has only {len(flat)} different points")
-    after = np.roll(flat, -1, axis=0)
-    turns = float((flat[:, 0] * after[:, 1] - flat[:, 1] * after[:, 0]).sum())
-    return np.asarray(flat if turns > 0.0 else flat[::-1])
+    following = np.roll(flat, -1, axis=0)
+    double_area = float((flat[:, 0] * following[:, 1] - flat[:, 1] * following[:, 0]).sum())
+    return np.asarray(flat if double_area > 0.0 else flat[::-1])
 
 
 def expand_drawings(claim: TrimsSheet) -> TrimsSheet:
-    """Return the claim with each curve of its drawings as an outline of its own.
+    """Return the claim with each curve of its drawings as a separate outline.
 
     The proof reads the file layer by layer, in the file's order, and numbers the curves.
 
@@ -78,7 +78,7 @@ def expand_drawings(claim: TrimsSheet) -> TrimsSheet:
         claim: Claim on the sheet.
 
     Raises:
-        UnreadError: A drawing cannot be read, or a curve is open.
+        UnreadError: If a drawing cannot be read or has no curves, or a curve is open.
     """
     out: list[TrimOutline] = []
     for outline in claim.outlines:
@@ -90,8 +90,8 @@ def expand_drawings(claim: TrimsSheet) -> TrimsSheet:
             number += 1
             if not curve.closed:
                 raise UnreadError(f"curve {number} of {outline.name} is open")
-            mm = tuple(map(tuple, (curve.points / MILLIMETRE_M).tolist()))
-            curve_mm = DrawnCurve("polyline", mm)
+            points_mm = tuple(map(tuple, (curve.points / MILLIMETRE_M).tolist()))
+            curve_mm = DrawnCurve("polyline", points_mm)
             out.append(dataclasses.replace(outline, name=f"{outline.name}_{number}", drawn=curve_mm))
         if not number:
             raise UnreadError(f"{outline.name} has no curves")
@@ -99,39 +99,43 @@ def expand_drawings(claim: TrimsSheet) -> TrimsSheet:
 
 
 def encloses(ring: FloatArray, points: FloatArray) -> BoolArray:
-    """Return whether (N,) points are enclosed by a closed curve.
+    """Return whether (N,) points are enclosed by a closed curve: whether its winding number is not 0.
 
-    A point is enclosed if a ray along x crosses the curve upwards and downwards a different number of times.
+    The winding number is the number of times that a ray along x crosses the curve upwards minus the number of
+    times that it crosses it downwards.
 
     Args:
         ring: Vertices of the curve (K, 2) [m].
         points: Points (N, 2) [m].
     """
-    after = np.roll(ring, -1, axis=0)
-    out = np.zeros(len(points), dtype=np.int64)
+    following = np.roll(ring, -1, axis=0)
+    winding_number = np.zeros(len(points), dtype=np.int64)
     for first in range(0, len(points), MAX_POINTS):
         batch = points[first : first + MAX_POINTS]
-        crossings = (ring[:, 1] <= batch[:, 1:]).astype(np.int8) - (after[:, 1] <= batch[:, 1:]).astype(
+        crossings = (ring[:, 1] <= batch[:, 1:]).astype(np.int8) - (following[:, 1] <= batch[:, 1:]).astype(
             np.int8
         )
         row, edge = np.nonzero(crossings)
-        a, b = ring[edge], after[edge]
+        a, b = ring[edge], following[edge]
         fraction = (batch[row, 1] - a[:, 1]) / (b[:, 1] - a[:, 1])
-        right = a[:, 0] + fraction * (b[:, 0] - a[:, 0]) > batch[row, 0]
-        out[first : first + MAX_POINTS] = np.bincount(
-            row[right], weights=crossings[row[right], edge[right]], minlength=len(batch)
+        is_right = a[:, 0] + fraction * (b[:, 0] - a[:, 0]) > batch[row, 0]
+        winding_number[first : first + MAX_POINTS] = np.bincount(
+            row[is_right], weights=crossings[row[is_right], edge[is_right]], minlength=len(batch)
         ).astype(np.int64)
-    return np.asarray(out != 0)
+    return np.asarray(winding_number != 0)
 
 
 def cutting_order(claim: TrimsSheet) -> list[int]:
-    """Return the outlines in the order of cutting: those inside most others first, otherwise as stated.
+    """Return the indices of the outlines in the order of cutting.
+
+    First come those that are inside most other outlines. Outlines with the same nesting depth keep their
+    order.
 
     Args:
         claim: Claim on the sheet.
 
     Raises:
-        UnreadError: A curve cannot be read.
+        UnreadError: If a curve cannot be read.
     """
     rings = [plan_curve(outline) for outline in claim.outlines]
     depths = [
@@ -143,12 +147,14 @@ def cutting_order(claim: TrimsSheet) -> list[int]:
 def slot_dialogue(claim: OperatorDialogue, trims: TrimsSheet) -> OperatorDialogue:
     """Add to a dialogue what is switched and waited for at each slot of a torch.
 
+    Other tools are not switched at slots, so their dialogue is returned as it is.
+
     Args:
         claim: Dialogue of the operation.
         trims: Claim on the sheet.
 
     Raises:
-        UnreadError: A curve cannot be read.
+        UnreadError: If a curve cannot be read.
     """
     if trims.torch is None:
         return claim
@@ -169,13 +175,14 @@ def slot_dialogue(claim: OperatorDialogue, trims: TrimsSheet) -> OperatorDialogu
 def resolve_claims(
     claims: Mapping[str, tuple[Claim, ...]],
 ) -> tuple[dict[str, tuple[Claim, ...]], tuple[Issue, ...]]:
-    """Resolve claims on trimming: outlines of drawings, and dialogues with what is switched at each slot.
+    """Resolve claims on trimming: expand drawings to outlines, and add switching at slots to dialogues.
 
     Args:
         claims: Claims by operation.
 
     Returns:
-        The resolved claims, and issues of what could not be read.
+        The resolved claims by operation, and issues of files that cannot be read. Their claims are not
+        resolved.
     """
     issues: list[Issue] = []
     out: dict[str, tuple[Claim, ...]] = {}
@@ -186,8 +193,8 @@ def resolve_claims(
                 expanded_claims.append(expand_drawings(claim) if isinstance(claim, TrimsSheet) else claim)
             except UnreadError as error:
                 expanded_claims.append(claim)
-                what = f"{name}: drawings cannot be read a second time: {error}"
-                issues.append(Issue("verify.trim_cut", what, field="operations.outlines"))
+                message = f"{name}: drawings cannot be read a second time: {error}"
+                issues.append(Issue("verify.trim_cut", message, field="operations.outlines"))
         trims = [claim for claim in expanded_claims if isinstance(claim, TrimsSheet)]
         resolved: list[Claim] = []
         for claim in expanded_claims:
@@ -195,8 +202,8 @@ def resolve_claims(
                 try:
                     claim = slot_dialogue(claim, trims[0])
                 except UnreadError as error:
-                    what = f"{name}: curves cannot be read a second time: {error}"
-                    issues.append(Issue("verify.trim_cut", what, field="operations.outlines"))
+                    message = f"{name}: curves cannot be read a second time: {error}"
+                    issues.append(Issue("verify.trim_cut", message, field="operations.outlines"))
             resolved.append(claim)
         out[name] = tuple(resolved)
     return out, tuple(issues)
@@ -204,12 +211,12 @@ def resolve_claims(
 
 @dataclasses.dataclass(frozen=True)
 class FacePoints:
-    """Points seen from the face.
+    """Projection of N points onto the face.
 
     Attributes:
         foot: Nearest points of the face (N, 3) [m].
-        normal: Normals there, away from the sheet on the tool's side (N, 3).
-        height: Heights above the face (N,) [m].
+        normal: Unit normals there, away from the sheet on the tool's side (N, 3).
+        height: Heights of the points above the face (N,) [m].
     """
 
     foot: FloatArray
@@ -218,13 +225,26 @@ class FacePoints:
 
 
 class SheetSide:
-    """Side of the formed sheet on which the tool is.
+    """Face of the formed sheet on the side of the tool, as the proof reads it from the mesh file.
 
-    If the face is that of the part, it is reduced by what later operations form: ``flat`` returns how far
-    (N,) [m] they move it at points in plan (N, 2).
+    A mesh with noise is smoothed. Beyond the mesh the sheet is flat.
 
     Attributes:
+        side: +1 for the upper face, -1 for the lower one.
+        height: Height z of the flat of this face [m].
+        tolerance: Possible deviation of the mesh's vertices from the face [m].
+        vertices: Vertices of the mesh (V, 3) [m].
+        faces: Triangles of the mesh (F, 3).
         normal_error: Possible rotation of the normals because of noise of the mesh [rad].
+
+    Args:
+        claim: Claim on the sheet.
+        part: The part as the problem file states it, for claims without a mesh of their own.
+        remaining_forming: Function that returns how far (N,) [m] later operations move the sheet along z at
+            points in plan (N, 2). The part's face is reduced by that.
+
+    Raises:
+        UnreadError: If there is no mesh, or it cannot be read.
     """
 
     def __init__(
@@ -252,24 +272,24 @@ class SheetSide:
         vertices, index = np.unique(np.round(corners.reshape(-1, 3), 10), axis=0, return_inverse=True)
         self.faces = np.asarray(index).reshape(-1, 3)
         noise = mesh_noise(vertices, self.faces)
-        vertices, self.normal_error = (
-            smooth_heights(vertices, self.faces) if noise else vertices,
-            noise_rotation(noise),
-        )
+        vertices = smooth_heights(vertices, self.faces) if noise else vertices
+        self.normal_error = noise_rotation(noise)
         if surface is None and remaining_forming is not None:
             vertices[:, 2] -= remaining_forming(vertices[:, :2])
         self.vertices = vertices
         self._plan_face = PlanFace(self.vertices, self.faces)
 
     def at(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return points (N, 3) over ``xy`` (N, 2) [m], and upward normals (N, 3)."""
+        """Return the points (N, 3) [m] of the face over ``xy`` (N, 2) [m], and upward normals (N, 3)."""
         projected = self._plan_face.points_over(xy)
-        on = np.isfinite(projected.point[:, 2:])
+        is_on_mesh = np.isfinite(projected.point[:, 2:])
         flat = np.column_stack([xy, np.full(len(xy), self.height)])
-        return np.where(on, projected.point, flat), np.where(on, projected.normal, np.array([0.0, 0.0, 1.0]))
+        return np.where(is_on_mesh, projected.point, flat), np.where(
+            is_on_mesh, projected.normal, np.array([0.0, 0.0, 1.0])
+        )
 
     def project(self, points: FloatArray) -> FacePoints:
-        """Return the nearest points on the face of points (N, 3) [m] near to it."""
+        """Return the projection of points (N, 3) [m] near the face onto it, by fixed-point iteration."""
         point, normal = self.at(points[:, :2])
         for _ in range(FOOT_ITERATIONS):
             foot = points - ((points - point) * normal).sum(axis=1, keepdims=True) * normal
@@ -279,11 +299,12 @@ class SheetSide:
 
 
 class OutlineCurve:
-    """An outline on the face.
+    """An outline as a closed polyline on the face. A curve that cannot be read raises `UnreadError`.
 
     Attributes:
-        ring: Points (K, 3) [m], at most ``CURVE_SPACING_M`` apart in plan.
+        ring: Points (K, 3) [m], at most ``CURVE_SPACING_M`` apart in plan. The first one is not repeated.
         along: Length up to each of them (K,) [m].
+        length: Length of the closed polyline [m].
         plan_vertices: Vertices of the outline in plan (J, 2) [m].
     """
 
@@ -325,16 +346,16 @@ class OutlineCurve:
         return best, lengths
 
     def point_after(self, along: float) -> FloatArray:
-        """Return the point (3,) of its ring that follows a length along it [m]."""
+        """Return the first point (3,) [m] of the polyline at or after a length along it [m]."""
         k = int(np.searchsorted(self.along, along % self.length)) % len(self.ring)
         return np.asarray(self.ring[k])
 
     def points_at(self, along: FloatArray) -> FloatArray:
-        """Return points (N, 3) at lengths ``along`` (N,) [m] of its ring."""
+        """Return points (N, 3) [m] of the polyline at lengths ``along`` (N,) [m], which are periodic."""
         ring = np.concatenate([self.ring, self.ring[:1]])
         lengths = np.append(self.along, self.length)
         return np.stack([np.interp(along % self.length, lengths, ring[:, k]) for k in range(3)], axis=1)
 
     def in_waste(self, points: FloatArray) -> BoolArray:
-        """Return whether (N,) points (N, 3) are, seen along z, in the waste of this outline."""
+        """Return whether (N,) points (N, 3) [m] are, in plan, in the waste of this outline."""
         return np.asarray(encloses(self.plan_vertices, points[:, :2]) == self.outline.drops_inside)

@@ -1,7 +1,8 @@
-"""Smoothed face of a mesh with noise, as a tool normal to it sees it.
+"""Smoothed face of a mesh with noise, to which the normals of tools are compared.
 
-Facets of a scan are tilted by several degrees where the face is not. Each vertex moves to the height of the
-second-order surface through its neighbourhood. Meshes without noise stay as they are.
+Because of noise, facets of a scan are tilted by several degrees from the real face. So each vertex is moved
+to the height of the second-order surface that is fitted to its neighbourhood. Meshes without noise are not
+smoothed.
 """
 
 from typing import Final
@@ -12,17 +13,17 @@ from scipy.spatial import cKDTree
 from planner.geometry.arrays import FloatArray, IntArray
 
 NEIGHBOUR_COUNT: Final = 30
-"""Number of neighbours, seen along z, that define the face at a vertex."""
+"""Number of neighbours in plan whose distance determines the radius of the neighbourhood of a vertex."""
 NEIGHBOUR_RADIUS_M: Final = (2.5e-3, 6e-3)
-"""Bounds of the radius of the neighbourhood [m]. All vertices within it count."""
+"""Bounds of the radius of the neighbourhood [m]. All vertices within the radius count."""
 NOISE_LENGTH_M: Final = 1.5e-3
-"""Length over which a smoothed face rises and falls by its noise [m]."""
+"""Length over which a smoothed face may still rise or fall by its noise [m]."""
 MAX_ROTATION_RAD: Final = np.deg2rad(5.0)
 """Maximum rotation of normals because of noise [rad]."""
 MIN_NEIGHBOURS: Final = 12
-"""Minimum number of neighbours. A vertex with fewer stays where it is."""
+"""Minimum number of neighbours. A vertex with fewer is not moved."""
 MAX_VERTICES: Final = 500
-"""Number of vertices that are processed at once."""
+"""Number of vertices that are processed at once, to bound memory."""
 REGULARISATION_FRACTION: Final = 1e-9
 """Regularisation of the fit, as a fraction of the largest eigenvalue."""
 
@@ -37,7 +38,7 @@ def noise_rotation(noise: float) -> float:
 
 
 def smooth_heights(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Return the vertices of a mesh with smoothed heights.
+    """Return the vertices (V, 3) of a mesh with smoothed heights.
 
     Args:
         vertices: Vertices (V, 3) [m].
@@ -67,27 +68,26 @@ def _heights(
     radius: FloatArray,
     neighbours: list[list[int]],
 ) -> FloatArray:
-    """Return heights (K,) [m] of the surfaces through the vertices ``neighbours`` each of some points.
+    """Return heights (K,) [m] at points (K, 3) of second-order surfaces that are fitted to their neighbours.
 
-    Vertices are weighted by their ``area`` (V,) [m^2], and by distance within ``radius`` (K,) [m] with (1 -
-    r^2)^2. The points are ``points`` (K, 3).
+    The fit is a weighted least squares fit of z = c0 + c1 x + c2 y + c3 x^2 + c4 x y + c5 y^2 with
+    coordinates relative to the point. The weight is the vertex's ``area`` (V,) [m^2] times (1 - r^2)^2, with
+    the distance r as a fraction of the ``radius`` (K,) [m]. Points with few neighbours keep their height.
     """
-    counts = np.array([len(rows) for rows in neighbours])
-    row, column = (
-        np.repeat(np.arange(len(points)), counts),
-        np.concatenate([np.asarray(rows) for rows in neighbours]),
-    )
-    x, y = ((vertices[column, k] - points[row, k]) / radius[row] for k in range(2))
-    weight = area[column] * np.clip(1.0 - x * x - y * y, 0.0, 1.0) ** 2
+    counts = np.array([len(indices) for indices in neighbours])
+    row = np.repeat(np.arange(len(points)), counts)
+    vertex = np.concatenate([np.asarray(indices) for indices in neighbours])
+    x, y = ((vertices[vertex, k] - points[row, k]) / radius[row] for k in range(2))
+    weight = area[vertex] * np.clip(1.0 - x * x - y * y, 0.0, 1.0) ** 2
     terms = np.stack([np.ones(len(row)), x, y, x * x, x * y, y * y])
-    rest = vertices[column, 2] - points[row, 2]
+    rest = vertices[vertex, 2] - points[row, 2]
     count, size = len(points), len(terms)
-    matrix, right = np.empty((count, size, size)), np.empty((count, size))
+    matrix, right_side = np.empty((count, size, size)), np.empty((count, size))
     for a in range(size):
-        right[:, a] = np.bincount(row, weight * terms[a] * rest, count)
+        right_side[:, a] = np.bincount(row, weight * terms[a] * rest, count)
         for b in range(size):
             matrix[:, a, b] = np.bincount(row, weight * terms[a] * terms[b], count)
     largest = np.trace(matrix, axis1=1, axis2=2)
     matrix += (REGULARISATION_FRACTION * largest + 1e-30)[:, None, None] * np.eye(size)
-    offsets = np.linalg.solve(matrix, right[..., None])[:, 0, 0]
+    offsets = np.linalg.solve(matrix, right_side[..., None])[:, 0, 0]
     return np.asarray(points[:, 2] + np.where(counts >= MIN_NEIGHBOURS, offsets, 0.0))

@@ -1,4 +1,4 @@
-"""Motion of a torch, mill or knife while it trims: its path, its arc, and its distance from the sheet."""
+"""Motion of a torch, mill or knife while it trims: its path, its signal, and its distance from the sheet."""
 
 import dataclasses
 import itertools
@@ -22,9 +22,9 @@ from planner.proof.replay.tool_track import ReplayedToolPath, tool_path
 from planner.tooling import Torch
 
 MAX_QUERY_DISTANCE_M = 20e-3
-"""Distances from a tool greater than this [m] are not distinguished."""
+"""Distances of a tool from the sheet are calculated only up to this one [m]."""
 FACE_SPACING_M = 0.8e-3
-"""Distance of face points that are compared with a tool [m]."""
+"""Maximum distance of face points that are compared with a tool [m]."""
 SAMPLE_STEP_M = 0.2e-3
 """Maximum distance of samples of a tool's path [m]."""
 SAMPLING_ERROR_M = 0.02e-3
@@ -49,7 +49,7 @@ class OnIntervals:
 
     @staticmethod
     def from_motion(context: Context, claim: TrimsSheet) -> "OnIntervals":
-        """Return when the programs have the signal of a claim on.
+        """Return the intervals in which the programs have the signal of a claim on.
 
         Args:
             context: Context of the proof.
@@ -57,19 +57,19 @@ class OnIntervals:
         """
         starts: list[float] = []
         ends: list[float] = []
-        for at, value in context.motion.signal_changes(
+        for time, value in context.motion.signal_changes(
             claim.signal, context.controller_task_names((claim.arm,))
         ):
             if value and len(starts) == len(ends):
-                starts.append(at)
+                starts.append(time)
             elif not value and len(starts) > len(ends):
-                ends.append(at)
+                ends.append(time)
         if len(starts) > len(ends):
             ends.append(float("inf"))
         return OnIntervals(np.array(starts), np.array(ends))
 
     def contains(self, time: FloatArray) -> BoolArray:
-        """Return whether (T,) it is on at times (T,) [s], ends of intervals included."""
+        """Return whether (T,) the signal is on at times (T,) [s], ends of intervals included."""
         indices = np.searchsorted(self.start, time, side="right") - 1
         inside = indices >= 0
         out = np.zeros(len(time), dtype=bool)
@@ -88,10 +88,10 @@ class SlotPath:
     Attributes:
         tip: Tips (N, 3) [m].
         axis: Directions from the TCP into the tool (N, 3).
-        feet: Points on the face.
-        rows: Samples of the motion (N,).
-        curve_distance: Distances from the curve (N,) [m], negative on the part.
-        at: Lengths along the curve (N,) [m].
+        feet: Points on the face that the tool cuts.
+        rows: Indices of the samples of the motion (N,).
+        curve_distance: Distances of these points from the curve (N,) [m], negative on the part.
+        at: Lengths along the curve (N,) [m] of the points of the curve nearest to them.
         depth: Depth of the tip of a mill or knife behind the face, along its axis (N,) [m]; zero for a torch.
     """
 
@@ -105,12 +105,12 @@ class SlotPath:
 
 
 def face_distance(sheet: SheetSide, tip: FloatArray, axis: FloatArray) -> FloatArray:
-    """Return how far (N,) [m] from a tip its axis intersects the face.
+    """Return the distance (N,) [m] along a tool's axis from the tip to the face, negative against the axis.
 
     Args:
-        sheet: Side of the sheet.
+        sheet: Face of the sheet.
         tip: Tips (N, 3) [m].
-        axis: Axes (N, 3).
+        axis: Unit directions from the TCP into the tool (N, 3).
     """
     out = np.zeros(len(tip))
     for _ in range(INTERSECTION_ITERATIONS):
@@ -123,10 +123,20 @@ def face_distance(sheet: SheetSide, tip: FloatArray, axis: FloatArray) -> FloatA
 
 
 class TrimmedSheet:
-    """One claim on a trimmed sheet, with the motion of its tool.
+    """One claim on a trimmed sheet in the setup ``index``, with the motion of its tool.
+
+    ``remaining_forming`` returns how far (N,) [m] later operations move the sheet along z at points in plan
+    (N, 2).
+
+    Attributes:
+        sheet: Face on the side of the tool.
+        curves: Outlines on the face.
+        track: Track of the tool in all segments.
+        cache: Results that other modules derive from it, by key.
+        on_intervals: Intervals in which the signal of the tool is on.
 
     Raises:
-        UnreadError: Part or curves cannot be read.
+        UnreadError: If part or curves cannot be read.
     """
 
     def __init__(
@@ -147,30 +157,32 @@ class TrimmedSheet:
         labels = tuple(sorted(set(context.motion.node_label.tolist())))
         self.track = self._track(labels)
         self._paths: dict[str, SlotPath | None] = {}
-        self.cache: dict[str, Any] = {}  # results that other modules derive from it
+        self.cache: dict[str, Any] = {}
         self.on_intervals = OnIntervals.from_motion(context, claim)
 
     @property
     def edge_tolerance(self) -> float:
-        """How far [m] a slot's edge may be from its outline.
+        """Maximum distance [m] of a slot's edge from its outline.
 
-        What is nearer cuts the outline, and has to fulfil all requirements on what cuts.
+        Where the edge is nearer, the tool counts as cutting the outline, and has to meet all requirements
+        there.
         """
         return self.claim.tolerance + self.sheet.tolerance + SAMPLING_ERROR_M
 
     @cached_property
     def other_side(self) -> SheetSide:
-        """The other side of the sheet."""
+        """The face of the sheet on the other side, which is read only if it is needed."""
         return self._other()
 
     def project(self, tip: FloatArray, axis: FloatArray) -> tuple[FacePoints, FloatArray]:
-        """Return the tools' points on the face, and the depth (N,) [m] of the tips behind it.
+        """Return the points of the face that a tool cuts, and the depth (N,) [m] of its tip behind the face.
 
-        For a torch it is the foot, for other tools the intersection of the axis with the face.
+        For a torch the point is the foot of the tip and the depth is 0, for other tools it is the
+        intersection of the axis with the face.
 
         Args:
             tip: Tips (N, 3) [m].
-            axis: Axes (N, 3).
+            axis: Directions from the TCP into the tool (N, 3).
         """
         if self.claim.through_tool is None:
             return self.sheet.project(tip), np.zeros(len(tip))
@@ -181,27 +193,31 @@ class TrimmedSheet:
     def slots(self) -> dict[str, OutlineCurve]:
         """The curve that each slot cuts, by the key of its segment.
 
-        Of a knife's slots only those that occur.
+        A knife may be lifted any number of times, so of its possible slots only those are included that occur
+        in the motion.
         """
-        names = {
-            Segment(TRIM, name).key: c for c in self.curves for name in slot_names(self.claim, c.outline)
+        curve_by_key = {
+            Segment(TRIM, name).key: curve
+            for curve in self.curves
+            for name in slot_names(self.claim, curve.outline)
         }
         if self.claim.knife is None:
-            return names
+            return curve_by_key
         occurring = set(self.context.motion.node_label.tolist())
-        return {key: curve for key, curve in names.items() if key in occurring}
+        return {key: curve for key, curve in curve_by_key.items() if key in occurring}
 
     def _track(self, labels: tuple[str, ...]) -> ReplayedToolPath:
+        """Return the track of the tool in segments with some labels, calculated once."""
         if labels not in self._tracks:
             self._tracks[labels] = tool_path(self.context, self.index, self.claim.arm, labels)
         return self._tracks[labels]
 
     def slot_track(self, key: str) -> ReplayedToolPath:
-        """Return the track in one slot."""
+        """Return the track of the tool in one slot, by the key of its segment."""
         return self._track((key,))
 
     def slot_path(self, key: str) -> SlotPath | None:
-        """Return the path of the tool in one slot, None if it has none."""
+        """Return the path of the tool in one slot, None if it does not move there."""
         if key not in self._paths:
             track, curve = self.slot_track(key), self.slots[key]
             self._paths[key] = None
@@ -221,7 +237,12 @@ class TrimmedSheet:
 
 
 class Trimming:
-    """All claims on trimmed sheets of a proof. ``issues`` states what could not be read."""
+    """All claims on trimmed sheets of a proof.
+
+    Attributes:
+        sheets: The claims whose part and curves can be read.
+        issues: Issues of the other claims.
+    """
 
     def __init__(self, context: Context) -> None:
         self.context, forming = context, context.get(FORMING)
@@ -235,13 +256,13 @@ class Trimming:
                         remaining_forming = partial(forming.later_displacement, group)
                         sheets.append(TrimmedSheet(context, index, claim, remaining_forming))
                     except (UnreadError, OSError) as error:
-                        what = f"part or curves cannot be read a second time: {error}"
-                        self.issues.append(Issue("verify.trim_cut", what, field="operations.outlines"))
+                        message = f"part or curves cannot be read a second time: {error}"
+                        self.issues.append(Issue("verify.trim_cut", message, field="operations.outlines"))
         self.sheets = tuple(sheets)
 
 
 TRIMMING: Final[Fact[Context, Trimming]] = Fact("trimming", Trimming)
-"""Trimming of a proof."""
+"""The trimmed sheets of a proof, which its rules share."""
 
 
 REST_TOLERANCE_M = 0.05e-3
@@ -249,9 +270,9 @@ REST_TOLERANCE_M = 0.05e-3
 
 
 def start_row(track: ReplayedToolPath) -> int:
-    """Return the last row at which a tool is still at rest at the start of its track.
+    """Return the index of the last position at which a tool is still at rest at the start of its track.
 
-    It is the first row if the tool is not at rest.
+    It is 0 if the tool is not at rest.
     """
     moved = np.linalg.norm(track.tip - track.tip[:1], axis=1) > REST_TOLERANCE_M
     return max(int(np.argmax(moved)) - 1, 0) if moved.any() else len(moved) - 1
@@ -262,23 +283,26 @@ FIRST_BATCH = 256
 
 
 def longest_stay(track: ReplayedToolPath, distance: float) -> float:
-    """Return the longest time [s] in which a tool moves at most by a distance.
+    """Return the longest time [s] for which a tool stays within a distance of a position.
 
-    It starts when the tool starts to move. Each interval ends at the first sample that is farther away.
+    The first interval starts when the tool starts to move. Each ends at the first position that is farther
+    away, at which the next one starts.
 
     Args:
         track: Track of the tool.
         distance: Distance [m].
     """
-    worst, last, at = 0.0, len(track.tip) - 1, start_row(track)
-    while at < last:
+    longest, last, start = 0.0, len(track.tip) - 1, start_row(track)
+    while start < last:
         count, is_away = FIRST_BATCH, np.zeros(0, dtype=bool)
-        while not is_away.any() and len(is_away) < last - at:
-            is_away = np.linalg.norm(track.tip[at + 1 : at + 1 + count] - track.tip[at], axis=1) > distance
+        while not is_away.any() and len(is_away) < last - start:
+            offsets = track.tip[start + 1 : start + 1 + count] - track.tip[start]
+            is_away = np.linalg.norm(offsets, axis=1) > distance
             count *= 4
         step = int(np.argmax(is_away)) + 1 if is_away.any() else len(is_away)
-        worst, at = max(worst, float(track.time[at + step] - track.time[at])), at + step
-    return worst
+        longest = max(longest, float(track.time[start + step] - track.time[start]))
+        start = start + step
+    return longest
 
 
 def torch_body(torch: Torch) -> RoundBody:
@@ -322,7 +346,7 @@ def cylinder(low: float, high: float, radius: float) -> RoundBody:
 
 
 def clear_bodies(claim: TrimsSheet) -> list[RoundBody]:
-    """Return what keeps clear of the sheet: a torch; shank, holder and spindle of a mill; a knife's body."""
+    """Return the bodies that keep clear of the sheet: torch; shank, holder, spindle of a mill; knife body."""
     if claim.torch is not None:
         return [torch_body(claim.torch)]
     if claim.knife is not None:
@@ -336,20 +360,24 @@ def clear_bodies(claim: TrimsSheet) -> list[RoundBody]:
 
 
 def sheet_distance(work: TrimmedSheet, rows: IntArray) -> tuple[float, int]:
-    """Return the smallest distance [m] of the tool from the sheet and its row.
+    """Return the smallest distance [m] of the tool from the sheet, and the row of the track there.
 
-    Distances are at most ``MAX_QUERY_DISTANCE_M``.
+    The distance is calculated up to ``MAX_QUERY_DISTANCE_M``.
 
     Args:
         work: Claim with the motion.
-        rows: Rows of the track.
+        rows: Rows of the track at which the tool is compared.
+
+    Raises:
+        UnreadError: If the sheet has too many points to be compared.
     """
     distances = [_body_distance(work, rows, part) for part in clear_bodies(work.claim)]
     return min(distances, key=lambda result: result[0])
 
 
-def _body_distance(work: TrimmedSheet, rows: IntArray, part: RoundBody) -> tuple[float, int]:
-    swept = SweptBody(work.track.tip[rows], work.track.axis[rows], part)
+def _body_distance(work: TrimmedSheet, rows: IntArray, body: RoundBody) -> tuple[float, int]:
+    """Return the result of :func:`sheet_distance` for one body of the tool, with the flat around the mesh."""
+    swept = SweptBody(work.track.tip[rows], work.track.axis[rows], body)
     corners = work.sheet.vertices[work.sheet.faces]
     low, high = corners.reshape(-1, 3)[:, :2].min(axis=0), corners.reshape(-1, 3)[:, :2].max(axis=0)
     size = 0.5 * np.asarray(work.context.stock_at(work.index).size)[:2]
@@ -367,13 +395,13 @@ def _body_distance(work: TrimmedSheet, rows: IntArray, part: RoundBody) -> tuple
         flat += [np.array([a, b, c]), np.array([a, c, d])]
     triangles = np.concatenate([corners, np.array(flat)])
     # face points farther away than the nearest vertex cannot be the nearest ones
-    corner, where = least_distances(work.sheet.vertices, swept, MAX_QUERY_DISTANCE_M, -np.inf)
-    k = int(np.argmin(corner))
-    max_distance = max(float(corner[k]), 0.0) + SAMPLING_ERROR_M
+    distances, where = least_distances(work.sheet.vertices, swept, MAX_QUERY_DISTANCE_M, -np.inf)
+    k = int(np.argmin(distances))
+    max_distance = max(float(distances[k]), 0.0) + SAMPLING_ERROR_M
     points, _, count = points_near(triangles, swept, max_distance, FACE_SPACING_M, MAX_FACE_POINTS)
     if count > MAX_FACE_POINTS:
         raise UnreadError(f"the sheet would have to be checked at {count} points, allowed {MAX_FACE_POINTS}")
-    distances, at = least_distances(points, swept, max_distance, -np.inf)
-    if len(distances) and float(distances.min()) < float(corner[k]):
-        corner, where, k = distances, at, int(np.argmin(distances))
-    return float(corner[k]), int(rows[where[k]])
+    point_distances, point_where = least_distances(points, swept, max_distance, -np.inf)
+    if len(point_distances) and float(point_distances.min()) < float(distances[k]):
+        distances, where, k = point_distances, point_where, int(np.argmin(point_distances))
+    return float(distances[k]), int(rows[where[k]])

@@ -214,6 +214,19 @@ def test_curves_of_a_rhino_file_are_cut_alike(tmp_path: Path) -> None:
     assert [issue.code for issue in found] == ["part.rhino"] and "holds 3 curves" in found[0].message
 
 
+def test_a_file_that_is_changed_meanwhile_is_read_again(tmp_path: Path) -> None:
+    """Curves are cached, as a service reads the same problem many times."""
+    for radius_mm in (5.0, 7.0):
+        model = Model("Millimeters")
+        model.layer("cut")
+        circle = rhino3dm.Circle(rhino3dm.Point3d(0.0, 0.0, 0.0), radius_mm)
+        model.add(rhino3dm.NurbsCurve.CreateFromCircle(circle), "cut")
+        model.write(tmp_path / "hole.3dm")
+        drawn = {"name": "a", "curve": {"rhino": {"file": "hole.3dm", "layer": "cut"}}}
+        ((_, points),) = every_outline(job(tmp_path, drawn).operation)
+        assert np.abs(1e3 * np.hypot(*points[:, :2].T) - radius_mm).max() < 3e-3
+
+
 @pytest.mark.parametrize(
     ("fields", "words"),
     [

@@ -39,9 +39,10 @@ def feature_face(mesh: Mesh, tree: FeatureTree, feature: int, shift: float) -> M
         mesh: Mesh from which the tree was built, its normals all up or all down.
         tree: Features of the part.
         feature: Id of the feature.
-        shift: Displacement [m] along z.
+        shift: Distance [m] along z by which the face is displaced from its position in the part.
     """
-    displacement, start = _level_floor(mesh, tree, feature), tree.feature(feature).start + shift
+    displacement = _level_floor(mesh, tree, feature)
+    start = tree.feature(feature).start + shift
     kept = (np.abs(displacement) > _MIN_DISPLACEMENT_M)[mesh.faces].any(axis=1)
     used, index = np.unique(mesh.faces[kept], return_inverse=True)
     faces = np.asarray(index).reshape(-1, 3).astype(np.int64)
@@ -52,15 +53,13 @@ def feature_face(mesh: Mesh, tree: FeatureTree, feature: int, shift: float) -> M
 
 
 def _level_floor(mesh: Mesh, tree: FeatureTree, feature: int) -> FloatArray:
-    """Displacement (V,) [m] of the vertices by a feature, with its floor made level.
+    """Return the displacement (V,) [m] of the vertices by a feature, with its floor made level.
 
-    Heights of a floor differ by less than the tree's noise if features leave it on both sides, or if its mesh
-    is noisy.
+    The measured heights of a floor differ by less than the tree's noise if features leave it on both sides,
+    or if its mesh is noisy.
     """
-    displacement, total = (
-        tree.displacement[feature - 1],
-        tree.feature(feature).end - tree.feature(feature).start,
-    )
+    displacement = tree.displacement[feature - 1]
+    total = tree.feature(feature).end - tree.feature(feature).start
     floor_faces = mesh.faces[(np.abs(displacement[mesh.faces] - total) < tree.noise).all(axis=1)]
     normals = face_normals(TriangleMesh(np.column_stack([mesh.vertices[:, :2], displacement]), floor_faces))
     out: FloatArray = displacement.copy()
@@ -69,11 +68,11 @@ def _level_floor(mesh: Mesh, tree: FeatureTree, feature: int) -> FloatArray:
 
 
 def add_flat_ring(mesh: Mesh, level: float, width: float = RIM_WIDTH_M) -> Mesh:
-    """Return a mesh with its holes filled and surrounded by flat.
+    """Return a mesh whose holes are filled by flat sheet and which a ring of flat sheet surrounds.
 
     Args:
-        mesh: Mesh whose rim is at the level.
-        level: Level [m] of the flat.
+        mesh: Mesh whose rims, outside and around holes, are at the level.
+        level: Level z [m] of the flat.
         width: Width [m] of the ring of flat.
     """
     outer: list[shapely.Polygon] = []
@@ -93,7 +92,8 @@ def add_flat_ring(mesh: Mesh, level: float, width: float = RIM_WIDTH_M) -> Mesh:
 def rim_loops(faces: IntArray) -> list[list[int]]:
     """Return the closed lines of vertices along edges that have one face only.
 
-    The mesh is on their left. A line that passes a vertex twice is split there.
+    The mesh is on their left. A line that passes a vertex twice is split there. Each line is a list of
+    indices of vertices. The first vertex is not repeated at the end.
     """
     directed = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
     count = int(faces.max()) + 1
@@ -104,7 +104,7 @@ def rim_loops(faces: IntArray) -> list[list[int]]:
         successors.setdefault(a, []).append(b)
     loops = []
     while successors:
-        path, position = [next(iter(successors))], {}
+        path, position = [next(iter(successors))], {}  # vertices so far, and where each is among them
         position[path[0]] = 0
         while path and (next_vertices := successors.get(path[-1])):
             next_vertex = next_vertices.pop()
@@ -123,7 +123,7 @@ def rim_loops(faces: IntArray) -> list[list[int]]:
 
 
 def polygons(shape: shapely.Geometry) -> list[shapely.Polygon]:
-    """Return the polygons of any shape."""
+    """Return the polygons that a geometry consists of, without its points and lines."""
     return [part for part in shapely.get_parts(shape).tolist() if part.geom_type == "Polygon"]
 
 
@@ -153,6 +153,7 @@ def merge_meshes(first: Mesh, second: Mesh) -> Mesh:
 
 
 def _ring_area(ring: FloatArray) -> float:
+    """Return the area [m^2] of an open ring (K, 2) of points, positive if counter-clockwise."""
     x, y = (ring - ring[0]).T
     return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
@@ -180,8 +181,8 @@ class AngleLimitedShape:
     Attributes:
         angle: Maximum wall angle [rad].
         depth: Depths (L,) [m], ascending from 0.
-        area: Areas deeper than each depth, L polygons in plan [m].
-        ring: Levels (L,) whose outlines the mesh needs; between them the shape is plane across.
+        area: Areas deeper than each depth, L shapely geometries in plan [m].
+        ring: Whether (L,) the mesh needs the outline at each depth; between two outlines it is straight.
     """
 
     angle: float
@@ -190,7 +191,7 @@ class AngleLimitedShape:
     ring: BoolArray
 
     def limits_depth(self, points: FloatArray, depth: FloatArray) -> BoolArray:
-        """Return where the shape is less deep than given depths because its own walls limit it.
+        """Return whether (N,) the shape, limited by its own walls, is less deep than a depth at each point.
 
         Args:
             points: Points (N, 2) [m] in plan.
@@ -201,13 +202,16 @@ class AngleLimitedShape:
         level = np.searchsorted(self.depth, depth - 0.5 * step, side="right") - 1
         out = np.zeros(len(points), dtype=np.bool_)
         for number in np.unique(level[level > 0]):
-            rows = np.flatnonzero(level == number)
-            out[rows] = ~shapely.contains_xy(self.area[number], points[rows, 0], points[rows, 1])
+            indices = np.flatnonzero(level == number)
+            out[indices] = ~shapely.contains_xy(self.area[number], points[indices, 0], points[indices, 1])
         return out
 
 
 def depth_areas(face: Mesh, side: int, start: float, end: float) -> tuple[FloatArray, tuple[Any, ...]]:
-    """Return depths from 0 to nearly the total, and the areas of a face that are deeper.
+    """Return depths from 0 to the total depth of a feature, and the areas of its face that are deeper.
+
+    The contours at both ends are not defined. The first and the last area are those just below the flat and
+    just above the bottom.
 
     Args:
         face: Face of the feature.
@@ -235,37 +239,50 @@ def depth_areas(face: Mesh, side: int, start: float, end: float) -> tuple[FloatA
 
 
 def limit_wall_angle(depth: FloatArray, areas: tuple[Any, ...], angle: float) -> AngleLimitedShape:
-    """Return the intermediate shape of a feature.
+    """Return the intermediate shape of a feature whose walls have at most an angle.
 
     Args:
         depth: Depths (L,) [m].
         areas: Areas of the feature deeper than each depth.
         angle: Maximum wall angle [rad].
     """
-    kept, limited_by_angle = [areas[0]], [False]
+    limited_areas, limited_by_angle = [areas[0]], [False]
     for upper, lower, area in zip(depth[:-1], depth[1:], areas[1:], strict=True):
         # A(z + dz) = shrink(A(z), dz / tan a), intersected with the feature's area at z + dz
-        shrunk = kept[-1].buffer(-(lower - upper) / np.tan(angle), join_style="round", quad_segs=8)
+        shrunk = limited_areas[-1].buffer(-(lower - upper) / np.tan(angle), join_style="round", quad_segs=8)
         clipped = shrunk.intersection(area)
         limited_by_angle.append(shrunk.area - clipped.area <= _AREA_TOLERANCE_FRACTION * shrunk.area)
-        kept.append(clipped.simplify(_OUTLINE_TOLERANCE_M))
-    pieces = [len(polygons(area)) for area in kept]
-    ring, last = np.ones(len(depth), dtype=np.bool_), 0
+        limited_areas.append(clipped.simplify(_OUTLINE_TOLERANCE_M))
+    piece_counts = [len(polygons(area)) for area in limited_areas]
+    # an outline is left out where the angle alone shapes the walls and no part splits, merges or vanishes
+    ring = np.ones(len(depth), dtype=np.bool_)
+    last_ring = 0
     for k in range(1, len(depth) - 1):
         is_plain = (
-            limited_by_angle[k] and limited_by_angle[k + 1] and pieces[last] == pieces[k] == pieces[k + 1]
+            limited_by_angle[k]
+            and limited_by_angle[k + 1]
+            and piece_counts[last_ring] == piece_counts[k] == piece_counts[k + 1]
         )
-        ring[k] = not is_plain or depth[k + 1] - depth[last] > MAX_PLAIN_STEP_M
-        last = k if ring[k] else last
-    return AngleLimitedShape(angle, depth, tuple(kept), ring)
+        ring[k] = not is_plain or depth[k + 1] - depth[last_ring] > MAX_PLAIN_STEP_M
+        last_ring = k if ring[k] else last_ring
+    return AngleLimitedShape(angle, depth, tuple(limited_areas), ring)
 
 
 def shape_face(shape: AngleLimitedShape, side: int, start: float) -> Mesh:
-    """Return the face of a shape, with normals up and a ring of flat at ``start`` [m] around it."""
+    """Return the face of a shape, with normals up and a ring of flat sheet around it.
+
+    Args:
+        shape: Shape.
+        side: +1 for depths below ``start``, -1 for above.
+        start: Level z [m] of the flat.
+
+    Raises:
+        ValueError: The shape has no area.
+    """
     mesh: Mesh | None = None
     rings = np.flatnonzero(shape.ring).tolist()
     for k, next_level in zip(rings, [*rings[1:], None], strict=True):
-        area = shape.area[k]
+        area = shape.area[k]  # its outline and the next one bound a strip of wall; the last one is a floor
         if area.is_empty:
             break
         next_area = shapely.Polygon() if next_level is None else shape.area[next_level]
@@ -289,13 +306,13 @@ def shape_face(shape: AngleLimitedShape, side: int, start: float) -> Mesh:
 
 
 def _is_among(points: FloatArray, others: FloatArray) -> BoolArray:
-    """Return which points (N, 2) are exactly equal to one of ``others``."""
-    known = set(map(tuple, others.tolist()))
-    return np.array([tuple(point) in known for point in points.tolist()], dtype=np.bool_)
+    """Return whether (N,) each point (N, 2) is exactly equal to one of ``others`` (M, 2)."""
+    other_points = set(map(tuple, others.tolist()))
+    return np.array([tuple(point) in other_points for point in points.tolist()], dtype=np.bool_)
 
 
 def _even_odd_area(rings: list[FloatArray]) -> Any:
-    """Area inside an odd number of rings."""
+    """Return the area that is inside an odd number of rings (K, 2)."""
     area = shapely.Polygon()
     for ring in rings:
         polygon = shapely.Polygon(ring)
@@ -304,9 +321,10 @@ def _even_odd_area(rings: list[FloatArray]) -> Any:
 
 
 def _sliceable_surface(face: Mesh, height: FloatArray) -> SheetSurface:
+    """Return a face with ``height`` (V,) [m] as z, as `slice_levels` needs it; level and border are unset."""
     directed = np.stack([face.faces, np.roll(face.faces, -1, axis=1)], axis=2).reshape(-1, 2)
     edges, inverse = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
     vertices = np.column_stack([face.vertices[:, :2], height])
-    none: IntArray = np.zeros(0, dtype=np.int64)
+    no_indices: IntArray = np.zeros(0, dtype=np.int64)
     face_edges = np.reshape(inverse, (-1, 3)).astype(np.int64)
-    return SheetSurface(vertices, face.faces, edges, face_edges, none, 0.0, none)
+    return SheetSurface(vertices, face.faces, edges, face_edges, no_indices, 0.0, no_indices)

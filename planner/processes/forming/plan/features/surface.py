@@ -51,11 +51,11 @@ class SheetSurface:
 
 
 def check_sheet(vertices: FloatArray, faces: IntArray, noise: float) -> SheetSurface:
-    """Check the surface of a part.
+    """Check the surface of a part and return it with its edges, border and level.
 
     Args:
-        vertices: Vertices [m].
-        faces: Triangles, normals all up or all down.
+        vertices: Vertices (V, 3) [m].
+        faces: Triangles (F, 3), normals all up or all down.
         noise: Deviation [m] from the flat that the part's edge may have.
 
     Raises:
@@ -75,17 +75,19 @@ def check_sheet(vertices: FloatArray, faces: IntArray, noise: float) -> SheetSur
         faces = np.ascontiguousarray(faces[:, ::-1])
     directed = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
     low, high = np.sort(directed, axis=1).T
+    # one key for each undirected edge; edges that occur once are on the border
     key, inverse, count = np.unique(low * len(vertices) + high, return_inverse=True, return_counts=True)
-    edges, inverse = np.stack(np.divmod(key, len(vertices)), axis=1), np.reshape(inverse, -1)
-    outer = _outer_border(vertices, faces, directed[count[inverse] == 1])
-    level = float(np.median(vertices[outer, 2]))
-    deviation = np.abs(vertices[outer, 2] - level)
+    edges = np.stack(np.divmod(key, len(vertices)), axis=1)
+    inverse = np.reshape(inverse, -1)
+    border = _outer_border(vertices, faces, directed[count[inverse] == 1])
+    level = float(np.median(vertices[border, 2]))
+    deviation = np.abs(vertices[border, 2] - level)
     if deviation.max() >= noise:
-        raise TandemError(_border_issue(vertices[outer[int(np.argmax(deviation))]], level, noise))
+        raise TandemError(_border_issue(vertices[border[int(np.argmax(deviation))]], level, noise))
     undercut = _undercut_issue(vertices, faces, edges, inverse.reshape(-1, 3))
     if undercut is not None:
         raise TandemError(undercut)
-    return SheetSurface(vertices, faces, edges, inverse.reshape(-1, 3), outer, level, used)
+    return SheetSurface(vertices, faces, edges, inverse.reshape(-1, 3), border, level, used)
 
 
 def plan_areas(surface: SheetSurface) -> FloatArray:
@@ -109,7 +111,7 @@ class PlanAreaBeyondLevel:
         """Return the area beyond a level.
 
         Args:
-            members: Indices of vertices. One past the last, which closes the surface, has no faces.
+            members: Indices of vertices. The index V, of the vertex that closes the surface, has no faces.
             level: Level [m].
         """
         height, count = self.surface.vertices[:, 2], len(self.surface.vertices)
@@ -117,10 +119,11 @@ class PlanAreaBeyondLevel:
         if not existing:
             return 0.0
         faces = np.unique(
-            np.concatenate([self.order[self.offsets[m] : self.offsets[m + 1]] for m in existing])
+            np.concatenate([self.order[self.offsets[i] : self.offsets[i + 1]] for i in existing])
         )
         sign = 1.0 if height[existing[0]] >= level else -1.0
         low, middle, high = np.sort(sign * (height[self.surface.faces[faces]] - level), axis=1).T
+        # fraction of a triangle's area at heights above 0: similar triangles at its highest or lowest corner
         tip = high**2 / np.maximum((high - low) * (high - middle), 1e-300)
         base = 1.0 - low**2 / np.maximum((high - low) * (middle - low), 1e-300)
         fraction = np.where(low >= 0.0, 1.0, np.where(middle >= 0.0, base, np.where(high > 0.0, tip, 0.0)))
@@ -140,7 +143,7 @@ def signed_plan_areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
 
 
 def _is_edge_connected(faces: IntArray, vertex: int) -> bool:
-    """Whether all faces around a vertex belong to one piece that is connected by edges."""
+    """Return whether all faces around a vertex belong to one piece that is connected by edges."""
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
     _, edge = np.unique(ends, axis=0, return_inverse=True)
     owner = np.repeat(np.arange(len(faces)), 3)
@@ -150,31 +153,34 @@ def _is_edge_connected(faces: IntArray, vertex: int) -> bool:
 
 
 def _outer_border(vertices: FloatArray, faces: IntArray, rim: IntArray) -> IntArray:
-    """Vertices of the outermost closed line of edges (R, 2) with one face. Any other line is a hole."""
+    """Return the vertices of the outermost closed line of the edges ``rim`` (R, 2), which have one face.
+
+    Raises ``TandemError``: forming.hole for any other line, forming.touching if two pieces meet in a point.
+    """
     count = len(vertices)
     starts = np.bincount(rim[:, 0], minlength=count)
     if (starts > 1).any():
         vertex = int(np.argmax(starts > 1))
-        at = vertices[vertex]
+        position = vertices[vertex]
         if _is_edge_connected(faces, vertex):
-            what = (
-                f"holes of the part, or one and its edge, meet in a point at {position_text(at)}; a sheet is "
+            message = (
+                f"holes of the part, or one and its edge, meet in a point at {position_text(position)}; "
             )
-            what += "formed without holes, so close them and cut them afterwards"
-            raise issue_error("forming.hole", what, field="part")
-        what = (
-            f"two pieces of the part meet in a single point at {position_text(at)} with no sheet between "
-            "them; "
+            message += "a sheet is formed without holes, so close them and cut them afterwards"
+            raise issue_error("forming.hole", message, field="part")
+        message = (
+            f"two pieces of the part meet in a single point at {position_text(position)} with no sheet "
+            "between them; "
         )
-        what += "move them apart, or join them by a strip of flat sheet"
-        raise issue_error("forming.touching", what, field="part")
+        message += "move them apart, or join them by a strip of flat sheet"
+        raise issue_error("forming.touching", message, field="part")
     graph = coo_array((np.ones(len(rim)), (rim[:, 0], rim[:, 1])), shape=(count, count))
     _, label = connected_components(graph, directed=False)
     a, b = vertices[rim[:, 0], :2], vertices[rim[:, 1], :2]
-    doubled = np.bincount(label[rim[:, 0]], weights=a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    double_area = np.bincount(label[rim[:, 0]], weights=a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
     loops = np.unique(label[rim[:, 0]])
     # the outer line has the part on its left, so its area is positive; the largest magnitude withstands folds
-    outer = loops[np.argmax(np.abs(doubled[loops]))]
+    outer = loops[np.argmax(np.abs(double_area[loops]))]
     holes = loops[loops != outer]
     if len(holes):
         raise TandemError([_hole_issue(vertices[rim[label[rim[:, 0]] == hole, 0]]) for hole in holes[:10]])
@@ -182,33 +188,36 @@ def _outer_border(vertices: FloatArray, faces: IntArray, rim: IntArray) -> IntAr
 
 
 def _hole_issue(points: FloatArray) -> Issue:
-    middle, size = points.mean(axis=0), max(bounding_sides(points[:, :2])[0], float(np.ptp(points[:, 2])))
-    what = (
-        f"the part has a hole, {size / MM:.3g} mm across, at {position_text(middle)}; a sheet is formed "
+    centre = points.mean(axis=0)
+    size = max(bounding_sides(points[:, :2])[0], float(np.ptp(points[:, 2])))
+    message = (
+        f"the part has a hole, {size / MM:.3g} mm across, at {position_text(centre)}; a sheet is formed "
         "without "
     )
-    what += "holes, so close it (or sew the mesh if it is a crack between facets) and cut it afterwards"
-    return Issue("forming.hole", what, field="part", **measurement(size / MM, None, "mm"))
+    message += "holes, so close it (or sew the mesh if it is a crack between facets) and cut it afterwards"
+    return Issue("forming.hole", message, field="part", **measurement(size / MM, None, "mm"))
 
 
 def _border_issue(point: FloatArray, level: float, noise: float) -> Issue:
     deviation_mm = abs(float(point[2]) - level) / MM
-    what = (
+    message = (
         f"the edge of the part is {deviation_mm:.3f} mm away from the flat sheet at {position_text(point)}, "
         "allowed is at "
     )
-    what += f"most {noise / MM:.3f} mm, because contours would end there; extend the part by a surface that "
-    what += "blends into the sheet plane"
-    return Issue("forming.border", what, field="part", **measurement(deviation_mm, noise / MM, "mm"))
+    message += (
+        f"most {noise / MM:.3f} mm, because contours would end there; extend the part by a surface that "
+    )
+    message += "blends into the sheet plane"
+    return Issue("forming.border", message, field="part", **measurement(deviation_mm, noise / MM, "mm"))
 
 
 def _undercut_issue(
     vertices: FloatArray, faces: IntArray, edges: IntArray, face_edges: IntArray
 ) -> Issue | None:
-    """The worst group of connected faces that overhang.
+    """Return an issue about the worst group of connected faces that overhang, or None.
 
-    Its overhang is its plan area divided by the square root of its area: a wall of length and height L that
-    leans over by the angle a has L sin(a).
+    The overhang of a group is its plan area divided by the square root of its area: a wall of length and
+    height L that leans over by the angle a has L sin(a).
     """
     plan = signed_plan_areas(vertices, faces)
     overhanging = np.nonzero(plan < 0.0)[0]
@@ -223,23 +232,24 @@ def _undercut_issue(
         shape=(len(overhanging), len(edges)),
     ).tocsr()
     _, label = connected_components(incidence @ incidence.T, directed=False)
-    flat, full = np.bincount(label, weights=-plan[overhanging]), np.bincount(label, weights=area)
-    overhang = flat / np.sqrt(np.maximum(full, 1e-300))
-    worst = int(np.argmax(overhang))
-    if overhang[worst] <= MAX_OVERHANG_M:
+    plan_sum = np.bincount(label, weights=-plan[overhanging])
+    area_sum = np.bincount(label, weights=area)
+    overhang = plan_sum / np.sqrt(np.maximum(area_sum, 1e-300))
+    worst_group = int(np.argmax(overhang))
+    if overhang[worst_group] <= MAX_OVERHANG_M:
         return None
-    in_group = label == worst
+    in_group = label == worst_group
     steepest = np.nonzero(in_group)[0][int(np.argmin((normal[:, 2] / np.maximum(area, 1e-300))[in_group]))]
     angle = math.degrees(math.acos(np.clip(normal[steepest, 2] / area[steepest], -1.0, 1.0)))
     point = vertices[faces[overhanging[steepest]]].mean(axis=0)
     groups = int((overhang > MAX_OVERHANG_M).sum())
-    what = f"the part has an undercut in {groups} place{'s' if groups > 1 else ''}: a wall of {angle:.1f} "
-    what += (
+    message = f"the part has an undercut in {groups} place{'s' if groups > 1 else ''}: a wall of {angle:.1f} "
+    message += (
         f"deg at {position_text(point)}, allowed up to 90 deg; remove the undercut from the part, or turn "
         "the "
     )
-    what += "part"
-    return Issue("forming.undercut", what, field="part", **measurement(angle, 90.0, "deg"), count=groups)
+    message += "part"
+    return Issue("forming.undercut", message, field="part", **measurement(angle, 90.0, "deg"), count=groups)
 
 
 def slice_levels(
@@ -259,40 +269,45 @@ def slice_levels(
     Returns:
         For each level, closed polylines (K, 3) [m] with the first point repeated at the end,
         counter-clockwise seen from above, with z at the level.
+
+    Raises:
+        ValueError: A level line meets the border of the surface.
     """
-    faces, below = surface.faces, np.searchsorted(levels, height, side="right")
+    faces = surface.faces
+    below = np.searchsorted(levels, height, side="right")  # number of levels at or below each vertex
     first, last = below[faces].min(axis=1), below[faces].max(axis=1)
     crossed = np.nonzero(last > first)[0]
     if len(crossed) == 0:
         return tuple(() for _ in levels)
-    corner = below[faces[crossed]]
+    corner_below = below[faces[crossed]]
     count = last[crossed] - first[crossed]
     owner = np.repeat(np.arange(len(crossed)), count)
     offset = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
     level = first[crossed][owner] + offset
-    above = corner[owner] > level[:, None]
+    above = corner_below[owner] > level[:, None]
     # Going round a face counter-clockwise, the line leaves by the edge that falls below the level and enters
     # by the one that rises above it: then the higher side is on its left.
     rises = ~above & np.roll(above, -1, axis=1)
     falls = above & ~np.roll(above, -1, axis=1)
     edge = surface.face_edges[crossed[owner]]
-    edges = len(surface.edges)
-    enter = level * edges + edge[np.arange(len(owner)), np.argmax(rises, axis=1)]
-    leave = level * edges + edge[np.arange(len(owner)), np.argmax(falls, axis=1)]
+    edge_count = len(surface.edges)
+    # the crossing of a level with an edge has the number level * edge_count + edge
+    enter = level * edge_count + edge[np.arange(len(owner)), np.argmax(rises, axis=1)]
+    leave = level * edge_count + edge[np.arange(len(owner)), np.argmax(falls, axis=1)]
     node, target = np.unique(leave, return_inverse=True)
     order = np.argsort(enter)
     if not np.array_equal(enter[order], node):
         raise ValueError("a level line meets the border of the surface")
     follower = np.reshape(target, -1)[order]
     loop, rank = _cycles(follower)
-    sorted_ = np.lexsort((rank, loop))
-    points = _crossing_points(surface, height, levels, node, edges)[sorted_]
-    starts = np.nonzero(np.diff(loop[sorted_], prepend=-1))[0]
+    along_loops = np.lexsort((rank, loop))
+    points = _crossing_points(surface, height, levels, node, edge_count)[along_loops]
+    starts = np.nonzero(np.diff(loop[along_loops], prepend=-1))[0]
     lines: list[list[FloatArray]] = [[] for _ in levels]
     for start, stop in zip(starts, [*starts[1:].tolist(), len(points)], strict=True):
         line = _close_ring(points[start:stop])
         if line is not None:
-            lines[int(node[sorted_[start]] // edges)].append(line)
+            lines[int(node[along_loops[start]] // edge_count)].append(line)
     return tuple(tuple(group) for group in lines)
 
 
@@ -303,10 +318,15 @@ def plan_area(line: FloatArray) -> float:
 
 
 def _crossing_points(
-    surface: SheetSurface, height: FloatArray, levels: FloatArray, node: IntArray, edges: int
+    surface: SheetSurface, height: FloatArray, levels: FloatArray, node: IntArray, edge_count: int
 ) -> FloatArray:
-    level = levels[node // edges]
-    a, b = surface.edges[node % edges].T
+    """Return the points (K, 3) [m] at which the level lines of ``height`` (V,) [m] cross edges.
+
+    ``node`` (K,) is level * ``edge_count`` + edge. A point is where the surface itself has the level, if it
+    does on that edge, else where ``height`` has it.
+    """
+    level = levels[node // edge_count]
+    a, b = surface.edges[node % edge_count].T
     p, q = surface.vertices[a], surface.vertices[b]
     surface_fraction = (level - p[:, 2]) / np.where(q[:, 2] == p[:, 2], 1.0, q[:, 2] - p[:, 2])
     fraction = (level - height[a]) / (height[b] - height[a])
@@ -317,9 +337,10 @@ def _crossing_points(
 
 
 def _cycles(follower: IntArray) -> tuple[IntArray, IntArray]:
-    """Smallest member of each element's cycle of a permutation (N,), and the steps to it, counted down.
+    """Return the cycle of each element of a permutation (N,), and its rank in the cycle.
 
-    Computed by pointer doubling.
+    A cycle is named by its smallest member. The rank is minus the number of steps from the element to that
+    member, so that it ascends along the cycle. Both are computed by pointer doubling.
     """
     count = len(follower)
     smallest, jump = np.arange(count), follower.copy()
@@ -327,9 +348,9 @@ def _cycles(follower: IntArray) -> tuple[IntArray, IntArray]:
     for _ in range(rounds):
         smallest = np.minimum(smallest, smallest[jump])
         jump = jump[jump]
-    head = smallest == np.arange(count)
-    jump = np.where(head, np.arange(count), follower)
-    steps = np.where(head, 0, 1)
+    is_smallest = smallest == np.arange(count)
+    jump = np.where(is_smallest, np.arange(count), follower)
+    steps = np.where(is_smallest, 0, 1)
     for _ in range(rounds):
         steps = steps + steps[jump]
         jump = jump[jump]
@@ -337,7 +358,7 @@ def _cycles(follower: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _close_ring(points: FloatArray) -> FloatArray | None:
-    """A ring (K, 3) without repeated points, closed and counter-clockwise; None for a single point."""
+    """Return a ring (K, 3) without repeated points, closed and counter-clockwise; None below 3 points."""
     is_distinct = np.linalg.norm(points - np.roll(points, 1, axis=0), axis=1) > 1e-9
     points = points[is_distinct]
     if len(points) < 3:
@@ -355,8 +376,8 @@ class ContourTree:
         order: Vertices (N,), parents first.
         parent: Next vertex (N,) toward the root, -1 for the root.
         rank: Rank (N,) of each vertex by height.
-        low: Minimum height (N,) [m] from the vertex on.
-        high: Maximum height (N,) [m] from the vertex on.
+        low: Minimum height (N,) [m] of the vertex and all vertices that follow it, away from the root.
+        high: Maximum height (N,) [m] of the same vertices.
     """
 
     root: int
@@ -368,7 +389,7 @@ class ContourTree:
 
 
 def contour_tree(height: FloatArray, edges: IntArray, root: int) -> ContourTree:
-    """Return the contour tree of a height over a connected graph.
+    """Return the contour tree of heights at the vertices of a connected graph.
 
     Args:
         height: Heights (N,) [m].
@@ -394,35 +415,41 @@ def contour_tree(height: FloatArray, edges: IntArray, root: int) -> ContourTree:
 
 
 def _directed_neighbours(vertex: IntArray, other: IntArray, count: int) -> tuple[list[int], list[int]]:
-    """For each vertex, the offset of its neighbours on one side in the second list."""
+    """Return offsets into a list of neighbours, and that list.
+
+    The neighbours of vertex v, from offset v to offset v + 1, are the ``other`` (E,) of the edges of which
+    ``vertex`` (E,) is v.
+    """
     order = np.argsort(vertex, kind="stable")
     offsets = np.concatenate([[0], np.cumsum(np.bincount(vertex, minlength=count))])
     return offsets.tolist(), other[order].tolist()
 
 
 def _sweep_tree(sweep: range, neighbours: tuple[list[int], list[int]]) -> list[int]:
-    """For each vertex the next one of the sweep on its component; -1 for the last.
+    """Return, for each vertex, the later vertex of the sweep that first joins its component; -1 for the last.
+
+    The neighbours of a vertex are those that come before it in the sweep.
 
     A union-find is sequential by nature; lists are several times faster than arrays here.
     """
     offsets, others = neighbours
-    top = list(range(len(sweep)))
+    last_vertex = list(range(len(sweep)))
     follower = [-1] * len(sweep)
     for vertex in sweep:
         for other in others[offsets[vertex] : offsets[vertex + 1]]:
-            while top[other] != other:
-                top[other] = top[top[other]]
-                other = top[other]
+            while last_vertex[other] != other:  # find the last vertex of the component, with path halving
+                last_vertex[other] = last_vertex[last_vertex[other]]
+                other = last_vertex[other]
             if other != vertex:
-                top[other] = vertex
+                last_vertex[other] = vertex
                 follower[other] = vertex
     return follower
 
 
 def _merge_trees(joined: list[int], split: list[int]) -> IntArray:
-    """Arcs (N - 1, 2) of the contour tree from the trees of both sweeps."""
+    """Return the arcs (N - 1, 2) of the contour tree: leaves of the trees of both sweeps, taken in turn."""
     count = len(joined)
-    up, down = [0] * count, [0] * count
+    up, down = [0] * count, [0] * count  # number of arcs at each vertex in either tree
     for vertex in range(count):
         if joined[vertex] >= 0:
             up[joined[vertex]] += 1
@@ -451,10 +478,11 @@ def _merge_trees(joined: list[int], split: list[int]) -> IntArray:
 
 
 def _subtree_extents(height: FloatArray, order: IntArray, parent: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return the minimum and maximum height (N,) [m] of each vertex and all vertices that follow it."""
     low, high = height.tolist(), height.tolist()
-    up = parent.tolist()
+    parents = parent.tolist()
     for vertex in order[:0:-1].tolist():
-        above = up[vertex]
+        above = parents[vertex]
         if low[vertex] < low[above]:
             low[above] = low[vertex]
         if high[vertex] > high[above]:

@@ -9,7 +9,7 @@ slices. The slicing step determines only how many contours a feature has. The ru
   same feature, and a branch that turns back is its child (a dome on a slope).
 - A terrace, a flat within a wall, ends a feature too, and the rest is its child: a stepped dish is two
   features, and so is a dish with one dimple in its floor. `find_walls` defines how wide a flat must be.
-- A bump within ``noise`` of its surroundings is no feature, nor is a bump less than 2 mm across beside
+- A bump within ``noise`` of its surroundings is not a feature, nor is a bump less than 2 mm across beside
   something larger.
 
 After Ndip-Agbor, Ehmann and Cao, Automated flexible forming strategy for geometries with multiple features in
@@ -54,7 +54,7 @@ from planner.processes.forming.plan.features.walls import FeatureWall, build_ske
 from planner.runtime.memoize import memoized
 
 MIN_BUMP_HEIGHT_M: Final = 50e-6
-"""Height [m] below which a bump of the mesh is noise of its facets and no feature."""
+"""Height [m] below which a bump of the mesh is noise of its facets, not a feature."""
 MAX_SLICES: Final = 100_000
 """Maximum number of levels at which a part is cut to detect its features."""
 
@@ -144,9 +144,9 @@ def build_feature_tree(mesh: Mesh, step: float, noise: float = MIN_BUMP_HEIGHT_M
         noise: Height [m] of the mesh's noise.
 
     Raises:
-        TandemError: the codes of `surface.check_sheet`; ``forming.step`` for a step that is no length or
-            gives too many levels; ``forming.flat`` if the part is flat; ``forming.touching`` if two features
-            overlap.
+        TandemError: the codes of `surface.check_sheet`; ``forming.step`` for a step that is not a
+            positive length or gives too many levels; ``forming.flat`` if the part is flat;
+            ``forming.touching`` if two features overlap.
     """
     _check_step(mesh, step)
     surface = check_sheet(mesh.vertices, mesh.faces, noise)
@@ -180,15 +180,19 @@ def build_feature_tree(mesh: Mesh, step: float, noise: float = MIN_BUMP_HEIGHT_M
 
 
 def _check_step(mesh: Mesh, step: float) -> None:
+    """Raise ``TandemError`` (forming.step) if the step [m] is not positive or gives too many levels."""
     extent = float(np.ptp(mesh.vertices[:, 2])) if len(mesh.vertices) else 0.0
     if not (math.isfinite(step) and step > 0.0 and extent / step <= MAX_SLICES):
         min_step = extent / MM / MAX_SLICES + 1e-6  # as reported, in whole nanometres
-        what = f"step: got {step / MM:g} mm, allowed is {min_step:.6f} mm at least ({MAX_SLICES} levels over "
-        what += f"the part's {extent / MM:.3g} mm); state a larger one"
-        raise issue_error("forming.step", what, field="step", **measurement(step / MM, min_step, "mm"))
+        message = (
+            f"step: got {step / MM:g} mm, allowed is {min_step:.6f} mm at least ({MAX_SLICES} levels over "
+        )
+        message += f"the part's {extent / MM:.3g} mm); state a larger one"
+        raise issue_error("forming.step", message, field="step", **measurement(step / MM, min_step, "mm"))
 
 
 def _surface_walls(surface: SheetSurface, noise: float) -> list[FeatureWall]:
+    """Return the walls of a surface from the contour tree of its heights, with the flat sheet as its root."""
     # the part continues as flat sheet beyond its edge: one more vertex closes the surface to a sphere
     count = len(surface.vertices)
     height = np.append(surface.vertices[:, 2], surface.level)
@@ -197,35 +201,34 @@ def _surface_walls(surface: SheetSurface, noise: float) -> list[FeatureWall]:
     weight = np.bincount(
         surface.faces.reshape(-1), weights=np.repeat(plan_areas(surface), 3), minlength=count
     )
-    bare_skeleton = build_skeleton(
+    skeleton = build_skeleton(
         tree, height, np.append(weight, 0.0), PlanAreaBeyondLevel(surface), noise, surface.level
     )
-    bare_skeleton = dataclasses.replace(
-        bare_skeleton, element=bare_skeleton.element[:count], height=bare_skeleton.height[:count]
-    )
-    return find_walls(bare_skeleton, surface, noise)
+    skeleton = dataclasses.replace(skeleton, element=skeleton.element[:count], height=skeleton.height[:count])
+    return find_walls(skeleton, surface, noise)
 
 
 def _slice_wall(
     wall: FeatureWall, surface: SheetSurface, step: float
 ) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-    """Levels in the order of forming, and the level line at each.
+    """Return levels (L,) [m] in the order of forming, and the closed level line (K, 3) [m] at each.
 
-    If noise splits a line, the largest piece is used. A line that is a single point, at a tip, is left out.
+    Levels are ``step`` [m] apart from the start of the wall, between its first and its last clean level. If
+    noise splits a line, the largest piece is used. A line that is a single point, at a tip, is left out.
     """
     sign = wall.sign
     between = wall.start + sign * step * np.arange(1, int(abs(wall.end - wall.start) / step) + 1)
-    clear = 0.05 * step
-    kept = (sign * (between - wall.first) > clear) & (sign * (wall.last - between) > clear)
-    levels = np.concatenate([[wall.first], between[kept], [wall.last]])[:: int(sign)]
+    min_distance = 0.05 * step
+    kept = (sign * (between - wall.first) > min_distance) & (sign * (wall.last - between) > min_distance)
+    levels = np.concatenate([[wall.first], between[kept], [wall.last]])[:: int(sign)]  # ascending
     lines = slice_levels(surface, wall.height, levels)
     chosen = [(level, max(group, key=plan_area)) for level, group in zip(levels, lines, strict=True) if group]
-    chosen = chosen[:: int(sign)]
+    chosen = chosen[:: int(sign)]  # in the order of forming
     return np.array([level for level, _ in chosen]), tuple(line for _, line in chosen)
 
 
 def _preorder(feature_walls: list[FeatureWall], size: list[float]) -> list[int]:
-    """Walls in preorder, siblings by size, the largest first."""
+    """Return the indices of the walls in preorder; siblings by ``size`` [m^2], the largest first."""
     order: list[int] = []
     pending: list[int | None] = [None]
     while pending:
@@ -240,15 +243,17 @@ def _preorder(feature_walls: list[FeatureWall], size: list[float]) -> list[int]:
 
 def _flat_issue(surface: SheetSurface, noise: float) -> Issue:
     height = float(np.ptp(surface.vertices[:, 2]))
-    what = f"the part does not leave the sheet plane by {noise / MM:g} mm (its z varies by "
-    what += f"{height / MM:.3g} mm); check the unit of the mesh, and that its z axis is normal to the sheet"
-    return Issue("forming.flat", what, field="part", **measurement(height / MM, noise / MM, "mm"))
+    message = f"the part does not leave the sheet plane by {noise / MM:g} mm (its z varies by "
+    message += (
+        f"{height / MM:.3g} mm); check the unit of the mesh, and that its z axis is normal to the sheet"
+    )
+    return Issue("forming.flat", message, field="part", **measurement(height / MM, noise / MM, "mm"))
 
 
 def _touching_issues(features: list[Feature], noise: float) -> tuple[Issue, ...]:
-    """Features of one parent with no flat between them, or that reach their parent's wall.
+    """Return warnings about features of one parent that have no flat between them.
 
-    Raises ``TandemError`` if two features overlap.
+    Raises ``TandemError`` (forming.touching) if two of them overlap.
     """
     outlines = [Polygon(feature.region).buffer(0.0) for feature in features]
     max_distance = 2.0 * noise
@@ -269,12 +274,12 @@ def _touching_issues(features: list[Feature], noise: float) -> tuple[Issue, ...]
 
 
 def _touch_issue(
-    feature: Feature, other: Feature, outline: Polygon, second: Polygon, overlaps: bool
+    feature: Feature, other: Feature, outline: Polygon, other_outline: Polygon, overlaps: bool
 ) -> Issue:
-    point = np.array(nearest_points(outline, second)[0].coords[0])
+    point = np.array(nearest_points(outline, other_outline)[0].coords[0])
     if overlaps:
-        point = np.array(outline.intersection(second).representative_point().coords[0])
-    what = "overlap" if overlaps else "touch"
+        point = np.array(outline.intersection(other_outline).representative_point().coords[0])
+    verb = "overlap" if overlaps else "touch"
     hint = (
         "move them apart"
         if overlaps
@@ -282,7 +287,7 @@ def _touch_issue(
     )
     return Issue(
         "forming.touching",
-        f"features {feature.id} and {other.id} ({feature.kind} and {other.kind}) {what} at "
+        f"features {feature.id} and {other.id} ({feature.kind} and {other.kind}) {verb} at "
         f"{position_text(point)}; {hint}",
         Severity.ERROR if overlaps else Severity.WARNING,
         field="part",
@@ -341,10 +346,13 @@ def virgin_sheet_order(
         feature = tree.feature(waiting.pop())
         order.append(feature.id)
         waiting.extend(feature.children)
-    return custom_order(tree, _select(order[::-1], selected), True, selected, previous)
+    return custom_order(
+        tree, _select(order[::-1], selected), translated=True, selected=selected, previous=previous
+    )
 
 
 def _select(order: list[int], selected: Sequence[int] | None) -> list[int]:
+    """Return the ids of an order that are selected; all of them if ``selected`` is None."""
     allowed = set(order if selected is None else selected)
     return [number for number in order if number in allowed]
 
@@ -384,8 +392,9 @@ def custom_order(
 def sheet_level(tree: FeatureTree, number: int, done: set[int]) -> float:
     """Return z [m] of the sheet where a feature starts, once some features are formed.
 
-    A feature around it moves it from that feature's own start to the start of what is inside it. With all of
-    them done the level is the start itself, with none the flat sheet, both exactly.
+    A feature that encloses it and is formed moves the sheet there from the start of the enclosing feature to
+    the start of the next feature inside. If all enclosing features are done, the level is exactly the start
+    of the feature in the part. If none is done, it is exactly that of the flat sheet.
 
     Args:
         tree: Features of the part.
@@ -410,20 +419,21 @@ def _check_order(
     selected: Sequence[int] | None,
     previous: Sequence[int],
 ) -> None:
+    """Raise ``TandemError`` (forming.order) if a custom order is invalid; arguments as in `custom_order`."""
     required = set(range(1, len(tree.features) + 1)) if selected is None else set(selected)
     issues = []
     unknown = sorted(set(order) - required - {feature.id for feature in tree.features})
     others = sorted(set(order) - required - set(unknown))
     missing = sorted(required - set(order))
     repeated = sorted({number for number in order if order.count(number) > 1})
-    for what, numbers in (
+    for fault, numbers in (
         ("does not exist", unknown),
         ("is formed by another operation", others),
         ("is missing", missing),
         ("is named twice", repeated),
     ):
         allowed = f"1 to {len(required)}" if selected is None else ", ".join(map(str, sorted(required)))
-        issues += [_order_issue(f"feature {n} {what}; name each of {allowed} once") for n in numbers]
+        issues += [_order_issue(f"feature {n} {fault}; name each of {allowed} once") for n in numbers]
     if not translated and not issues:
         position = {number: index for index, number in enumerate((*previous, *order))}
         issues += [
@@ -440,8 +450,8 @@ def _check_order(
         raise TandemError(issues)
 
 
-def _order_issue(what: str) -> Issue:
-    return Issue("forming.order", format_message("forming.order", fault=what), field="order")
+def _order_issue(fault: str) -> Issue:
+    return Issue("forming.order", format_message("forming.order", fault=fault), field="order")
 
 
 COLOUR_COUNT: Final = 8
@@ -464,14 +474,14 @@ def plan_drawing(tree: FeatureTree) -> str:
 
     The sheet's x points to the right and y up. Contours of convex features are dashed.
     """
-    every = np.concatenate([feature.region for feature in tree.features])
-    low, high = every.min(axis=0), every.max(axis=0)
+    outlines = np.concatenate([feature.region for feature in tree.features])
+    low, high = outlines.min(axis=0), outlines.max(axis=0)
     margin = 0.04 * float((high - low).max())
     low, high = low - margin, high + margin
     scale = DRAWING_WIDTH / float(high[0] - low[0])
-    tall = scale * float(high[1] - low[1])
+    height = scale * float(high[1] - low[1])
     parts = [
-        f'<svg class="plot" viewBox="0 0 {DRAWING_WIDTH:.0f} {tall:.0f}" role="img" aria-label="contours '
+        f'<svg class="plot" viewBox="0 0 {DRAWING_WIDTH:.0f} {height:.0f}" role="img" aria-label="contours '
         f'from above">'
     ]
     for feature in tree.features:
@@ -479,12 +489,13 @@ def plan_drawing(tree: FeatureTree) -> str:
         parts.append(f'<g class="thin c{feature.id % COLOUR_COUNT}{dashed}">')
         parts.append(f"<title>{html.escape(_feature_label(feature))}</title>")
         parts += [
-            f'<path d="{_svg_path((line[:, :2] - low) * scale, tall)}"/>' for line in _drawn_contours(feature)
+            f'<path d="{_svg_path((line[:, :2] - low) * scale, height)}"/>'
+            for line in _drawn_contours(feature)
         ]
         parts.append("</g>")
     for feature in tree.features:
         x, y = (np.array(shapely.Polygon(feature.region).exterior.interpolate(0.0).coords[0]) - low) * scale
-        parts.append(f'<text x="{x + 4:.1f}" y="{tall - y - 4:.1f}">{feature.id}</text>')
+        parts.append(f'<text x="{x + 4:.1f}" y="{height - y - 4:.1f}">{feature.id}</text>')
     return "".join([*parts, "</svg>"])
 
 
@@ -492,14 +503,15 @@ def tree_diagram(tree: FeatureTree) -> str:
     """Return the tree as SVG: a bar for each feature from its start to its end, joined to its parent."""
     levels = [tree.level, *(value for feature in tree.features for value in (feature.start, feature.end))]
     low, high = min(levels), max(levels)
-    tall, left, top = 260.0, 64.0, 24.0
+    height, left, top = 260.0, 64.0, 24.0
     step = min((DRAWING_WIDTH - left - 20.0) / len(tree.features), 90.0)
 
     def level_y(level: float) -> float:
-        return top + (high - level) / (high - low) * tall
+        """Return the y of a level [m] in the drawing."""
+        return top + (high - level) / (high - low) * height
 
     parts = [
-        f'<svg class="plot" viewBox="0 0 {DRAWING_WIDTH:.0f} {tall + 2 * top:.0f}" role="img" '
+        f'<svg class="plot" viewBox="0 0 {DRAWING_WIDTH:.0f} {height + 2 * top:.0f}" role="img" '
         f'aria-label="feature tree"><line class="axis" x1="{left}" x2="{DRAWING_WIDTH - 10}" '
         f'y1="{level_y(tree.level):.1f}" y2="{level_y(tree.level):.1f}"/>'
     ]
@@ -537,13 +549,14 @@ def _drawn_contours(feature: Feature) -> list[FloatArray]:
     return [feature.contours[index] for index in spread_rows(len(feature.contours), MAX_DRAWN_CONTOURS)]
 
 
-def _svg_path(points: FloatArray, tall: float) -> str:
+def _svg_path(points: FloatArray, height: float) -> str:
+    """Return an SVG path of a closed line (K, 2); ``height`` is that of the drawing, whose y points down."""
     line = shapely.LineString(points).simplify(CONTOUR_TOLERANCE)
-    pairs = (f"{x:.1f} {tall - y:.1f}" for x, y in shapely.get_coordinates(line)[:-1])
-    return "M" + "L".join(pairs) + "Z"
+    coordinates = (f"{x:.1f} {height - y:.1f}" for x, y in shapely.get_coordinates(line)[:-1])
+    return "M" + "L".join(coordinates) + "Z"
 
 
 def _feature_label(feature: Feature) -> str:
-    on = "the flat sheet" if feature.parent is None else f"feature {feature.parent}"
-    name = f"feature {feature.id} on {on}: {feature.kind}"
+    base = "the flat sheet" if feature.parent is None else f"feature {feature.parent}"
+    name = f"feature {feature.id} on {base}: {feature.kind}"
     return f"{name}, {feature.start / MM:z.2f} to {feature.end / MM:z.2f} mm"

@@ -1,8 +1,8 @@
 """Walls of a part: monotonic runs of the contour tree, split at terraces; each wall is one feature.
 
 **Skeleton**: the contour tree without noise, that is, nodes where features start and end, and walls between
-them. A branch that stays within ``noise`` of the height of its fork is no feature. Nor is the smaller of two
-branches if it is smaller in plan than any tool: its vertices count as part of the fork. Forks within
+them. A branch that stays within ``noise`` of the height of its fork is not a feature. Nor is the smaller
+of two branches if it is smaller in plan than any tool: its vertices count as part of the fork. Forks within
 ``noise`` of each other are one node, because noise on a flat produces such forks.
 
 **Terraces**: a feature ends where a wall pauses on a flat, and the next one starts. The level lines of a wall
@@ -53,24 +53,30 @@ class Terrace:
 
 
 class _CumulativeArea:
-    """Plan area before a depth; the area of each face is spread evenly over its depths."""
+    """Plan area [m^2] of a wall's faces up to a depth [m] from the start of the wall.
+
+    The area A of a face from depth a to b is spread evenly: it contributes A (clip(d, a, b) - a) / (b - a).
+    """
 
     def __init__(self, first_depth: FloatArray, last_depth: FloatArray, area: FloatArray) -> None:
         rate = area / (last_depth - first_depth)
-        order_near, order_far = np.argsort(first_depth), np.argsort(last_depth)
-        self.first_depths, self.last_depths = first_depth[order_near], last_depth[order_far]
+        by_first, by_last = np.argsort(first_depth), np.argsort(last_depth)
+        self.first_depths, self.last_depths = first_depth[by_first], last_depth[by_last]
         self.sums = tuple(
             np.concatenate([[0.0], np.cumsum(values)])
             for values in (
-                rate[order_near],
-                (rate * first_depth)[order_near],
-                rate[order_far],
-                (rate * last_depth)[order_far],
+                rate[by_first],
+                (rate * first_depth)[by_first],
+                rate[by_last],
+                (rate * last_depth)[by_last],
             )
         )
 
     def __call__(self, depth: FloatArray) -> FloatArray:
-        i, j = np.searchsorted(self.first_depths, depth), np.searchsorted(self.last_depths, depth)
+        """Return the areas (N,) [m^2] up to depths (N,) [m]."""
+        # numbers of faces that start, and that end, up to each depth
+        i = np.searchsorted(self.first_depths, depth)
+        j = np.searchsorted(self.last_depths, depth)
         started, started_moment, ended, ended_moment = self.sums
         return np.asarray(depth * started[i] - started_moment[i] - depth * ended[j] + ended_moment[j])
 
@@ -91,11 +97,11 @@ class WallFaces:
 
 
 def find_terraces(faces: WallFaces, inside: float, start: float, end: float, noise: float) -> list[Terrace]:
-    """Return the terraces of a wall in its order.
+    """Return the terraces of a wall, ordered from its start to its end.
 
     Args:
         faces: Faces of the wall.
-        inside: Plan area [m^2] that the wall's first level line encloses.
+        inside: Plan area [m^2] that the wall's first level line encloses, with the wall itself.
         start: Level [m] at which the wall starts.
         end: Level [m] at which it ends.
         noise: Height [m] of the mesh's noise.
@@ -111,19 +117,21 @@ def find_terraces(faces: WallFaces, inside: float, start: float, end: float, noi
     cumulative = _CumulativeArea(first_depth, np.maximum(last_depth, first_depth + 0.01 * cell), faces.area)
     change = cumulative(depths + 0.5 * noise) - cumulative(depths - 0.5 * noise)
     radius = np.sqrt(np.maximum(inside - cumulative(depths - 0.5 * noise), 1e-12) / np.pi)
+    # mean width in plan: area between levels ``noise`` apart, divided by the length of a circular level line
     width = change / (2.0 * np.pi * radius)
-    flat = width >= np.maximum(
+    is_flat = width >= np.maximum(
         np.clip(TERRACE_WIDTH_RADIUS_FRACTION * radius, MIN_TERRACE_WIDTH_M, MAX_TERRACE_WIDTH_M),
         MIN_TERRACE_CONTRAST * _adjacent_wall_width(width, noise / cell),
     )
-    bounds = np.nonzero(np.diff(np.concatenate([[0], flat.astype(np.int8), [0]])))[0].reshape(-1, 2)
+    bounds = np.nonzero(np.diff(np.concatenate([[0], is_flat.astype(np.int8), [0]])))[0].reshape(-1, 2)
     return [_terrace(first * cell, stop * cell, cumulative, start, sign, noise) for first, stop in bounds]
 
 
 def _adjacent_wall_width(width: FloatArray, cells: float) -> FloatArray:
-    """Width of the steepest wall before each cell of height, or of that after it if that is wider.
+    """Return, for each cell of height, the plan width of the steepest wall before it or after it.
 
-    Infinite where there is no wall on a side.
+    The greater of both counts. A wall is `MIN_WALL_HEIGHT_FACTOR` times the noise high and as steep as its
+    flattest cell. The width is infinite where there is no wall on a side. ``cells`` is the noise in cells.
     """
     window = round(MIN_WALL_HEIGHT_FACTOR * cells)
     previous = np.full(len(width), np.inf)
@@ -138,6 +146,12 @@ def _adjacent_wall_width(width: FloatArray, cells: float) -> FloatArray:
 def _terrace(
     first: float, last: float, cumulative: _CumulativeArea, start: float, sign: float, noise: float
 ) -> Terrace:
+    """Return the terrace that belongs to a run of flat cells from depth ``first`` to ``last`` [m].
+
+    A flat that is higher than the noise is a gentle slope: its level lines belong to the previous wall, and
+    the terrace is at its end. Otherwise the terrace is at the depth that divides its area in two. Depths
+    count from the wall's ``start`` [m], upward for a ``sign`` of +1.
+    """
     # the window of heights extends a flat by half its size on both sides
     first, last = sorted((first + 0.5 * noise, last - 0.5 * noise))
     cell = noise / 5.0
@@ -154,11 +168,11 @@ def _terrace(
         return Terrace(*(start + sign * level for level in levels))
     depths = np.linspace(first - cell, last + cell, 201)
     areas = cumulative(depths)
-    middle = float(np.interp(0.5 * (areas[0] + areas[-1]), areas, depths))
+    middle_depth = float(np.interp(0.5 * (areas[0] + areas[-1]), areas, depths))
     return Terrace(
-        start + sign * middle,
-        start + sign * min(first - cell, middle - 0.1 * cell),
-        start + sign * max(last + cell, middle + 0.1 * cell),
+        start + sign * middle_depth,
+        start + sign * min(first - cell, middle_depth - 0.1 * cell),
+        start + sign * max(last + cell, middle_depth + 0.1 * cell),
     )
 
 
@@ -237,6 +251,11 @@ def _float_list(values: FloatArray) -> list[float]:
 
 
 class _SkeletonBuilder:
+    """Builds the skeleton of a contour tree.
+
+    A vertex is significant if the branch that starts with it leaves its parent's height by the noise or more.
+    """
+
     def __init__(
         self, tree: ContourTree, height: FloatArray, weight: FloatArray, size: PlanAreaBeyond, noise: float
     ) -> None:
@@ -262,6 +281,7 @@ class _SkeletonBuilder:
         self.end_vertices: dict[int, int] = {}
 
     def _drop_small(self, forks: list[int]) -> None:
+        """Make the smaller branches of forks insignificant if their plan area is below MIN_BUMP_AREA_M2."""
         for fork in forks:
             branches = sorted(
                 self.significant_children(fork),
@@ -273,7 +293,7 @@ class _SkeletonBuilder:
                     self.is_significant[branch] = False
 
     def _small_branch(self, vertex: int) -> list[int]:
-        """Vertices from one on; none if they are clearly not small."""
+        """Return the vertices of the branch that starts at a vertex; empty if it is clearly not small."""
         members, total = [vertex], 0.0
         for member in members:
             total += self.weight[member]
@@ -283,12 +303,17 @@ class _SkeletonBuilder:
         return members
 
     def children(self, vertex: int) -> list[int]:
+        """Return the vertices that follow a vertex, away from the root."""
         return self.child_vertices[self.child_offsets[vertex] : self.child_offsets[vertex + 1]]
 
     def significant_children(self, vertex: int) -> list[int]:
         return [child for child in self.children(vertex) if self.is_significant[child]]
 
     def build(self, level: float) -> Skeleton:
+        """Return the skeleton, given the level [m] of the flat sheet.
+
+        A wall that stays within the noise of the node from which it starts is merged into that node.
+        """
         self.element[self.tree.root] = 0
         reference = [level]
         pending: list[tuple[int, int]] = [(self.tree.root, 0)]
@@ -316,13 +341,11 @@ class _SkeletonBuilder:
         return self._finish(level)
 
     def _follow_wall(self, vertex: int, child: int) -> tuple[list[int], bool]:
-        """Path from one fork to the next one or to the end, and whether it is the end."""
-        offsets, children, is_significant, rank = (
-            self.child_offsets,
-            self.child_vertices,
-            self.is_significant,
-            self.rank,
-        )
+        """Return the vertices from a fork to the next fork or to the end of the wall, and whether it ends."""
+        offsets = self.child_offsets
+        children = self.child_vertices
+        is_significant = self.is_significant
+        rank = self.rank
         rises = rank[child] > rank[vertex]
         path, current = [child], child
         while True:
@@ -340,26 +363,36 @@ class _SkeletonBuilder:
         return self._extend_to_tip(path, 1.0 if rises else -1.0), True
 
     def _extend_to_tip(self, path: list[int], sign: float) -> list[int]:
-        """Extend a path to its tip.
+        """Extend a path beyond its last significant vertex to the tip of the wall, in place, and return it.
 
-        The rest is small, or lower than noise. Without noise the path is followed to its end.
+        What follows there is small, or lower than the noise. The path takes the child that reaches farthest.
+        It stops where the heights are only noise, or where the next vertex turns back (``sign`` is +1 for a
+        wall that rises).
         """
         while children := self.children(path[-1]):
             current = self.heights[path[-1]]
-            reach = [max(self.high[c] - current, current - self.low[c]) for c in children]
-            best = int(np.argmax(reach))
-            others = reach[:best] + reach[best + 1 :]
-            noisy = max(others, default=0.0) > HEIGHT_TOLERANCE_M and reach[best] < self.noise
-            if noisy or sign * (self.heights[children[best]] - current) < -HEIGHT_TOLERANCE_M:
+            reach = [max(self.high[child] - current, current - self.low[child]) for child in children]
+            best_index = int(np.argmax(reach))
+            others = reach[:best_index] + reach[best_index + 1 :]
+            is_noisy = max(others, default=0.0) > HEIGHT_TOLERANCE_M and reach[best_index] < self.noise
+            if is_noisy or sign * (self.heights[children[best_index]] - current) < -HEIGHT_TOLERANCE_M:
                 break
-            path.append(children[best])
+            path.append(children[best_index])
         return path
 
     def _height_beyond(self, vertex: int, level: float) -> float:
+        """Return how far [m] the branch that starts at a vertex leaves a level [m], up or down."""
         return max(self.high[vertex] - level, level - self.low[vertex])
 
     def _finish(self, level: float) -> Skeleton:
-        element, denoised, parents = self.element.tolist(), list(self.heights), self.tree.parent.tolist()
+        """Return the skeleton once all significant vertices are assigned to elements.
+
+        The other vertices take element and height from their parents. Nodes within the noise of their parent
+        are merged into it until none is left, because merging changes the levels of nodes.
+        """
+        element = self.element.tolist()
+        denoised = list(self.heights)
+        parents = self.tree.parent.tolist()
         for vertex in self.tree.order[1:].tolist():
             if element[vertex] < 0:
                 element[vertex], denoised[vertex] = element[parents[vertex]], denoised[parents[vertex]]
@@ -372,6 +405,7 @@ class _SkeletonBuilder:
         return Skeleton(tuple(self._with_wall_noise(nodes, elements, z, smooth)), elements, smooth)
 
     def _make_nodes(self, level: float, elements: IntArray, z: FloatArray) -> list[SkeletonNode]:
+        """Return the nodes to which ``elements`` (N,) assigns vertices of heights ``z`` (N,) [m]."""
         on_node = np.nonzero(elements % 2 == 0)[0]
         order = on_node[np.argsort(elements[on_node], kind="stable")]
         groups = np.split(order, np.nonzero(np.diff(elements[order]))[0] + 1)
@@ -385,9 +419,10 @@ class _SkeletonBuilder:
         return nodes
 
     def _differs_from_parent(self, nodes: list[SkeletonNode]) -> BoolArray:
-        """Whether (P,) nodes differ from their parents by at least the noise.
+        """Return whether (P,) the level of each node differs from that of its parent by at least the noise.
 
-        Of a noisy flat, the first fork that was found may deviate from its level by as much again.
+        `build` compares heights of forks. On a noisy flat, the first fork may deviate from the level of its
+        node by as much as the noise, so nodes are compared again.
         """
         level = np.array([node.level for node in nodes])
         kept = np.abs(level - level[[max(node.parent, 0) for node in nodes]]) >= self.noise
@@ -416,26 +451,30 @@ class _SkeletonBuilder:
     def _with_wall_noise(
         self, nodes: list[SkeletonNode], element: IntArray, z: FloatArray, smooth: FloatArray
     ) -> list[SkeletonNode]:
-        """The nodes with the noise of their vertices that belong to the adjacent walls."""
-        bump = np.abs(z - smooth)
-        bumpy = np.nonzero((bump > 0.0) & (bump < self.noise))[0]
-        if len(bumpy) == 0:
+        """Return the nodes with deviations that include the noise of nearby vertices on adjacent walls."""
+        noise_height = np.abs(z - smooth)
+        noisy = np.nonzero((noise_height > 0.0) & (noise_height < self.noise))[0]
+        if len(noisy) == 0:
             return nodes
-        max_bump, z, smooth = float(bump[bumpy].max()), z[bumpy], smooth[bumpy]
-        node_index = element[bumpy] // 2
-        on_wall, parent_index = element[bumpy] % 2 == 1, np.array(self.node_parents)[node_index]
+        max_noise_height, z, smooth = float(noise_height[noisy].max()), z[noisy], smooth[noisy]
+        node_index = element[noisy] // 2
+        on_wall, parent_index = element[noisy] % 2 == 1, np.array(self.node_parents)[node_index]
         updated = []
         for index, node in enumerate(nodes):
             adjacent = (
                 on_wall
                 & ((node_index == index) | (parent_index == index))
-                & (np.abs(smooth - node.level) <= max_bump)
+                & (np.abs(smooth - node.level) <= max_noise_height)
             )
             deviation = float(np.abs(z[adjacent] - node.level).max(initial=0.0))
             updated.append(dataclasses.replace(node, deviation=max(node.deviation, deviation)))
         return updated
 
     def _node_level(self, node: int, heights: FloatArray, weight: FloatArray) -> float:
+        """Return the level [m] of a node from the heights (M,) [m] and areas ``weight`` (M,) of its vertices.
+
+        It is the height of the wall's tip if the vertices are level, else their median, weighted by area.
+        """
         if node in self.end_vertices and np.ptp(heights) <= HEIGHT_TOLERANCE_M:
             return self.heights[self.end_vertices[node]]
         order = np.argsort(heights)
@@ -452,14 +491,14 @@ Some vertices of the flat count as parts of the walls, hence the factor above 1.
 
 @dataclasses.dataclass(frozen=True)
 class FeatureWall:
-    """One feature to be.
+    """Wall of the surface that becomes one feature.
 
     Attributes:
         parent: Index among the walls, or None.
         start: Level [m] at which it starts.
         end: Level [m] at which it ends.
-        first: First level [m] from which its level lines are clean.
-        last: Last level [m] up to which they are clean.
+        first: First level [m] from which its level lines are free of the noise of the flat at its start.
+        last: Last level [m] up to which they are free of the noise at its end.
         height: Surface (V,) [m] on the wall, ``start`` outside it and ``end`` inside.
     """
 
@@ -478,13 +517,15 @@ class FeatureWall:
 
 @dataclasses.dataclass(frozen=True)
 class _WallRun:
+    """Nodes of a monotonic run of walls: from ``start`` through some nodes to ``end``."""
+
     start: int
     through: tuple[int, ...]
     end: int
 
 
 def find_walls(skeleton: Skeleton, surface: SheetSurface, noise: float) -> list[FeatureWall]:
-    """Return the walls, each after its parent.
+    """Return the walls of a part, each after its parent.
 
     Args:
         skeleton: Skeleton of the part.
@@ -519,6 +560,7 @@ def find_walls(skeleton: Skeleton, surface: SheetSurface, noise: float) -> list[
 
 
 def _follow_run(skeleton: Skeleton, children: list[list[int]], first: int) -> _WallRun:
+    """Return the run that begins with the wall to a node; it continues while one wall keeps its direction."""
     sign = skeleton.direction(first)
     through, node = [], first
     while len(continuing := [other for other in children[node] if skeleton.direction(other) == sign]) == 1:
@@ -528,7 +570,11 @@ def _follow_run(skeleton: Skeleton, children: list[list[int]], first: int) -> _W
 
 
 def _run_height(run: _WallRun, skeleton: Skeleton) -> tuple[FloatArray, FloatArray]:
-    """Surface on a run, constant elsewhere, and (V,) whether a vertex lies on the run itself."""
+    """Return the heights (V,) [m] of the surface on a run, and whether (V,) each vertex lies on the run.
+
+    Off the run the height is constant: the level of the node from which a branch leaves the run, or the
+    start.
+    """
     nodes = skeleton.nodes
     run_nodes = {*run.through, run.end}
     low = np.full(2 * len(nodes), nodes[run.start].level)
@@ -557,6 +603,7 @@ def _run_height(run: _WallRun, skeleton: Skeleton) -> tuple[FloatArray, FloatArr
 def _wall_pieces(
     run: _WallRun, skeleton: Skeleton, surface: SheetSurface, area: FloatArray, noise: float
 ) -> list[FeatureWall]:
+    """Return the walls of a run, split at its terraces, in order; their parents are set later."""
     height, on_run = _run_height(run, skeleton)
     start_node, end_node = skeleton.nodes[run.start], skeleton.nodes[run.end]
     start, end = start_node.level, end_node.level
@@ -564,19 +611,15 @@ def _wall_pieces(
     deviation = start_node.deviation
     if run.start == 0:
         deviation = max(deviation, float(np.abs(surface.vertices[surface.border, 2] - start).max()))
-    first, last = (
-        start + sign * (FLAT_CLEARANCE_FACTOR * deviation + HEIGHT_TOLERANCE_M),
-        end - sign * (FLAT_CLEARANCE_FACTOR * end_node.deviation + HEIGHT_TOLERANCE_M),
-    )
+    first = start + sign * (FLAT_CLEARANCE_FACTOR * deviation + HEIGHT_TOLERANCE_M)
+    last = end - sign * (FLAT_CLEARANCE_FACTOR * end_node.deviation + HEIGHT_TOLERANCE_M)
     height_a, height_b, height_c = height[surface.faces].T
-    low, high = (
-        np.minimum(np.minimum(height_a, height_b), height_c),
-        np.maximum(np.maximum(height_a, height_b), height_c),
-    )
+    low = np.minimum(np.minimum(height_a, height_b), height_c)
+    high = np.maximum(np.maximum(height_a, height_b), height_c)
     reached = (low != start) | (high != start)
-    counts = (high > low) | on_run[surface.faces].all(axis=1)
-    counts &= reached & ((low != end) | (high != end))
-    wall_faces = WallFaces(low=low[counts], high=high[counts], area=area[counts])
+    is_wall = (high > low) | on_run[surface.faces].all(axis=1)
+    is_wall &= reached & ((low != end) | (high != end))
+    wall_faces = WallFaces(low=low[is_wall], high=high[is_wall], area=area[is_wall])
     terraces = find_terraces(wall_faces, float(area[reached].sum()), start, end, noise)
     pieces = []
     for terrace in terraces:
@@ -587,6 +630,7 @@ def _wall_pieces(
 
 
 def _make_wall(start: float, end: float, first: float, last: float, height: FloatArray) -> FeatureWall:
+    """Return a wall without a parent; ``first`` and ``last`` [m] are replaced if they are in wrong order."""
     if (last - first) * (end - start) <= 0.0:  # the wall is barely higher than the noise at its ends
         first, last = start + 0.4 * (end - start), start + 0.6 * (end - start)
     return FeatureWall(None, start, end, first, last, np.clip(height, min(start, end), max(start, end)))

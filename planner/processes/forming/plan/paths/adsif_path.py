@@ -74,24 +74,24 @@ def adsif_tool_path(
 
     Raises:
         TandemError: ``forming.adsif_*`` where the table does not reach; ``forming.support_tool`` for tools
-            that differ or are no balls.
+            that differ or are not balls.
     """
-    ball = forming_head.kind == support_head.kind == "ball"
-    if not ball or abs(forming_head.radius - support_head.radius) > 1e-5:
-        got = " and ".join(
+    are_balls = forming_head.kind == support_head.kind == "ball"
+    if not are_balls or abs(forming_head.radius - support_head.radius) > 1e-5:
+        tools_text = " and ".join(
             f"a {head.kind} of {head.radius / MM:g} mm" for head in (forming_head, support_head)
         )
-        what = (
-            f"mode adsif needs two balls of equal radius, got {got}; mount a ball of "
+        message = (
+            f"mode adsif needs two balls of equal radius, got {tools_text}; mount a ball of "
             f"{forming_head.radius / MM:g} mm on both arms"
         )
-        raise issue_error("forming.support_tool", what, field="mode")
+        raise issue_error("forming.support_tool", message, field="mode")
     response = _response_table(operation)
     adsif = operation.adsif
-    required = ResponseConditions(
+    conditions = ResponseConditions(
         metal.name, thickness, forming_head.radius, adsif.pitch_mm * MM, adsif.projection_mm * MM
     )
-    require_conditions(response, required)
+    require_conditions(response, conditions)
     if forming_pass.side < 0:
         vertices, start, end = forming_pass.vertices * MIRROR, -forming_pass.start, -forming_pass.end
         forming_pass = dataclasses.replace(forming_pass, side=1, vertices=vertices, start=start, end=end)
@@ -122,7 +122,8 @@ def support_press_depth(operation: Forming, radii: float, thickness: float) -> f
         radii: Sum [m] of the radii of both balls.
         thickness: Thickness [m] of the sheet.
     """
-    response, adsif = _response_table(operation), operation.adsif
+    response = _response_table(operation)
+    adsif = operation.adsif
     low, high = response.range
     wall = np.append(np.arange(low, high, WALL_ANGLE_STEP_RAD), high)
     position, gap = invert_response(response, wall, adsif.prefer)
@@ -135,7 +136,7 @@ def support_press_depth(operation: Forming, radii: float, thickness: float) -> f
 
 
 def _tool_deflection(adsif: Adsif) -> float:
-    """Deflection [m] of both tools in the plane of the sheet, by the stated force and stiffness."""
+    """Return the deflection [m] of both tools in the sheet's plane, by the stated force and stiffness."""
     if adsif.force_n <= 0.0 or adsif.stiffness_n_mm is None:
         return 0.0
     return float(tool_deflection(adsif.force_n, adsif.stiffness_n_mm / MM))
@@ -144,18 +145,20 @@ def _tool_deflection(adsif: Adsif) -> float:
 def _commanded_gap(
     response: ResponseTable, wall: FloatArray, adsif: Adsif, thickness: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Position angles [rad] and gaps [m] as commanded (N,) for wall angles (N,) [rad]."""
+    """Return position angles (N,) [rad] and gaps (N,) [m] to command for wall angles (N,) [rad]."""
     position, gap = invert_response(response, wall, adsif.prefer)
-    gap, tool_deflection = gap * thickness, _tool_deflection(adsif)
-    return position, checked_gap_to_command(gap, position, tool_deflection) if tool_deflection > 0.0 else gap
+    gap = gap * thickness
+    deflection = _tool_deflection(adsif)
+    return position, checked_gap_to_command(gap, position, deflection) if deflection > 0.0 else gap
 
 
 def _response_table(operation: Forming) -> ResponseTable:
+    """Return the response table that an operation names, or the built-in one."""
     return built_in_table() if operation.adsif.file is None else read_table(operation.adsif.file)
 
 
 def _contact_path(forming_pass: FormingPass, radius: float, operation: Forming) -> ContactPath:
-    """Contacts of the ball on the face, loop by loop from the feature's end to its start."""
+    """Return the path of the contact, loop by loop from the feature's end to its start; one loop a level."""
     mesh = TriangleMesh(forming_pass.vertices, forming_pass.faces)
     levels = _loop_levels(forming_pass, operation.adsif.pitch_mm * MM)
     smooth = corner_normals(mesh, CREASE_ANGLE_RAD)
@@ -169,12 +172,12 @@ def _contact_path(forming_pass: FormingPass, radius: float, operation: Forming) 
     rings = [by_level[k] for k in sorted(by_level, key=lambda k: levels[k])]
     rings = [ring if ring.area() * orientation > 0.0 else ring.reversed() for ring in rings]
     seam = np.array([np.cos(operation.seam_deg * DEG), np.sin(operation.seam_deg * DEG)])
-    sampled = [_sample_loop(ring, seam, radius, operation) for ring in rings]
+    sampled_loops = [_sample_loop(ring, seam, radius, operation) for ring in rings]
     if operation.path == "helical":
-        sampled = _spiral_rings(sampled)
-    point, normal = (np.concatenate([pair[k] for pair in sampled]) for k in range(2))
+        sampled_loops = _spiral_rings(sampled_loops)
+    point, normal = (np.concatenate([sample[k] for sample in sampled_loops]) for k in range(2))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    loop_number = np.repeat(np.arange(len(sampled)), [len(pair[0]) for pair in sampled])
+    loop_number = np.repeat(np.arange(len(sampled_loops)), [len(sample[0]) for sample in sampled_loops])
     return ContactPath(
         point=point,
         normal=normal,
@@ -186,79 +189,96 @@ def _contact_path(forming_pass: FormingPass, radius: float, operation: Forming) 
 
 
 def _loop_levels(forming_pass: FormingPass, pitch: float) -> FloatArray:
-    """Levels (L,) [m] from the feature's end up to its start, one pitch apart in plan."""
+    """Return levels (L,) [m] from the feature's end up to its start, on average one pitch apart in plan.
+
+    Raises ``TandemError`` (forming.adsif_conditions) if there are none, or more than `MAX_LOOPS`.
+    """
     corner = forming_pass.vertices[forming_pass.faces]
     low, high = corner[:, :, 2].min(axis=1), corner[:, :, 2].max(axis=1)
     a, b, c = corner[:, 0, :2], corner[:, 1, :2], corner[:, 2, :2]
-    plan = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
-    whole = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-    rises = high - low > 1e-9
-    low, high, plan, whole = low[rises], high[rises], plan[rises], whole[rises]
-    edges = np.linspace(
+    plan_area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+    area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    is_not_level = high - low > 1e-9
+    low, high, plan_area, area = (
+        low[is_not_level],
+        high[is_not_level],
+        plan_area[is_not_level],
+        area[is_not_level],
+    )
+    heights = np.linspace(
         forming_pass.end,
         forming_pass.start,
         max(int(np.ceil((forming_pass.start - forming_pass.end) / ANGLE_CELL_M)), 1) + 1,
     )
-    middle = 0.5 * (edges[1:] + edges[:-1])
-    order, falling = np.argsort(low), np.argsort(high)
+    middle_heights = 0.5 * (heights[1:] + heights[:-1])
+    by_low, by_high = np.argsort(low), np.argsort(high)
 
     # mean wall angle a at each height from the facets there: cos a = plan area / area;
     # a step dz is dz / tan a wide in plan, and levels are equidistant in that width
 
     def sum_at_heights(density: FloatArray) -> FloatArray:
-        """Sum (C,) of the density of the facets at each middle height."""
-        started = np.concatenate([[0.0], np.cumsum(density[order])])
-        ended = np.concatenate([[0.0], np.cumsum(density[falling])])
+        """Return the sum (C,) of a density (F,) over the facets that reach across each middle height."""
+        started = np.concatenate([[0.0], np.cumsum(density[by_low])])
+        ended = np.concatenate([[0.0], np.cumsum(density[by_high])])
         return np.asarray(
-            started[np.searchsorted(low[order], middle)] - ended[np.searchsorted(high[falling], middle)]
+            started[np.searchsorted(low[by_low], middle_heights)]
+            - ended[np.searchsorted(high[by_high], middle_heights)]
         )
 
-    flat, full = sum_at_heights(plan / (high - low)), sum_at_heights(whole / (high - low))
-    cosine = np.clip(flat / np.maximum(full, 1e-300), 1e-3, 1.0)
+    plan_density = sum_at_heights(plan_area / (high - low))
+    full_density = sum_at_heights(area / (high - low))
+    cosine = np.clip(plan_density / np.maximum(full_density, 1e-300), 1e-3, 1.0)
     slope = np.sqrt(1.0 - cosine**2) / cosine
-    width = np.concatenate([[0.0], np.cumsum(np.diff(edges) / np.maximum(slope, 1e-6))])
+    width = np.concatenate([[0.0], np.cumsum(np.diff(heights) / np.maximum(slope, 1e-6))])
     count = int(width[-1] / pitch)
     if not 1 <= count <= MAX_LOOPS:
-        what = (
+        message = (
             f"pass {forming_pass.name}: {count} loops at a pitch of {pitch / MM:g} mm, allowed are 1 to "
             f"{MAX_LOOPS}"
         )
-        raise issue_error("forming.adsif_conditions", what + "; change the pitch", field="adsif")
-    levels = np.interp(pitch * np.arange(count + 1), width, edges)
+        raise issue_error("forming.adsif_conditions", message + "; change the pitch", field="adsif")
+    levels = np.interp(pitch * np.arange(count + 1), width, heights)
     return np.asarray(np.clip(levels, forming_pass.end + EDGE_MARGIN_M, forming_pass.start - EDGE_MARGIN_M))
 
 
 def _sample_loop(
     ring: LevelLoop, seam: FloatArray, radius: float, operation: Forming
 ) -> tuple[FloatArray, FloatArray]:
-    """Points and normals (M, 3) of a loop from the seam on, the last equal to the first.
+    """Return points (M, 3) [m] and normals (M, 3) of a loop from the seam on, the last equal to the first.
 
-    There are as many as the chord and the tangent of the forming ball's path require.
+    There are as many as the chord and the tangent of the forming ball's path require, closer together where
+    the normal rotates.
     """
     offset = ring.point[:-1, :2] - ring.point[:-1, :2].mean(axis=0)
-    first = int(np.argmax((offset @ seam) / np.linalg.norm(offset, axis=1)))
-    point = np.concatenate([ring.point[:-1][first:], ring.point[: first + 1]])
-    normal = np.concatenate([ring.normal[:-1][first:], ring.normal[: first + 1]])
+    start = int(np.argmax((offset @ seam) / np.linalg.norm(offset, axis=1)))
+    point = np.concatenate([ring.point[:-1][start:], ring.point[: start + 1]])
+    normal = np.concatenate([ring.normal[:-1][start:], ring.normal[: start + 1]])
     centre = point + radius * normal
     step = np.linalg.norm(np.diff(centre, axis=0), axis=1)
     arc = np.concatenate([[0.0], np.cumsum(step)])
-    keep = np.concatenate([[True], step > 1e-9])
+    is_distinct = np.concatenate([[True], step > 1e-9])
     heading = np.unwrap(np.arctan2(normal[:, 1], normal[:, 0]))
     rotation = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(heading)))])
+    # samples are equidistant in the sum of relative length and relative rotation of the normal
     progress = arc / arc[-1] + rotation / max(rotation[-1], 1e-9)
-    mean = arc[-1] / (2.0 * np.pi)
-    angle = min(operation.tangent_deg * DEG, 2.0 * np.arccos(max(1.0 - operation.chord_mm * MM / mean, 0.0)))
-    count = max(int(np.ceil(max(rotation[-1], 2.0 * np.pi) / angle)), 16)
-    stations = np.linspace(0.0, progress[-1], 2 * count + 1)
-    progress, point, normal = progress[keep], point[keep], normal[keep]
+    mean_radius = arc[-1] / (2.0 * np.pi)
+    angle_step = min(
+        operation.tangent_deg * DEG, 2.0 * np.arccos(max(1.0 - operation.chord_mm * MM / mean_radius, 0.0))
+    )
+    count = max(int(np.ceil(max(rotation[-1], 2.0 * np.pi) / angle_step)), 16)
+    samples = np.linspace(0.0, progress[-1], 2 * count + 1)
+    progress, point, normal = progress[is_distinct], point[is_distinct], normal[is_distinct]
     return (
-        np.column_stack([np.interp(stations, progress, point[:, k]) for k in range(3)]),
-        np.column_stack([np.interp(stations, progress, normal[:, k]) for k in range(3)]),
+        np.column_stack([np.interp(samples, progress, point[:, k]) for k in range(3)]),
+        np.column_stack([np.interp(samples, progress, normal[:, k]) for k in range(3)]),
     )
 
 
 def _spiral_rings(rings: list[tuple[FloatArray, FloatArray]]) -> list[tuple[FloatArray, FloatArray]]:
-    """One outward spiral between the first and the last loop, which stay whole."""
+    """Return the rings of one outward spiral between the first and the last loop, which stay whole.
+
+    Each ring has points and normals (M, 3). From one loop to the next it blends both linearly.
+    """
     out = [rings[0]]
     for inner, outer in itertools.pairwise(rings):
         count = max(len(inner[0]), len(outer[0]))
@@ -273,11 +293,13 @@ def _spiral_rings(rings: list[tuple[FloatArray, FloatArray]]) -> list[tuple[Floa
 
 
 def _resample(values: FloatArray, count: int) -> FloatArray:
+    """Return values (K, 3) interpolated at ``count`` equidistant positions from the first to the last."""
     fractions, new_fractions = np.linspace(0.0, 1.0, len(values)), np.linspace(0.0, 1.0, count)
-    return np.column_stack([np.interp(new_fractions, fractions, values[:, k]) for k in range(3)])
+    return np.column_stack([np.interp(new_fractions, fractions, values[:, axis]) for axis in range(3)])
 
 
 def _mirror_tool_path(tool_path: FormingToolPath) -> FormingToolPath:
+    """Return a tool path mirrored in z, for a pass that is formed from below; face normals stay upward."""
     contact = dataclasses.replace(
         tool_path.contact,
         point=tool_path.contact.point * MIRROR,

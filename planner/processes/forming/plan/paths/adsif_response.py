@@ -93,30 +93,31 @@ def require_conditions(response: ResponseTable, required: ResponseConditions) ->
     Raises:
         TandemError: forming.adsif_conditions, an issue for each condition that differs from the table's.
     """
-    held = response.conditions
+    valid = response.conditions
     issues = []
 
     def add_issue(
         field: str, got: str, allowed: str, value: float | None = None, limit: float | None = None
     ) -> None:
-        text = f"{field}: got {got}, the ADSIF table is valid for {allowed} ({response.source})"
+        """Add an issue about a condition that differs."""
+        message = f"{field}: got {got}, the ADSIF table is valid for {allowed} ({response.source})"
         hint = "use the conditions of the table, provide your own table, or use another mode, such as dsif"
         issues.append(
-            Issue("forming.adsif_conditions", text, field=field, value=value, limit=limit, hint=hint)
+            Issue("forming.adsif_conditions", message, field=field, value=value, limit=limit, hint=hint)
         )
 
-    if required.metal != held.metal:
-        add_issue("metal", repr(required.metal), repr(held.metal))
+    if required.metal != valid.metal:
+        add_issue("metal", repr(required.metal), repr(valid.metal))
     for field, got, allowed in (
-        ("thickness", required.thickness, held.thickness),
-        ("pitch", required.pitch, held.pitch),
-        ("projection", required.projection, held.projection),
+        ("thickness", required.thickness, valid.thickness),
+        ("pitch", required.pitch, valid.pitch),
+        ("projection", required.projection, valid.projection),
     ):
         if not abs(got - allowed) <= LENGTH_TOLERANCE_FRACTION * allowed:
             add_issue(field, f"{got / MM:g} mm", f"{allowed / MM:g} mm", got / MM, allowed / MM)
-    ratio, table = required.thickness / required.radius, held.thickness / held.radius
-    if not abs(ratio - table) <= LENGTH_TOLERANCE_FRACTION * table:
-        add_issue("thickness to tool radius", f"{ratio:.4g}", f"{table:.4g}", ratio, table)
+    ratio, valid_ratio = required.thickness / required.radius, valid.thickness / valid.radius
+    if not abs(ratio - valid_ratio) <= LENGTH_TOLERANCE_FRACTION * valid_ratio:
+        add_issue("thickness to tool radius", f"{ratio:.4g}", f"{valid_ratio:.4g}", ratio, valid_ratio)
     if issues:
         raise TandemError(issues)
 
@@ -133,15 +134,16 @@ def formed_wall_angle(response: ResponseTable, position: ArrayLike, gap: ArrayLi
         TandemError: forming.adsif_unstable outside the table and next to an unstable cell.
     """
     th, g = np.broadcast_arrays(np.asarray(position, dtype=np.float64), np.asarray(gap, dtype=np.float64))
+    # interval and fraction in it along both axes, for bilinear interpolation
     i, u = _grid_interval(response.gap, g)
     j, v = _grid_interval(response.position, th)
     total, inside = np.zeros(th.shape), np.isfinite(u) & np.isfinite(v)
     for a, wu in ((0, 1.0 - u), (1, u)):
         for b, wv in ((0, 1.0 - v), (1, v)):
             weight, corner = wu * wv, response.wall[i + a, j + b]
-            counts = weight > ROUNDING_TOLERANCE  # on an edge, the cells on its other side have no weight
-            inside &= ~counts | np.isfinite(corner)
-            total += np.where(counts, weight * corner, 0.0)
+            has_weight = weight > ROUNDING_TOLERANCE  # on an edge, the cells on its other side have no weight
+            inside &= ~has_weight | np.isfinite(corner)
+            total += np.where(has_weight, weight * corner, 0.0)
     if not inside.all():
         k = int(np.flatnonzero(~inside.reshape(-1))[0])
         text = format_message(
@@ -154,9 +156,9 @@ def formed_wall_angle(response: ResponseTable, position: ArrayLike, gap: ArrayLi
     return total
 
 
-def _stability_hint(response: ResponseTable, position: FloatArray, k: int) -> str:
-    """Remedy for a position that is not stable: the stable gaps of the table next to it."""
-    interval = int(_grid_interval(response.position, position)[0].reshape(-1)[k])
+def _stability_hint(response: ResponseTable, position: FloatArray, index: int) -> str:
+    """Return the remedy for a position that is not stable: the stable gaps of the table next to it."""
+    interval = int(_grid_interval(response.position, position)[0].reshape(-1)[index])
     gaps = response.gap[np.isfinite(response.wall[:, interval : interval + 2]).all(axis=1)]
     if not len(gaps):
         return "use another position angle"
@@ -183,21 +185,21 @@ def invert_response(
         prefer: "angle" or "gap".
 
     Raises:
-        TandemError: forming.adsif_range.
+        TandemError: forming.adsif_range if the table does not have a wall angle.
     """
     required = np.atleast_1d(np.asarray(wall, dtype=np.float64))
     low, high = response.range
-    wrong = ~((required >= low - ROUNDING_TOLERANCE) & (required <= high + ROUNDING_TOLERANCE))
-    if wrong.any():
-        raise TandemError(_range_issue(response, required, wrong))
+    is_outside = ~((required >= low - ROUNDING_TOLERANCE) & (required <= high + ROUNDING_TOLERANCE))
+    if is_outside.any():
+        raise TandemError(_range_issue(response, required, is_outside))
     required = np.clip(required, low, high)
     position, gap, fits = _solutions(response, required)
-    first, second = (position, -gap) if prefer == "angle" else (-gap, position)
-    first = np.where(fits, first, np.inf)
-    best = first <= first.min(axis=1, keepdims=True) + ROUNDING_TOLERANCE
-    choice = np.where(best, second, np.inf).argmin(axis=1)
-    rows = np.arange(len(required))
-    return position[rows, choice], gap[rows, choice]
+    primary, secondary = (position, -gap) if prefer == "angle" else (-gap, position)
+    primary = np.where(fits, primary, np.inf)
+    best = primary <= primary.min(axis=1, keepdims=True) + ROUNDING_TOLERANCE
+    choice = np.where(best, secondary, np.inf).argmin(axis=1)
+    indices = np.arange(len(required))
+    return position[indices, choice], gap[indices, choice]
 
 
 def tool_deflection(force: ArrayLike, *stiffness: float) -> FloatArray:
@@ -208,7 +210,7 @@ def tool_deflection(force: ArrayLike, *stiffness: float) -> FloatArray:
         stiffness: In-plane stiffness k [N/m] of each tool with its arm.
 
     Raises:
-        TandemError: forming.adsif_compliance.
+        TandemError: forming.adsif_compliance for a stiffness or force that is not plausible.
     """
     load = np.asarray(force, dtype=np.float64)
     if not stiffness or not all(np.isfinite(k) and k > 0.0 for k in stiffness):
@@ -224,8 +226,8 @@ def tool_deflection(force: ArrayLike, *stiffness: float) -> FloatArray:
 def gap_to_command(gap: ArrayLike, position: ArrayLike, deflected: ArrayLike) -> FloatArray:
     """Return the gap [m] to command so that tools that deflect keep a gap.
 
-    Tg - D sin th, to first order in D over the distance of the centres. A value that is not above 0 cannot be
-    commanded.
+    It is Tg - D sin th, to first order in D over the distance of the centres. A value that is not above 0
+    cannot be commanded.
 
     Args:
         gap: Gap Tg [m] to keep.
@@ -236,29 +238,30 @@ def gap_to_command(gap: ArrayLike, position: ArrayLike, deflected: ArrayLike) ->
 
 
 def checked_gap_to_command(gap: ArrayLike, position: ArrayLike, deflected: ArrayLike) -> FloatArray:
-    """Return the gap as :func:`gap_to_command`, checked.
+    """Return the gap as :func:`gap_to_command` does, and check that it can be commanded.
 
     Raises:
         TandemError: forming.adsif_compliance if no gap is left, so that the unloaded tools would touch.
     """
     required = np.asarray(gap, dtype=np.float64)
-    out = gap_to_command(required, position, deflected)
-    if not np.all(out > 0.0):
-        k = int(np.argmin(np.where(np.isnan(out), -np.inf, out)))
+    command = gap_to_command(required, position, deflected)
+    if not np.all(command > 0.0):
+        k = int(np.argmin(np.where(np.isnan(command), -np.inf, command)))
         text = (
-            f"gap: {out.reshape(-1)[k] / MM:.3g} mm remains to be commanded after compensation, allowed "
-            "above 0 mm; the unloaded tools would touch"
+            f"gap: {command.reshape(-1)[k] / MM:.3g} mm remains to be commanded after "
+            "compensation, allowed above 0 mm; the unloaded tools would touch"
         )
         deflection_mm = float(np.broadcast_to(deflected, required.shape).reshape(-1)[k]) / MM
+        # deflection at which the smallest gap just remains, with a margin of 1 %
         max_deflection = (
-            0.99 * deflection_mm * float(required.reshape(-1)[k] / (required - out).reshape(-1)[k])
+            0.99 * deflection_mm * float(required.reshape(-1)[k] / (required - command).reshape(-1)[k])
         )
         hint = (
             f"reduce the deflection from {deflection_mm:.3g} mm to {max_deflection:.3g} mm: state a smaller "
             "force, or stiffen tools or arms"
         )
         raise issue_error("forming.adsif_compliance", text, index=k, hint=hint)
-    return out
+    return command
 
 
 def centre_distances(
@@ -277,7 +280,7 @@ def centre_distances(
 
 
 def _grid_interval(grid: FloatArray, values: FloatArray) -> tuple[IndexArray, FloatArray]:
-    """Interval and fraction of values on an ascending grid; NaN outside the grid."""
+    """Return the interval of each value on an ascending grid, and the fraction in it; NaN outside."""
     interval = np.clip(np.searchsorted(grid, values, side="right") - 1, 0, len(grid) - 2)
     fraction = (values - grid[interval]) / (grid[interval + 1] - grid[interval])
     fraction = np.where(
@@ -289,44 +292,48 @@ def _grid_interval(grid: FloatArray, values: FloatArray) -> tuple[IndexArray, Fl
 
 
 def _solutions(response: ResponseTable, required: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Intersections of the grid's lines with wall angles (N,).
+    """Intersect the edges of the table's cells, and its nodes, with wall angles (N,) [rad].
 
-    Returns position and gap (N, E), and whether they exist.
+    Returns position angle [rad] and gap (N, E) on each of E edges, and whether (N, E) they exist.
     """
     g, th = np.meshgrid(response.gap, response.position, indexing="ij")
     starts, ends = [], []
-    every, first, last = slice(None), slice(-1), slice(1, None)
-    for a, b in (((first, every), (last, every)), ((every, first), (every, last))):
-        starts.append(np.stack([x[a].reshape(-1) for x in (g, th, response.wall)]))
-        ends.append(np.stack([x[b].reshape(-1) for x in (g, th, response.wall)]))
-    nodes = np.stack([x.reshape(-1) for x in (g, th, response.wall)])
+    all_lines, all_but_last, all_but_first = slice(None), slice(-1), slice(1, None)
+    for a, b in (
+        ((all_but_last, all_lines), (all_but_first, all_lines)),
+        ((all_lines, all_but_last), (all_lines, all_but_first)),
+    ):
+        starts.append(np.stack([values[a].reshape(-1) for values in (g, th, response.wall)]))
+        ends.append(np.stack([values[b].reshape(-1) for values in (g, th, response.wall)]))
+    nodes = np.stack([values.reshape(-1) for values in (g, th, response.wall)])
     start, end = np.concatenate([*starts, nodes], axis=1), np.concatenate([*ends, nodes], axis=1)
-    stable = np.isfinite(start[2]) & np.isfinite(end[2])
-    start, end = start[:, stable], end[:, stable]
+    is_stable = np.isfinite(start[2]) & np.isfinite(end[2])
+    start, end = start[:, is_stable], end[:, is_stable]
     rise = end[2] - start[2]
     is_flat = np.abs(rise) <= ROUNDING_TOLERANCE
-    part = (required[:, None] - start[2]) / np.where(is_flat, 1.0, rise)
+    fraction = (required[:, None] - start[2]) / np.where(is_flat, 1.0, rise)
     fits = np.where(
         is_flat,
         np.abs(required[:, None] - start[2]) <= ROUNDING_TOLERANCE,
-        (part >= -ROUNDING_TOLERANCE) & (part <= 1.0 + ROUNDING_TOLERANCE),
+        (fraction >= -ROUNDING_TOLERANCE) & (fraction <= 1.0 + ROUNDING_TOLERANCE),
     )
-    part = np.clip(np.where(is_flat, 0.0, part), 0.0, 1.0)
-    return start[1] + part * (end[1] - start[1]), start[0] + part * (end[0] - start[0]), fits
+    fraction = np.clip(np.where(is_flat, 0.0, fraction), 0.0, 1.0)
+    return start[1] + fraction * (end[1] - start[1]), start[0] + fraction * (end[0] - start[0]), fits
 
 
-def _range_issue(response: ResponseTable, required: FloatArray, wrong: BoolArray) -> Issue:
+def _range_issue(response: ResponseTable, required: FloatArray, is_outside: BoolArray) -> Issue:
+    """Return the issue about wall angles (N,) [rad] of which ``is_outside`` (N,) are outside the table."""
     low, high = (bound / DEG for bound in response.range)
-    k = int(np.flatnonzero(wrong)[0])
-    got = float(required[k]) / DEG
-    text = f"wall angle: got {got:.4g} deg, the ADSIF table allows {low:.4g} to {high:.4g} deg"
+    first_wrong = int(np.flatnonzero(is_outside)[0])
+    angle_deg = float(required[first_wrong]) / DEG
+    text = f"wall angle: got {angle_deg:.4g} deg, the ADSIF table allows {low:.4g} to {high:.4g} deg"
     return Issue(
         "forming.adsif_range",
         text + f" ({response.source})",
-        index=k,
-        **measurement(got, high if got > high else low, "deg"),
+        index=first_wrong,
+        **measurement(angle_deg, high if angle_deg > high else low, "deg"),
         hint="form such walls in another mode, or provide your own table",
-        count=int(wrong.sum()),
+        count=int(is_outside.sum()),
     )
 
 
@@ -352,7 +359,7 @@ def table_text(path: Path) -> str:
     """Return the text of a table's file.
 
     Raises:
-        TandemError: forming.adsif_table.
+        TandemError: forming.adsif_table if it cannot be read or is too large.
     """
     name = str(path)
     if not is_file(path):
@@ -377,12 +384,15 @@ def read_table(path: Path) -> ResponseTable:
     Raises:
         TandemError: forming.adsif_table with every fault and its line.
     """
-    name, lines = str(path), table_text(path).splitlines()
-    heads = [line for line in lines if line.startswith("#")]
-    rows = [(k, line) for k, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
-    conditions, source, issues = _read_conditions(name, heads)
-    cells, faults = _read_cells(name, rows)
-    issues += faults
+    name = str(path)
+    lines = table_text(path).splitlines()
+    comments = [line for line in lines if line.startswith("#")]
+    rows = [
+        (number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")
+    ]
+    conditions, source, issues = _read_conditions(name, comments)
+    cells, cell_issues = _read_cells(name, rows)
+    issues += cell_issues
     if not issues and len({g for g, _ in cells}) * len({p for _, p in cells}) < 4:
         issues.append(
             _table_issue(name, None, None, "got fewer than 2 gaps and 2 position angles", "add cells")
@@ -393,34 +403,36 @@ def read_table(path: Path) -> ResponseTable:
     position = np.array(sorted({p for _, p in cells}))
     wall = np.array([[cells.get((g, p), math.nan) for p in position.tolist()] for g in gap.tolist()])
     if len(gap) < 2 or len(position) < 2 or not _has_stable_neighbours(wall):
-        what = "no two neighbouring cells are stable, or all gaps or angles are equal"
-        raise TandemError(_table_issue(name, None, None, what, "add cells"))
+        fault = "no two neighbouring cells are stable, or all gaps or angles are equal"
+        raise TandemError(_table_issue(name, None, None, fault, "add cells"))
     return ResponseTable(gap, position * DEG, wall * DEG, conditions, source)
 
 
 def _has_stable_neighbours(wall: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> bool:
+    """Return whether two neighbouring cells of a table (G, P) are stable."""
     stable = np.isfinite(wall)
     return bool((stable[1:] & stable[:-1]).any() or (stable[:, 1:] & stable[:, :-1]).any())
 
 
-def _read_conditions(name: str, heads: list[str]) -> tuple[ResponseConditions | None, str, list[Issue]]:
+def _read_conditions(name: str, comments: list[str]) -> tuple[ResponseConditions | None, str, list[Issue]]:
+    """Return the stated conditions (None if one is missing or wrong), the source, and issues."""
     stated = {}
-    for line in heads:
-        key, colon, value = line.lstrip("# ").partition(":")
-        if colon:
+    for line in comments:
+        key, separator, value = line.lstrip("# ").partition(":")
+        if separator:
             stated[key.strip()] = value.strip()
     issues = []
     for key in ("metal", *TABLE_LENGTH_KEYS):
         if key not in stated:
-            what = f"does not state {key}"
+            fault = f"does not state {key}"
             issues.append(
                 _table_issue(
-                    name, None, key, what, f"add a line '# {key}: ...' with the value of the measurement"
+                    name, None, key, fault, f"add a line '# {key}: ...' with the value of the measurement"
                 )
             )
         elif key in TABLE_LENGTH_KEYS and not 0.0 < _number(stated[key]) < 1e3:
-            what = f"got {stated[key]!r}, allowed a number above 0, below 1000"
-            issues.append(_table_issue(name, None, key, what, "correct it"))
+            fault = f"got {stated[key]!r}, allowed a number above 0, below 1000"
+            issues.append(_table_issue(name, None, key, fault, "correct it"))
     if issues:
         return None, "", issues
     thickness, radius, pitch, projection = (_number(stated[key]) * MM for key in TABLE_LENGTH_KEYS)
@@ -431,7 +443,10 @@ def _read_conditions(name: str, heads: list[str]) -> tuple[ResponseConditions | 
 def _read_cells(
     name: str, rows: list[tuple[int, str]]
 ) -> tuple[dict[tuple[float, float], float], list[Issue]]:
-    """Wall angles [deg] by gap over thickness and position angle [deg]."""
+    """Return the wall angles [deg] by gap over thickness and position angle [deg], and issues.
+
+    An unstable cell is NaN. ``rows`` are the lines of the table with their numbers, the headings first.
+    """
     if not rows or [cell.strip() for cell in rows[0][1].split(",")] != list(RESPONSE_COLUMNS):
         line = rows[0][0] if rows else None
         return {}, [
@@ -453,8 +468,8 @@ def _read_cells(
         bounds = ((gap, 0.0, 10.0), (position, 0.0, 90.0), (wall, 0.0, 90.0))
         for column, raw, (value, low, high) in zip(RESPONSE_COLUMNS, values, bounds, strict=True):
             if (raw != UNSTABLE_ENTRY or column != RESPONSE_COLUMNS[2]) and not low < value < high:
-                what = f"got {raw!r}, allowed a number above {low:g}, below {high:g}"
-                issues.append(_table_issue(name, line, column, what, "correct it"))
+                fault = f"got {raw!r}, allowed a number above {low:g}, below {high:g}"
+                issues.append(_table_issue(name, line, column, fault, "correct it"))
         if (gap, position) in cells:
             issues.append(
                 _table_issue(name, line, None, "states a cell for the second time", "keep one of them")
@@ -464,12 +479,13 @@ def _read_cells(
 
 
 def _number(text: str) -> float:
+    """Return the number that a text states, or NaN."""
     try:
         return float(text)
     except ValueError:
         return math.nan
 
 
-def _table_issue(name: str, line: int | None, field: str | None, what: str, hint: str) -> Issue:
-    message = format_message("forming.adsif_table", fault=what)
+def _table_issue(name: str, line: int | None, field: str | None, fault: str, hint: str) -> Issue:
+    message = format_message("forming.adsif_table", fault=fault)
     return Issue("forming.adsif_table", message, file=name, line=line, field=field, hint=hint)

@@ -38,7 +38,7 @@ _MIN_LOOP_LENGTH_M: Final = 2e-4
 class LevelLoop:
     """A closed level line.
 
-    Adjacent rows are on one facet, or at one point between normals of a crease.
+    Adjacent points are on one facet, or at one position between the normals on both sides of a crease.
 
     Attributes:
         point: Points (K, 3) [m], the last equal to the first.
@@ -97,7 +97,7 @@ def cut_levels(
     A vertex on a level counts as above it, so facets that are flat at a level are not cut.
 
     Args:
-        vertices: Vertices [m].
+        vertices: Vertices (V, 3) [m].
         faces: Triangles (F, 3).
         normals: Unit normals (F, 3, 3) at their corners.
         levels: Levels (L,) [m] of the planes.
@@ -112,28 +112,29 @@ def cut_levels(
     face = np.repeat(np.arange(len(faces)), count)
     offset = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
     level = order[np.repeat(first, count) + offset]
-    up = corner[face] >= levels[level][:, None]
-    rises = ~up & np.roll(up, -1, axis=1)
-    falls = up & ~np.roll(up, -1, axis=1)
+    is_above = corner[face] >= levels[level][:, None]
+    rises = ~is_above & np.roll(is_above, -1, axis=1)
+    falls = is_above & ~np.roll(is_above, -1, axis=1)
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2)
     low, high = edges.min(axis=2), edges.max(axis=2)
     key = low * len(vertices) + high
     _, key = np.unique(key.ravel(), return_inverse=True)
     key = np.reshape(key, faces.shape)
-    width = int(key.max()) + 1 if len(faces) else 1
+    edge_count = int(key.max()) + 1 if len(faces) else 1
     ends = []
-    for side in (np.argmax(rises, axis=1), np.argmax(falls, axis=1)):
-        first_corner, second_corner = side, (side + 1) % 3
+    for corner_index in (np.argmax(rises, axis=1), np.argmax(falls, axis=1)):
+        first_corner, second_corner = corner_index, (corner_index + 1) % 3
         a, b = faces[face, first_corner], faces[face, second_corner]
-        swap = a > b  # both facets at an edge compute exactly the same point
-        a, b = np.where(swap, b, a), np.where(swap, a, b)
+        # from the lower to the higher vertex, so that both facets at an edge compute exactly the same point
+        is_swapped = a > b
+        a, b = np.where(is_swapped, b, a), np.where(is_swapped, a, b)
         fraction = (levels[level] - height[a]) / (height[b] - height[a])
         point = vertices[a] + fraction[:, None] * (vertices[b] - vertices[a])
         point[:, 2] = levels[level]
-        weight = np.where(swap, 1.0 - fraction, fraction)[:, None]
+        weight = np.where(is_swapped, 1.0 - fraction, fraction)[:, None]
         normal = (1.0 - weight) * normals[face, first_corner] + weight * normals[face, second_corner]
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-        ends.append((point, normal, level * width + key[face, side]))
+        ends.append((point, normal, level * edge_count + key[face, corner_index]))
     (start, start_normal, start_key), (stop, stop_normal, stop_key) = ends
     return LevelSegments(level, face, start, stop, start_normal, stop_normal, start_key, stop_key)
 
@@ -161,41 +162,48 @@ def closed_loops(segments: LevelSegments, region: Polygon | None, name: str) -> 
         if np.array_equal(lower, smallest):
             break
         smallest, jump = lower, jump[jump]
-    head = smallest == np.arange(count)
-    ahead = np.where(head, 0, 1)
-    jump = np.where(head, np.arange(count), successor)
+    is_smallest = smallest == np.arange(count)
+    steps = np.where(is_smallest, 0, 1)
+    jump = np.where(is_smallest, np.arange(count), successor)
     for _ in range(rounds):
-        step = ahead[jump]
+        step = steps[jump]
         if not step.any():
             break
-        ahead, jump = ahead + step, jump[jump]
-    position = np.where(head, 0, -ahead)
-    rank = np.lexsort((np.where(head, -(count + 1), position), smallest, segments.level))
+        steps, jump = steps + step, jump[jump]
+    position = np.where(is_smallest, 0, -steps)
+    rank = np.lexsort((np.where(is_smallest, -(count + 1), position), smallest, segments.level))
     label = smallest[rank]
     cuts = np.flatnonzero(label[1:] != label[:-1]) + 1
     result = []
-    for rows in np.split(rank, cuts):
-        loop = _make_loop(segments, rows)
+    for members in np.split(rank, cuts):
+        loop = _make_loop(segments, members)
         if loop is not None and (region is None or _inside_fraction(loop.point, region) > 0.99):
             result.append(loop)
     return result
 
 
 def _inside_fraction(point: FloatArray, region: Polygon) -> float:
+    """Return the fraction of points (K, 3) that are in a region in plan."""
     return float(np.mean(contains_xy(region, point[:, 0], point[:, 1])))
 
 
 def _successors(segments: LevelSegments, region: Polygon | None, name: str) -> tuple[LevelSegments, IntArray]:
+    """Return the segments of closed lines, and the index (S,) of the segment that follows each.
+
+    Lines that end at a border of the mesh outside the region are left out. Raises ``TandemError``
+    (forming.open_contour) if one ends inside it.
+    """
     count = len(segments.level)
     if not count:
         return segments, np.zeros(0, dtype=np.int64)
     order = np.argsort(segments.start_key, kind="stable")
     keys = segments.start_key[order]
     match = np.minimum(np.searchsorted(keys, segments.stop_key), count - 1)
-    successor, ends = order[match], keys[match] != segments.stop_key
-    if not ends.any():
+    successor = order[match]
+    is_end = keys[match] != segments.stop_key
+    if not is_end.any():
         return segments, successor
-    end_points = segments.stop[ends]
+    end_points = segments.stop[is_end]
     inside = (
         np.ones(len(end_points), bool)
         if region is None
@@ -203,14 +211,16 @@ def _successors(segments: LevelSegments, region: Polygon | None, name: str) -> t
     )
     if inside.any():
         at_mm = 1e3 * end_points[inside][0]
-        what = f"{name}: the level line at z = {at_mm[2]:.2f} mm ends at ({at_mm[0]:.1f}, {at_mm[1]:.1f}) "
-        what += "mm, where the mesh has a hole or a border; close it, or let the mesh reach the flat around "
-        what += "the feature"
-        raise issue_error("forming.open_contour", what)
-    rows = np.flatnonzero(~ends)
-    graph = coo_array((np.ones(len(rows)), (rows, successor[rows])), shape=(count, count))
+        message = f"{name}: the level line at z = {at_mm[2]:.2f} mm ends at ({at_mm[0]:.1f}, {at_mm[1]:.1f}) "
+        message += (
+            "mm, where the mesh has a hole or a border; close it, or let the mesh reach the flat around "
+        )
+        message += "the feature"
+        raise issue_error("forming.open_contour", message)
+    linked = np.flatnonzero(~is_end)
+    graph = coo_array((np.ones(len(linked)), (linked, successor[linked])), shape=(count, count))
     _, piece = connected_components(graph, directed=False)
-    kept = ~np.isin(piece, piece[ends])
+    kept = ~np.isin(piece, piece[is_end])
     rank = np.cumsum(kept) - 1
     kept_segments = LevelSegments(
         *(getattr(segments, field.name)[kept] for field in dataclasses.fields(segments))
@@ -218,22 +228,23 @@ def _successors(segments: LevelSegments, region: Polygon | None, name: str) -> t
     return kept_segments, rank[successor[kept]]
 
 
-def _make_loop(segments: LevelSegments, rows: IntArray) -> LevelLoop | None:
-    point = np.stack([segments.start[rows], segments.stop[rows]], axis=1).reshape(-1, 3)
-    normal = np.stack([segments.start_normal[rows], segments.stop_normal[rows]], axis=1).reshape(-1, 3)
+def _make_loop(segments: LevelSegments, members: IntArray) -> LevelLoop | None:
+    """Return the loop of consecutive segments with its creases subdivided, or None if it is too short."""
+    point = np.stack([segments.start[members], segments.stop[members]], axis=1).reshape(-1, 3)
+    normal = np.stack([segments.start_normal[members], segments.stop_normal[members]], axis=1).reshape(-1, 3)
     point, normal = np.concatenate([point, point[:1]]), np.concatenate([normal, normal[:1]])
     move = np.linalg.norm(np.diff(point, axis=0), axis=1)
     if move.sum() < _MIN_LOOP_LENGTH_M:
         return None
-    turn = np.linalg.norm(np.diff(normal, axis=0), axis=1)
-    kept = np.concatenate([[True], (move > _POINT_TOLERANCE_M) | (turn > _NORMAL_TOLERANCE)])
+    normal_change = np.linalg.norm(np.diff(normal, axis=0), axis=1)
+    kept = np.concatenate([[True], (move > _POINT_TOLERANCE_M) | (normal_change > _NORMAL_TOLERANCE)])
     kept[-1] = True
     point, normal = point[kept], normal[kept]
-    turn = np.linalg.norm(np.diff(normal, axis=0), axis=1)
+    normal_change = np.linalg.norm(np.diff(normal, axis=0), axis=1)
     is_same_point = np.linalg.norm(np.diff(point, axis=0), axis=1) <= _POINT_TOLERANCE_M
-    fans = np.flatnonzero(is_same_point & (turn > _FAN_STEP_RAD))
+    fans = np.flatnonzero(is_same_point & (normal_change > _FAN_STEP_RAD))
     if len(fans):
-        parts = np.ceil(turn[fans] / _FAN_STEP_RAD).astype(np.int64)
+        parts = np.ceil(normal_change[fans] / _FAN_STEP_RAD).astype(np.int64)
         repeats = np.ones(len(point) - 1, dtype=np.int64)
         repeats[fans] = parts
         base = np.repeat(np.arange(len(repeats)), repeats)
@@ -241,10 +252,10 @@ def _make_loop(segments: LevelSegments, rows: IntArray) -> LevelLoop | None:
         point = np.concatenate(
             [point[base] + fraction[:, None] * (point[base + 1] - point[base]), point[-1:]]
         )
-        mixed = (1.0 - fraction)[:, None] * normal[base] + fraction[:, None] * normal[base + 1]
-        mixed /= np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-300)
-        normal = np.concatenate([mixed, normal[-1:]])
-    return LevelLoop(point, normal, int(segments.level[rows[0]]))
+        blended = (1.0 - fraction)[:, None] * normal[base] + fraction[:, None] * normal[base + 1]
+        blended /= np.maximum(np.linalg.norm(blended, axis=1, keepdims=True), 1e-300)
+        normal = np.concatenate([blended, normal[-1:]])
+    return LevelLoop(point, normal, int(segments.level[members[0]]))
 
 
 FLAT_MARGIN_M: Final = 1e-6
@@ -263,7 +274,7 @@ def scallop_spacing(radius: float, scallop: float) -> float:
 def scallop_height(radius: float, width: float | FloatArray) -> FloatArray:
     """Return the height [m] of the ridges between paths ``width`` [m] apart along a flat wall.
 
-    The inverse of `scallop_spacing`: h = R - sqrt(R^2 - d^2 / 4).
+    It is the inverse of `scallop_spacing`: h = R - sqrt(R^2 - d^2 / 4).
     """
     return np.asarray(radius - np.sqrt(np.maximum(radius**2 - 0.25 * np.square(width), 0.0)))
 
@@ -281,10 +292,12 @@ def flattest_wall(segments: LevelSegments, region: Polygon | None, count: int) -
         inside = contains_xy(region, middle[:, 0], middle[:, 1])
     else:
         inside = np.ones(len(segments.level), dtype=np.bool_)
-    up = np.full(count, -1.0)
-    rows = segments.level[inside]
-    np.maximum.at(up, rows, np.maximum(segments.start_normal[inside, 2], segments.stop_normal[inside, 2]))
-    return np.asarray(np.where(up < 0.0, np.nan, np.arccos(np.clip(up, -1.0, 1.0))))
+    max_normal_z = np.full(count, -1.0)
+    levels = segments.level[inside]
+    np.maximum.at(
+        max_normal_z, levels, np.maximum(segments.start_normal[inside, 2], segments.stop_normal[inside, 2])
+    )
+    return np.asarray(np.where(max_normal_z < 0.0, np.nan, np.arccos(np.clip(max_normal_z, -1.0, 1.0))))
 
 
 def scallop_levels(
@@ -305,13 +318,12 @@ def scallop_levels(
         width: Spacing [m] along the face.
     """
     fraction = np.linspace(0.0, 1.0, _PROFILE_STEPS + 1)
-    smooth = (
-        fraction * fraction * (3.0 - 2.0 * fraction)
-    )  # dense at both ends, where faces turn into the flat
-    grid = start - FLAT_MARGIN_M - (start - end - 2.0 * FLAT_MARGIN_M) * smooth
+    # dense at both ends, where faces turn into the flat
+    eased = fraction * fraction * (3.0 - 2.0 * fraction)
+    grid = start - FLAT_MARGIN_M - (start - end - 2.0 * FLAT_MARGIN_M) * eased
     angle = flattest_wall(cut_levels(mesh.vertices, mesh.faces, normals, grid), region, len(grid))
-    known = np.isfinite(angle)
-    sine = np.interp(-grid, -grid[known], np.sin(angle[known])) if known.any() else np.ones(len(grid))
+    found = np.isfinite(angle)
+    sine = np.interp(-grid, -grid[found], np.sin(angle[found])) if found.any() else np.ones(len(grid))
     path_length = -np.diff(grid) * 2.0 / np.maximum(sine[1:] + sine[:-1], 1e-9)
     along = np.concatenate([[0.0], np.cumsum(np.minimum(path_length, _SHELF_WIDTHS * width))])
     depth = grid[0] - grid
@@ -320,17 +332,19 @@ def scallop_levels(
     while depth_reached < depth[-1] - FLAT_MARGIN_M:
         local_sine = float(np.interp(depth_reached, depth, sine))
         # farthest level of the profile for which step <= width * min sine, then interpolate to the next
-        ahead = depth > depth_reached
-        flat = np.minimum(np.minimum.accumulate(np.where(ahead, sine, np.inf)), local_sine)
-        holds = ahead & (depth - depth_reached <= width * flat)
+        is_ahead = depth > depth_reached
+        min_sine = np.minimum(np.minimum.accumulate(np.where(is_ahead, sine, np.inf)), local_sine)
+        is_allowed = is_ahead & (depth - depth_reached <= width * min_sine)
         step = 0.0
-        if holds.any():
-            last = int(np.flatnonzero(holds)[-1])
+        if is_allowed.any():
+            last = int(np.flatnonzero(is_allowed)[-1])
             beyond = min(last + 1, len(depth) - 1)
-            step = max(depth[last] - depth_reached, min(width * flat[beyond], depth[beyond] - depth_reached))
+            step = max(
+                depth[last] - depth_reached, min(width * min_sine[beyond], depth[beyond] - depth_reached)
+            )
         else:
-            nearest = int(np.argmax(ahead))
-            step = min(width * flat[nearest], depth[nearest] - depth_reached)
+            nearest = int(np.argmax(is_ahead))
+            step = min(width * min_sine[nearest], depth[nearest] - depth_reached)
         min_step = (
             float(np.interp(np.interp(depth_reached, depth, along) + 0.5 * width, along, depth))
             - depth_reached
@@ -352,8 +366,8 @@ def ridge_heights(mesh: TriangleMesh, radius: float, step: float, fraction: floa
 
     On a wall at angle a paths are dz / sin a apart. Where the wall bends, the flattest point within that
     distance counts, because the paths on both sides of a ridge are about there. Where it is nearly flat no
-    step is small enough. There the height is that at the angle that the walls exceed except for (1 - share) /
-    2 of their area.
+    step is small enough. There the height is that at the angle that the walls exceed except for (1 -
+    fraction) / 2 of their area.
 
     Args:
         mesh: Face.
@@ -376,7 +390,7 @@ def ridge_heights(mesh: TriangleMesh, radius: float, step: float, fraction: floa
 
 
 def _min_within(points: FloatArray, value: FloatArray, reach: FloatArray, cell: float) -> FloatArray:
-    """Minimum (N,) of the values of all points (N, 3) within ``reach`` (N,) [m].
+    """Return the minimum (N,) of the values (N,) of all points (N, 3) within ``reach`` (N,) [m] of each.
 
     The minimum of each cell of size ``cell`` [m] represents the whole cell, so that fine meshes take no
     longer.
@@ -384,7 +398,7 @@ def _min_within(points: FloatArray, value: FloatArray, reach: FloatArray, cell: 
     cell_index = unique_rows(np.floor(points / cell).astype(np.int64))[2]
     order = np.lexsort((value, cell_index))
     first = order[np.diff(cell_index[order], prepend=-1) != 0]
-    count = min(_LINE_NEIGHBOURS, len(first))
-    distance, other = cKDTree(points[first]).query(points, k=[*range(1, count + 1)])
+    neighbour_count = min(_LINE_NEIGHBOURS, len(first))
+    distance, other = cKDTree(points[first]).query(points, k=[*range(1, neighbour_count + 1)])
     neighbour_minimum = np.where(distance <= reach[:, None], value[first[other]], np.inf).min(axis=1)
     return np.asarray(np.minimum(value, neighbour_minimum))

@@ -71,16 +71,16 @@ _FAN_LENGTH_M_PER_RAD: Final = 1e-3
 
 @dataclasses.dataclass(frozen=True)
 class ContactCurve:
-    """A curve of required contact, K rows.
+    """A curve of required contact through K points.
 
     Attributes:
         point: Points (K, 3) [m].
         normal: Unit normals (K, 3).
         loop: Number (K,) of the loop.
         piece: Piece (K,). A piece is formed without interruption.
-        is_off_face: Whether (K - 1,) the curve between this row and the next is that of the nearest points on
-            the face, not the straight line.
-        keep: Rows (K,) that must become targets.
+        is_off_face: Whether (K - 1,) the straight line from each point to the next leaves the face, so that
+            the curve is that of the nearest points on the face.
+        keep: Whether (K,) each point must become a target.
         transitions: How each piece leads to the next (pieces - 1 of them).
     """
 
@@ -114,20 +114,20 @@ def start_at_seam(
     hit = np.flatnonzero((side[:-1] >= 0.0) != (side[1:] >= 0.0))
     fraction = side[hit] / (side[hit] - side[hit + 1])
     reach = ray_distance[hit] + fraction * (ray_distance[hit + 1] - ray_distance[hit])
-    hit, fraction, reach = hit[reach > 0.0], fraction[reach > 0.0], reach[reach > 0.0]
+    hit, fraction, reach = (hit[reach > 0.0], fraction[reach > 0.0], reach[reach > 0.0])
     if len(hit):
         crossing = loop.point[hit] + fraction[:, None] * (loop.point[hit + 1] - loop.point[hit])
         distance = -reach if previous_end is None else np.linalg.norm(crossing - previous_end, axis=1)
-        best = int(np.argmin(distance))
-        row, row_fraction = int(hit[best]), float(fraction[best])
+        best_index = int(np.argmin(distance))
+        segment, segment_fraction = int(hit[best_index]), float(fraction[best_index])
     else:
         target = loop.point[np.argmin(np.abs(side) - ray_distance)] if previous_end is None else previous_end
-        row, row_fraction = int(np.argmin(np.linalg.norm(loop.point[:-1] - target, axis=1))), 0.0
-    point = loop.point[row] + row_fraction * (loop.point[row + 1] - loop.point[row])
-    normal = (1.0 - row_fraction) * loop.normal[row] + row_fraction * loop.normal[row + 1]
+        segment, segment_fraction = int(np.argmin(np.linalg.norm(loop.point[:-1] - target, axis=1))), 0.0
+    point = loop.point[segment] + segment_fraction * (loop.point[segment + 1] - loop.point[segment])
+    normal = (1.0 - segment_fraction) * loop.normal[segment] + segment_fraction * loop.normal[segment + 1]
     normal = normal / max(float(np.linalg.norm(normal)), 1e-300)
-    first = row + 1 if row_fraction < 1.0 else row + 2
-    last = row + 1 if row_fraction > 0.0 else row
+    first = segment + 1 if segment_fraction < 1.0 else segment + 2
+    last = segment + 1 if segment_fraction > 0.0 else segment
     points = np.concatenate([point[None], loop.point[first:-1], loop.point[:last], point[None]])
     normals = np.concatenate([normal[None], loop.normal[first:-1], loop.normal[:last], normal[None]])
     return LevelLoop(points, normals, loop.level)
@@ -140,6 +140,14 @@ def order_loops(
 
     Each loop starts at its seam and has the direction in which it is formed. Several loops of a level follow
     one another by distance.
+
+    Args:
+        levels: Loops of each level, in the order of forming.
+        options: Options of the path.
+        centre: Origin (2,) [m] in plan of the ray on which loops start.
+
+    Returns:
+        N loops and N - 1 transitions.
     """
     ordered: list[LevelLoop] = []
     transitions: list[LoopTransition] = []
@@ -151,17 +159,17 @@ def order_loops(
         while remaining:
             previous_end = ordered[-1].point[-1] if ordered else None
             if previous_end is None:
-                chosen = max(remaining, key=LevelLoop.length)
+                nearest_loop = max(remaining, key=LevelLoop.length)
             else:
-                chosen = min(
+                nearest_loop = min(
                     remaining,
                     key=lambda candidate: float(np.linalg.norm(candidate.point - previous_end, axis=1).min()),
                 )
-            remaining = [candidate for candidate in remaining if candidate is not chosen]
-            turn = -sign if options.kind == "alternating" and len(ordered) % 2 else sign
-            if chosen.area() * turn < 0.0:
-                chosen = chosen.reversed()
-            loop = start_at_seam(chosen, centre, options.start_angle, previous_end)
+            remaining = [candidate for candidate in remaining if candidate is not nearest_loop]
+            loop_sign = -sign if options.kind == "alternating" and len(ordered) % 2 else sign
+            if nearest_loop.area() * loop_sign < 0.0:
+                nearest_loop = nearest_loop.reversed()
+            loop = start_at_seam(nearest_loop, centre, options.start_angle, previous_end)
             if ordered:
                 joined = is_single and was_single and _follows(ordered[-1], loop)
                 transitions.append(("step" if options.kind == "stepped" else "join") if joined else "lift")
@@ -171,21 +179,21 @@ def order_loops(
 
 
 def loop_curve(loops: Sequence[LevelLoop], transitions: Sequence[LoopTransition]) -> ContactCurve:
-    """Return closed loops one after the other.
+    """Return the curve of closed loops one after the other.
 
     Joined loops are connected by a diagonal step along the face.
     """
-    keep = [np.zeros(len(item.point), dtype=np.bool_) for item in loops]
-    for item in keep:
-        item[0] = item[-1] = True
-    is_off_face = [np.append(np.zeros(len(item.point) - 1, dtype=np.bool_), True) for item in loops]
+    keep = [np.zeros(len(loop.point), dtype=np.bool_) for loop in loops]
+    for kept in keep:
+        kept[0] = kept[-1] = True
+    is_off_face = [np.append(np.zeros(len(loop.point) - 1, dtype=np.bool_), True) for loop in loops]
     piece = np.concatenate([[0], np.cumsum([transition != "join" for transition in transitions])]).astype(
         np.int64
     )
-    count = [len(item.point) for item in loops]
+    count = [len(loop.point) for loop in loops]
     return ContactCurve(
-        np.concatenate([item.point for item in loops]),
-        np.concatenate([item.normal for item in loops]),
+        np.concatenate([loop.point for loop in loops]),
+        np.concatenate([loop.normal for loop in loops]),
         np.repeat(np.arange(len(loops)), count),
         np.repeat(piece, count),
         np.concatenate(is_off_face)[:-1],
@@ -209,13 +217,13 @@ def spiral_curve(
     """
     parts: list[ContactCurve] = []
     start = 0
-    number = 0
+    loop_number = 0
     for stop in range(1, len(loops) + 1):
         if stop < len(loops) and transitions[stop - 1] == "join":
             continue
-        part = _spiral_piece(loops[start:stop], number, len(parts), seams)
+        part = _spiral_piece(loops[start:stop], loop_number, len(parts), seams)
         parts.append(part)
-        number = int(part.loop[-1]) + 1
+        loop_number = int(part.loop[-1]) + 1
         start = stop
     is_off_face = [np.append(part.is_off_face, False) for part in parts]
     return ContactCurve(
@@ -230,25 +238,24 @@ def spiral_curve(
 
 
 def _spiral_piece(loops: Sequence[LevelLoop], number: int, piece: int, seams: bool) -> ContactCurve:
-    fractions = [_length_fractions(points) for points in loops]
-    point, normal, is_off_face = (
-        [loops[0].point],
-        [loops[0].normal],
-        [np.zeros(len(loops[0].point) - 1, dtype=bool)],
-    )
+    """Return the spiral through joined loops as one piece; ``number`` is that of its first loop."""
+    fractions = [_length_fractions(loop) for loop in loops]
+    point = [loops[0].point]
+    normal = [loops[0].normal]
+    is_off_face = [np.zeros(len(loops[0].point) - 1, dtype=bool)]
     for k in range(len(loops) - 1):
-        # rows of both loops, without the first, which the curve already has
-        stations = np.union1d(fractions[k], fractions[k + 1])[1:]
-        mixed = [
-            np.stack([np.interp(stations, fractions[j], rows[:, axis]) for axis in range(3)], axis=1)
-            for j in (k, k + 1)
-            for rows in (loops[j].point, loops[j].normal)
+        # points of both loops, without the first one, which the curve already has
+        positions = np.union1d(fractions[k], fractions[k + 1])[1:]
+        interpolated = [
+            np.stack([np.interp(positions, fractions[other], values[:, axis]) for axis in range(3)], axis=1)
+            for other in (k, k + 1)
+            for values in (loops[other].point, loops[other].normal)
         ]
-        weight = stations[:, None]
-        point.append((1.0 - weight) * mixed[0] + weight * mixed[2])
-        blend = (1.0 - weight) * mixed[1] + weight * mixed[3]
+        weight = positions[:, None]
+        point.append((1.0 - weight) * interpolated[0] + weight * interpolated[2])
+        blend = (1.0 - weight) * interpolated[1] + weight * interpolated[3]
         normal.append(blend / np.maximum(np.linalg.norm(blend, axis=1, keepdims=True), 1e-300))
-        is_off_face.append(np.ones(len(stations), dtype=bool))
+        is_off_face.append(np.ones(len(positions), dtype=bool))
     if len(loops) > 1:
         point.append(loops[-1].point[1:])
         normal.append(loops[-1].normal[1:])
@@ -272,17 +279,17 @@ def _spiral_piece(loops: Sequence[LevelLoop], number: int, piece: int, seams: bo
 
 
 def _length_fractions(loop: LevelLoop) -> FloatArray:
-    """Fractions (K,) of a loop's length at its rows; over a crease the turn of the normal counts, too."""
+    """Return the fraction (K,) of a loop's length at each point, with the normal's rotation at creases."""
     move = np.linalg.norm(np.diff(loop.point, axis=0), axis=1)
-    turn = np.linalg.norm(np.diff(loop.normal, axis=0), axis=1)
+    normal_change = np.linalg.norm(np.diff(loop.normal, axis=0), axis=1)
     along = np.concatenate(
-        [[0.0], np.cumsum(move + np.where(move < 1e-6, _FAN_LENGTH_M_PER_RAD * turn, 0.0))]
+        [[0.0], np.cumsum(move + np.where(move < 1e-6, _FAN_LENGTH_M_PER_RAD * normal_change, 0.0))]
     )
     return np.asarray(along / max(along[-1], 1e-300))
 
 
 def _follows(loop: LevelLoop, other: LevelLoop) -> bool:
-    """Whether loops of adjacent levels are consecutive: one encloses a point of the other."""
+    """Return whether loops of adjacent levels are consecutive: one encloses a point of the other."""
     first, second = Polygon(loop.point[:, :2]).buffer(0.0), Polygon(other.point[:, :2]).buffer(0.0)
     if first.is_empty or second.is_empty:
         return bool(np.linalg.norm(loop.point[0] - other.point[0]) < 1e-2)

@@ -1,4 +1,4 @@
-"""Where a ball is too large for a face: creases, where every ball is, and smooth regions."""
+"""Where a ball is too large for a face: at concave creases, where every ball is, and in smooth regions."""
 
 import dataclasses
 from collections.abc import Callable
@@ -56,45 +56,47 @@ class Creases:
         owner = np.tile(np.arange(len(mesh.faces)), 3)
         key = directed.min(axis=1) * len(mesh.vertices) + directed.max(axis=1)
         order = np.argsort(key, kind="stable")
-        twin = np.flatnonzero(key[order][1:] == key[order][:-1])
-        first, second = order[twin], order[twin + 1]
-        f, g = owner[first], owner[second]
-        turn = np.arccos(np.clip(dots(normals[f], normals[g]), -1.0, 1.0))
-        middle = mesh.vertices[mesh.faces].mean(axis=1)
-        concave = dots(middle[g] - middle[f], normals[f]) > 0.0
+        twins = np.flatnonzero(key[order][1:] == key[order][:-1])
+        first, second = order[twins], order[twins + 1]
+        f, g = owner[first], owner[second]  # faces on both sides of each inner edge
+        edge_angle = np.arccos(np.clip(dots(normals[f], normals[g]), -1.0, 1.0))
+        centroid = mesh.vertices[mesh.faces].mean(axis=1)
+        is_concave = dots(centroid[g] - centroid[f], normals[f]) > 0.0
         # largest angle between facets of a smooth face at each vertex
-        self._turn = np.zeros(len(mesh.vertices))
-        flat = turn < CREASE_ANGLE_RAD
+        self._facet_angle = np.zeros(len(mesh.vertices))
+        is_smooth = edge_angle < CREASE_ANGLE_RAD
         for end in range(2):
-            np.maximum.at(self._turn, directed[first[flat], end], turn[flat])
-        sharp = concave & ~flat
-        points, reach = [], []
+            np.maximum.at(self._facet_angle, directed[first[is_smooth], end], edge_angle[is_smooth])
+        is_crease = is_concave & ~is_smooth
+        points, half_angle = [], []
         step = 0.1 * face.radius
-        edge_start, edge_end = (mesh.vertices[directed[first[sharp], end]] for end in range(2))
-        parts = np.maximum(np.ceil(np.linalg.norm(edge_end - edge_start, axis=1) / step), 1).astype(np.int64)
-        edge = np.repeat(np.arange(len(parts)), parts + 1)
-        fraction = (np.arange(len(edge)) - np.repeat(np.cumsum(parts + 1) - parts - 1, parts + 1)) / parts[
-            edge
-        ]
+        edge_start, edge_end = (mesh.vertices[directed[first[is_crease], end]] for end in range(2))
+        part_count = np.maximum(np.ceil(np.linalg.norm(edge_end - edge_start, axis=1) / step), 1).astype(
+            np.int64
+        )
+        edge = np.repeat(np.arange(len(part_count)), part_count + 1)
+        fraction = (
+            np.arange(len(edge)) - np.repeat(np.cumsum(part_count + 1) - part_count - 1, part_count + 1)
+        ) / part_count[edge]
         points.append(edge_start[edge] + fraction[:, None] * (edge_end - edge_start)[edge])
-        reach.append(0.5 * turn[sharp][edge])
+        half_angle.append(0.5 * edge_angle[is_crease][edge])
         # concave points: vertices at which faces deviate from their mean normal by over half a crease angle
         mean = np.zeros_like(mesh.vertices)
-        pull = np.zeros_like(mesh.vertices)
+        to_faces = np.zeros_like(mesh.vertices)
         for k in range(3):
             np.add.at(mean, mesh.faces[:, k], normals)
-            np.add.at(pull, mesh.faces[:, k], middle - mesh.vertices[mesh.faces[:, k]])
+            np.add.at(to_faces, mesh.faces[:, k], centroid - mesh.vertices[mesh.faces[:, k]])
         mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300)
         deviation = np.zeros(len(mesh.vertices))
         for k in range(3):
             corner = mesh.faces[:, k]
             cosine = dots(mean[corner], normals)
             np.maximum.at(deviation, corner, np.arccos(np.clip(cosine, -1.0, 1.0)))
-        tip = (deviation > 0.5 * CREASE_ANGLE_RAD) & (dots(mean, pull) > 0.0)
-        points.append(mesh.vertices[tip])
-        reach.append(deviation[tip])
+        is_tip = (deviation > 0.5 * CREASE_ANGLE_RAD) & (dots(mean, to_faces) > 0.0)
+        points.append(mesh.vertices[is_tip])
+        half_angle.append(deviation[is_tip])
         self._points = np.concatenate(points)
-        tangent = np.tan(np.minimum(np.concatenate(reach), _MAX_WALL_ANGLE_RAD))
+        tangent = np.tan(np.minimum(np.concatenate(half_angle), _MAX_WALL_ANGLE_RAD))
         # a ball of radius R in a crease with half angle b touches its planes R tan b from the crease
         self._reach = 1.05 * face.radius * tangent + step
         self._tree = cKDTree(self._points) if len(self._points) else None
@@ -112,16 +114,16 @@ class Creases:
         return result
 
     def misses(self, required: FloatArray, contact: Contact) -> BoolArray:
-        """Return whether a crease keeps the ball away from the required points (N, 3)."""
+        """Return whether (N,) a crease keeps the ball away from each required point (N, 3) [m]."""
         out = contact.pushed > MAX_PUSH_M
         out[out] = self.is_near(required[out])
         return np.asarray(out)
 
     def is_too_narrow(self, required: FloatArray, contact: Contact, missed: float) -> BoolArray:
-        """Return whether smooth points are too narrow for the ball.
+        """Return whether (N,) the face is too narrow for the ball at each smooth point.
 
-        They are if the ball fits nowhere near, or if it stays farther away than ``missed`` and than the
-        facets of the mesh cause.
+        It is if the ball fits nowhere near, or if it stays farther away than ``missed`` and than the facets
+        of the mesh cause. Points near a crease are not smooth.
 
         Args:
             required: Required points (N, 3) [m].
@@ -130,22 +132,22 @@ class Creases:
         """
         out = ~contact.clear | (contact.gap > missed)
         out[out] = ~self.is_near(required[out])
-        rows = np.flatnonzero(out)
-        if len(rows):
-            out[rows] = ~contact.clear[rows] | (
-                contact.gap[rows] > self.allowed_distance(required[rows], missed)
+        indices = np.flatnonzero(out)
+        if len(indices):
+            out[indices] = ~contact.clear[indices] | (
+                contact.gap[indices] > self.allowed_distance(required[indices], missed)
             )
         return np.asarray(out)
 
     def allowed_distance(self, points: FloatArray, missed: float) -> FloatArray:
         """Return the distance (N,) [m] that the ball may have from points (N, 3).
 
-        It is ``missed`` plus 1.5 R (1 / cos(turn / 2) - 1), the space under the ball where facets represent a
-        smooth face.
+        It is ``missed`` plus 1.5 R (1 / cos(a / 2) - 1), the space under the ball where facets at the angle a
+        to each other represent a smooth face.
         """
         _, face, _ = self._face.nearest(points)
-        turn = self._turn[self._face.mesh.faces[face]].max(axis=1)
-        return np.asarray(missed + 1.5 * self._face.radius * (1.0 / np.cos(0.5 * turn) - 1.0))
+        facet_angle = self._facet_angle[self._face.mesh.faces[face]].max(axis=1)
+        return np.asarray(missed + 1.5 * self._face.radius * (1.0 / np.cos(0.5 * facet_angle) - 1.0))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -192,6 +194,7 @@ def reachable_loops(
     """
 
     def fits(loop: LevelLoop, max_push: float = MAX_PUSH_M) -> bool:
+        """Return whether the ball reaches a loop, and whether a wider ball is pushed aside hardly more."""
         if wider is None or creases.is_near(_sample_loop(loop)[0]).all():
             return _is_reached(loop, face, creases, max_push)
         push = _min_push(loop, face)
@@ -203,7 +206,7 @@ def reachable_loops(
         if group or not original or k == 0 or not reached[k - 1]:
             continue
         good, bad = float(levels[k - 1]), float(levels[k])
-        best: list[LevelLoop] = []
+        best_loops: list[LevelLoop] = []
         # the ball must still be at the wall, not lifted off it by the floor
         max_push = min(
             max(CONTACT_TOLERANCE_M, 1.5 * min(_min_push(loop, face) for loop in reached[k - 1])), MAX_PUSH_M
@@ -212,8 +215,9 @@ def reachable_loops(
             middle = 0.5 * (good + bad)
             fitting = [loop for loop in slice_face(np.array([middle]))[0] if fits(loop, max_push)]
             good, bad = (middle, bad) if fitting else (good, middle)
-            best = fitting or best
-        reached[k] = best
+            best_loops = fitting or best_loops
+        reached[k] = best_loops
+    # a fillet must not keep the ball farther away than the foot of a wall does: then no fillet counts
     if wider is not None and not _reaches_end(reached, face.radius, float(levels[-1])):
         return reachable_loops(slices, face, creases, chord)
     out: list[list[LevelLoop]] = []
@@ -231,7 +235,7 @@ def reachable_loops(
 
 
 def _reaches_end(groups: list[list[LevelLoop]], radius: float, end: float) -> bool:
-    """Whether a ball on the lowest loops comes down to about the level ``end`` [m]."""
+    """Return whether a ball on the lowest loops comes down to about the level ``end`` [m]."""
     group = next((group for group in reversed(groups) if group), [])
     lowest = [float((loop.point[:, 2] + radius * loop.normal[:, 2]).min()) for loop in group]
     return bool(lowest) and min(lowest) - radius <= end + MAX_FLOOR_CLEARANCE_M
@@ -242,11 +246,11 @@ def _lift_off_floor(
     slice_face: Callable[[FloatArray], list[list[LevelLoop]]],
     face: ContactFace,
     creases: Creases,
-    clear: float,
+    clearance: float,
 ) -> list[LevelLoop]:
-    """Loops of one level, raised where the floor pushes the ball off the wall.
+    """Return loops of one level, raised if the floor at the foot of their wall pushes the ball off the wall.
 
-    They are ``clear`` [m] higher where the floor at the foot of their wall does so.
+    They are then ``clearance`` [m] higher than the lowest loops at which the ball is free of the floor.
     """
     near_creases = [loop for loop in group if creases.is_near(_sample_loop(loop)[0]).any()]
     if not near_creases:
@@ -257,6 +261,7 @@ def _lift_off_floor(
         return group
 
     def is_free(height: float) -> bool:
+        """Return whether nothing but its own wall pushes the ball aside on the loops at a height [m]."""
         candidates = slice_face(np.array([height]))[0]
         return bool(candidates) and max(_max_other_push(loop, face, corners) for loop in candidates) == 0.0
 
@@ -266,11 +271,11 @@ def _lift_off_floor(
     while high - low > CONTACT_TOLERANCE_M:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if is_free(middle) else (middle, high)
-    return slice_face(np.array([high + clear]))[0]
+    return slice_face(np.array([high + clearance]))[0]
 
 
 def _corner_points(loops: list[LevelLoop], face: ContactFace) -> FloatArray:
-    """Points (K, 2) [m] in plan where another wall pushes a ball aside on loops above any floor."""
+    """Return points (K, 2) [m] in plan where another wall pushes a ball aside, on loops above any floor."""
     samples = [_sample_loop(loop, _DENSE_SAMPLES) for loop in loops]
     pushed_points = [
         points[face.pushed(points, normal, beyond=CREASE_ANGLE_RAD) > 0.0, :2] for points, normal in samples
@@ -279,10 +284,9 @@ def _corner_points(loops: list[LevelLoop], face: ContactFace) -> FloatArray:
 
 
 def _max_other_push(loop: LevelLoop, face: ContactFace, corners: FloatArray) -> float:
-    """Maximum distance [m] by which a ball is pushed aside along a loop.
+    """Return the maximum distance [m] by which a ball is pushed aside along a loop.
 
-    Only pushes by something other than its own wall, and the walls that meet it at ``corners`` (K, 2) [m],
-    count.
+    Pushes by its own wall, and by walls that meet it at ``corners`` (K, 2) [m], do not count.
     """
     points, normal = _sample_loop(loop, _DENSE_SAMPLES)
     if len(corners):
@@ -293,26 +297,27 @@ def _max_other_push(loop: LevelLoop, face: ContactFace, corners: FloatArray) -> 
 
 
 def _is_reached(loop: LevelLoop, face: ContactFace, creases: Creases, max_push: float = MAX_PUSH_M) -> bool:
+    """Return whether the ball reaches some point of a loop to ``max_push`` [m]; true away from creases."""
     return not creases.is_near(_sample_loop(loop)[0]).all() or _min_push(loop, face) <= max_push
 
 
 def _min_push(loop: LevelLoop, face: ContactFace) -> float:
-    """Distance [m] by which a ball is pushed aside at a loop's best point."""
+    """Return the distance [m] by which a ball is pushed aside at a loop's best point."""
     return float(face.pushed(*_sample_loop(loop)).min())
 
 
 def _sample_loop(loop: LevelLoop, count: int = _LOOP_SAMPLES) -> tuple[FloatArray, FloatArray]:
-    """Points (``count``, 3) of a loop, evenly spaced, and unit normals there.
+    """Return evenly spaced points (``count``, 3) [m] of a loop, and unit normals there.
 
-    On large facets the loop has rows at creases only.
+    The loop's own points do not suffice: on large facets it has points at creases only.
     """
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(loop.point, axis=0), axis=1))])
-    stations = (np.arange(count) + 0.5) / count * arc[-1]
-    row = np.clip(np.searchsorted(arc, stations, side="right") - 1, 0, len(arc) - 2)
-    fraction = ((stations - arc[row]) / np.maximum(arc[row + 1] - arc[row], 1e-12))[:, None]
-    normal = (1.0 - fraction) * loop.normal[row] + fraction * loop.normal[row + 1]
+    positions = (np.arange(count) + 0.5) / count * arc[-1]
+    segment = np.clip(np.searchsorted(arc, positions, side="right") - 1, 0, len(arc) - 2)
+    fraction = ((positions - arc[segment]) / np.maximum(arc[segment + 1] - arc[segment], 1e-12))[:, None]
+    normal = (1.0 - fraction) * loop.normal[segment] + fraction * loop.normal[segment + 1]
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    return (1.0 - fraction) * loop.point[row] + fraction * loop.point[row + 1], normal
+    return (1.0 - fraction) * loop.point[segment] + fraction * loop.point[segment + 1], normal
 
 
 @dataclasses.dataclass(eq=False)
@@ -339,18 +344,21 @@ class TooNarrow(Exception):  # noqa: N818
         Args:
             fits: Radius [m] for which a whole path was computed, or None if none was found.
         """
-        at = 1e3 * self.point
-        what = (
-            f"{self.name}: the face is too tight at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm for a ball "
-            f"of radius {1e3 * self.radius:.2f} mm, which stays {1e3 * self.gap:.3f} mm away from it; "
+        point_mm = 1e3 * self.point
+        message = (
+            f"{self.name}: the face is too tight at ({point_mm[0]:.1f}, {point_mm[1]:.1f}, "
+            f"{point_mm[2]:.1f}) mm for a ball of radius {1e3 * self.radius:.2f} mm, which stays "
+            f"{1e3 * self.gap:.3f} mm away from it; "
         )
         if fits is None:
-            what += "no smaller radius was found that fits everywhere: round the part more"
+            message += "no smaller radius was found that fits everywhere: round the part more"
         else:
-            what += f"the largest radius that fits is {1e3 * fits:.2f} mm: use a smaller tool or round the "
-            what += "part more"
+            message += (
+                f"the largest radius that fits is {1e3 * fits:.2f} mm: use a smaller tool or round the "
+            )
+            message += "part more"
         limit = None if fits is None else 1e3 * fits
-        return issue_error("forming.tool_radius", what, value=1e3 * self.radius, limit=limit, unit="mm")
+        return issue_error("forming.tool_radius", message, value=1e3 * self.radius, limit=limit, unit="mm")
 
 
 def largest_fitting_radius(
@@ -397,18 +405,19 @@ def too_narrow_error(
         missed: Allowed distance [m].
     """
     order = np.argsort(-gap)
-    rows = order[:: -(-len(order) // _NARROW_SAMPLES)]
+    samples = order[:: -(-len(order) // _NARROW_SAMPLES)]
     low = 0.0
     box = np.stack([required[:, :2].min(axis=0), required[:, :2].max(axis=0)])
-    around = ContactFace(face.mesh, face.radius, box).mesh
+    nearby_mesh = ContactFace(face.mesh, face.radius, box).mesh
 
     def fits(radius: float, is_quick: bool) -> bool:
-        smaller = ContactFace(around, radius, box)
-        allowed = Creases(smaller).allowed_distance(required[rows], missed)
+        """Return whether a ball fits at the samples: by its push if ``is_quick``, else by its distance."""
+        smaller = ContactFace(nearby_mesh, radius, box)
+        allowed = Creases(smaller).allowed_distance(required[samples], missed)
         if is_quick:
-            return bool((smaller.pushed(required[rows], normal[rows]) <= allowed).all())
+            return bool((smaller.pushed(required[samples], normal[samples]) <= allowed).all())
         every_second = slice(None, None, 2)
-        contact = smaller.clear(required[rows][every_second], normal[rows][every_second], rounds=5)
+        contact = smaller.clear(required[samples][every_second], normal[samples][every_second], rounds=5)
         kept = contact.clear | (contact.pushed < 0.2 * radius)  # clear, or nearly so after these rounds
         return bool((kept & (contact.gap <= allowed[every_second])).all())
 

@@ -132,8 +132,8 @@ class PlateResponse:
 
     def log_deflection_at(self, load: FloatArray, grip: FloatArray) -> FloatArray:
         """Return ln w / t (n, g) at loads ln F a^2 / (E t^4) (n,) for borders (g,)."""
-        rows = CubicSpline(self.load, self.log_deflection, axis=0)(load)
-        return np.asarray(PchipInterpolator(self.grip, rows, axis=1)(grip))
+        at_loads = CubicSpline(self.load, self.log_deflection, axis=0)(load)
+        return np.asarray(PchipInterpolator(self.grip, at_loads, axis=1)(grip))
 
 
 def plate_response(
@@ -153,6 +153,7 @@ def plate_response(
     """
     # load ~ 1 / t^4: sheet that is thinner by the tolerance has a higher dimensionless load
     spread = (1.0 + 2.5 * plate.tolerance / plate.thickness) ** 4
+    # range of the readings, a little extended on both sides
     forces = np.geomspace(0.7 * min_force / spread, 1.1 * max_force * spread, LOADS_PER_CURVE)
     plate_mesh = mesh_walls([], plate.outline, triangles, plate.load_point[None])
     thicknesses = np.full(len(plate_mesh.triangles), plate.thickness)
@@ -168,6 +169,7 @@ def plate_response(
 
 
 def _log_load(plate: TestPlate, force: FloatArray, thickness: float) -> FloatArray:
+    """Return the logarithm of the dimensionless load F a^2 / (E t^4) of forces (n,) [N]."""
     return np.asarray(np.log(force * plate.width**2 / (plate.young * thickness**4)))
 
 
@@ -179,7 +181,7 @@ class IntervalEstimate:
         value: Best value.
         low: Lower bound of the interval of probability `INTERVAL_PROBABILITY`.
         high: Upper bound of the interval.
-        is_determined: Whether the test determined it; otherwise it is as before the test.
+        is_determined: Whether the test determined it; otherwise its interval is about that before the test.
     """
 
     value: float
@@ -210,9 +212,10 @@ class ClampCalibration:
 
     @property
     def border(self) -> str:
-        """Word of a problem's clamp: sliding, immovable or spring.
+        """Border as a problem's clamp states it: sliding, immovable or spring.
 
-        An end of the range is returned if the interval includes it, "unknown" if it includes both.
+        It is sliding or immovable if the interval of the grip includes that end, "unknown" if it includes
+        both.
         """
         if self.grip.low <= 0.0 and self.grip.high >= 1.0:
             return "unknown"
@@ -220,7 +223,7 @@ class ClampCalibration:
 
 
 def calibrate(plate: TestPlate, readings: PlateReadings, response: PlateResponse) -> ClampCalibration:
-    """Estimate the border, the thickness and kappa, each with its interval."""
+    """Estimate the border, the thickness and kappa, each with its interval, from the readings of a test."""
     spread = 0.5 * plate.tolerance
     grip_range = (0.0, 1.0)
     thickness_range = (plate.thickness - 4.0 * spread, plate.thickness + 4.0 * spread)
@@ -232,7 +235,7 @@ def calibrate(plate: TestPlate, readings: PlateReadings, response: PlateResponse
 
 @dataclasses.dataclass(frozen=True)
 class _PosteriorGrid:
-    """Grid over borders (g,) and thicknesses (h,).
+    """Posterior distribution on a grid of borders (g,) and thicknesses (h,).
 
     Attributes:
         grip: Borders (g,).
@@ -258,12 +261,15 @@ class _PosteriorGrid:
         grips: tuple[float, float],
         thicks: tuple[float, float],
     ) -> "_PosteriorGrid":
+        """Return the distribution between the ends of ranges of borders and thicknesses [m]."""
         grip, thick = np.linspace(*grips, GRID_SHAPE[0]), np.linspace(*thicks, GRID_SHAPE[1])
         inverse_variance = 1.0 / (readings.error**2 + (MODEL_ERROR_FRACTION * readings.dial) ** 2)
+        # deflection (n, g, h) [m] for kappa = 1
         shape = np.stack(
             [
-                t * np.exp(response.log_deflection_at(_log_load(plate, readings.force, t), grip))
-                for t in thick
+                thickness
+                * np.exp(response.log_deflection_at(_log_load(plate, readings.force, thickness), grip))
+                for thickness in thick
             ],
             axis=2,
         )
@@ -272,27 +278,28 @@ class _PosteriorGrid:
         mean = shape_dial / shape_square
         residual = np.maximum(np.sum(inverse_variance * readings.dial**2) - mean * shape_dial, 1e-12)
         count = len(readings.dial)
-        # the size of the errors is hardly known (BEFORE degrees of freedom); prior of kappa > 0: 1 / kappa
+        # the size of the errors is hardly known (PRIOR_READINGS degrees of freedom); prior of kappa: 1 /
+        # kappa
         freedom = count - 1 + PRIOR_READINGS
         residual = residual + PRIOR_READINGS
-        log = -0.5 * freedom * np.log(residual) - 0.5 * np.log(shape_square) - np.log(mean)
-        log -= 0.5 * ((thick - plate.thickness) / (0.5 * plate.tolerance)) ** 2
-        weight = np.exp(log - log.max())
+        log_weight = -0.5 * freedom * np.log(residual) - 0.5 * np.log(shape_square) - np.log(mean)
+        log_weight -= 0.5 * ((thick - plate.thickness) / (0.5 * plate.tolerance)) ** 2
+        weight = np.exp(log_weight - log_weight.max())
         return _PosteriorGrid(
             grip, thick, weight / weight.sum(), mean, np.sqrt(residual / (freedom * shape_square)), freedom
         )
 
     def bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Range of border and thickness with non-negligible weight, extended by one cell."""
-        out = []
+        """Return the ranges of border and thickness with non-negligible weight, extended by one cell."""
+        ranges = []
         for values, marginal in ((self.grip, self.weight.sum(axis=1)), (self.thick, self.weight.sum(axis=0))):
             significant = np.flatnonzero(marginal > 1e-5 * marginal.max())
             low, high = max(significant[0] - 1, 0), min(significant[-1] + 1, len(values) - 1)
-            out.append((float(values[low]), float(values[high])))
-        return out[0], out[1]
+            ranges.append((float(values[low]), float(values[high])))
+        return ranges[0], ranges[1]
 
     def kappa_distribution(self) -> tuple[FloatArray, FloatArray]:
-        """Values (K,) of kappa and their weights."""
+        """Return equidistant values (K,) of kappa and their weights (K,), sum 1."""
         half_width = 8.0 * np.sqrt(
             np.sum(self.weight * ((self.mean - self._mean_kappa()) ** 2 + self.scale**2))
         )
@@ -308,19 +315,20 @@ class _PosteriorGrid:
         return values, density_sum / density_sum.sum()
 
     def _mean_kappa(self) -> float:
+        """Return the mean of kappa over the grid."""
         return float(np.sum(self.weight * self.mean))
 
     def calibration(
         self, plate: TestPlate, readings: PlateReadings, response: PlateResponse
     ) -> ClampCalibration:
-        """The quantities with their intervals."""
-        at_grip, at_thick = self.weight.sum(axis=1), self.weight.sum(axis=0)
-        kappa, at_kappa = self.kappa_distribution()
-        best = np.unravel_index(int(np.argmax(self.weight)), self.weight.shape)
-        grip = _interval(self.grip, at_grip, 1.0, float(self.grip[best[0]]))
+        """Return the estimated quantities with their intervals, and the residuals of the best fit."""
+        grip_weight, thick_weight = self.weight.sum(axis=1), self.weight.sum(axis=0)
+        kappa, kappa_weight = self.kappa_distribution()
+        best_cell = np.unravel_index(int(np.argmax(self.weight)), self.weight.shape)
+        grip = _interval(self.grip, grip_weight, 1.0, float(self.grip[best_cell[0]]))
         prior_width = 2.0 * 1.96 * 0.5 * plate.tolerance
-        thick = _interval(self.thick, at_thick, prior_width, float(self.thick[best[1]]))
-        factor = _interval(kappa, at_kappa, np.inf, float(self.mean[best]))
+        thick = _interval(self.thick, thick_weight, prior_width, float(self.thick[best_cell[1]]))
+        kappa_estimate = _interval(kappa, kappa_weight, np.inf, float(self.mean[best_cell]))
         value, low, high = (
             plate.spring(grip_value, thick.value) for grip_value in (grip.value, grip.low, grip.high)
         )
@@ -328,31 +336,33 @@ class _PosteriorGrid:
         shape = thick.value * np.exp(
             response.log_deflection_at(_log_load(plate, readings.force, thick.value), np.array([grip.value]))
         )
-        residuals = readings.dial - float(self.mean[best]) * shape[:, 0]
-        return ClampCalibration(grip, spring, thick, factor, residuals, self._correlation())
+        residuals = readings.dial - float(self.mean[best_cell]) * shape[:, 0]
+        return ClampCalibration(grip, spring, thick, kappa_estimate, residuals, self._correlation())
 
     def _correlation(self) -> FloatArray:
-        """Correlations (3, 3) of border, thickness and kappa."""
-        rows = [
-            np.broadcast_to(v, self.weight.shape).reshape(-1)
-            for v in (self.grip[:, None], self.thick, self.mean)
+        """Return the correlations (3, 3) of border, thickness and kappa."""
+        quantities = [
+            np.broadcast_to(values, self.weight.shape).reshape(-1)
+            for values in (self.grip[:, None], self.thick, self.mean)
         ]
-        spread = np.cov(np.stack(rows), aweights=self.weight.reshape(-1), ddof=0)
-        spread[2, 2] += np.sum(self.weight * self.scale**2)
-        size = np.sqrt(np.maximum(np.diag(spread), 1e-30))
-        return np.asarray(spread / size / size[:, None])
+        covariance = np.cov(np.stack(quantities), aweights=self.weight.reshape(-1), ddof=0)
+        # kappa also varies within each cell of the grid
+        covariance[2, 2] += np.sum(self.weight * self.scale**2)
+        deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
+        return np.asarray(covariance / deviation / deviation[:, None])
 
 
 def _interval(values: FloatArray, weight: FloatArray, prior_width: float, best: float) -> IntervalEstimate:
-    """Shortest interval of probability `INTERVAL_PROBABILITY` around the best value.
+    """Return the best value with the shortest interval of probability `INTERVAL_PROBABILITY`.
 
-    It counts as determined if it is shorter than the ``prior_width``.
+    It counts as determined if the interval is shorter than `MAX_DETERMINED_FRACTION` of ``prior_width``.
+    ``values`` (N,) are equidistant, with the posterior ``weight`` (N,).
     """
     order = np.argsort(-weight, kind="stable")
     count = int(np.searchsorted(np.cumsum(weight[order]), INTERVAL_PROBABILITY * weight.sum())) + 1
     selected = np.sort(order[:count])
-    half = 0.5 * (values[1] - values[0])
-    low, high = float(values[selected[0]] - half), float(values[selected[-1]] + half)
+    half_cell = 0.5 * (values[1] - values[0])
+    low, high = float(values[selected[0]] - half_cell), float(values[selected[-1]] + half_cell)
     low, high = max(low, float(values[0])), min(high, float(values[-1]))
     return IntervalEstimate(best, low, high, high - low < MAX_DETERMINED_FRACTION * prior_width)
 
@@ -375,35 +385,37 @@ def clarity_issues(
         readings: Readings.
         assumed: Whether the thickness's tolerance is an assumption.
     """
-    out = []
+    messages = []
     deflection_ratio = float(readings.dial.max()) / plate.thickness
     if not calibration.grip.is_determined:
-        what = (
+        message = (
             f"the border may be anything from {_grip_text(calibration.grip.low)} to "
             f"{_grip_text(calibration.grip.high)}: the "
         )
-        what += (
+        message += (
             f"sheet sank by {deflection_ratio:.1f} times its thickness; press harder until it sinks by three "
             "or more"
         )
-        out.append(what)
+        messages.append(message)
     if not calibration.thickness.is_determined:
-        what = "the readings do not determine the thickness, which is as you stated it, within "
-        what += f"{plate.tolerance / MM:.3g} mm"
+        message = "the readings do not determine the thickness, which is as you stated it, within "
+        message += f"{plate.tolerance / MM:.3g} mm"
         if assumed:
-            what += " as assumed; measure it, and state its tolerance (--thickness-tol-mm)"
-        out.append(what)
+            message += " as assumed; measure it, and state its tolerance (--thickness-tol-mm)"
+        messages.append(message)
     is_correlated = np.abs(calibration.correlation) > MAX_SEPARABLE_CORRELATION
     correlated = [name for k, name in enumerate(_QUANTITY_NAMES) if np.count_nonzero(is_correlated[k]) > 1]
     if correlated:
-        what = (
+        message = (
             f"{', '.join(correlated[:-1])} and {correlated[-1]} are correlated: other combinations within "
             "their "
         )
-        what += "intervals give nearly the same readings; measure the thickness to a hundredth, press lightly"
-        what += " and hard, and take more "
-        out.append(f"{what}readings")
-    return tuple(Issue("forming.clamp_unclear", what, Severity.WARNING) for what in out)
+        message += (
+            "intervals give nearly the same readings; measure the thickness to a hundredth, press lightly"
+        )
+        message += " and hard, and take more "
+        messages.append(f"{message}readings")
+    return tuple(Issue("forming.clamp_unclear", message, Severity.WARNING) for message in messages)
 
 
 def _grip_text(value: float) -> str:
@@ -425,21 +437,23 @@ def read_readings(path: Path, error: float) -> PlateReadings:
             that are not numbers, forces below 0, too few readings, dials that do not rise with the force.
     """
     lines = _read_text(path).splitlines()
-    kept = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and line[:1] != "#"]
-    rows = list(csv.reader(io.StringIO("\n".join(line for _, line in kept))))
+    numbered_lines = [
+        (number, line) for number, line in enumerate(lines, 1) if line.strip() and line[:1] != "#"
+    ]
+    rows = list(csv.reader(io.StringIO("\n".join(line for _, line in numbered_lines))))
     header = [name.strip().lower() for name in rows[0]] if rows else []
-    other = separator_hint(kept[0][1]) if kept else None
-    if other is not None:
-        raise TandemError(_reading_issue(path, kept[0][0], other))
+    separator_fault = separator_hint(numbered_lines[0][1]) if numbered_lines else None
+    if separator_fault is not None:
+        raise TandemError(_reading_issue(path, numbered_lines[0][0], separator_fault))
     if sorted(header) != sorted(READING_COLUMNS):
-        got = ", ".join(header)[:80] or "nothing"
-        what = (
-            f"the columns are {got}, expected {', '.join(READING_COLUMNS)} (newtons, millimetres, decimal "
-            "points)"
+        got_columns = ", ".join(header)[:80] or "nothing"
+        message = (
+            f"the columns are {got_columns}, expected {', '.join(READING_COLUMNS)} (newtons, millimetres, "
+            "decimal points)"
         )
-        raise TandemError(_reading_issue(path, 1, what))
+        raise TandemError(_reading_issue(path, 1, message))
     issues, values = list[Issue](), list[tuple[float, float]]()
-    for (number, _), row in zip(kept[1:], rows[1:], strict=True):
+    for (number, _), row in zip(numbered_lines[1:], rows[1:], strict=True):
         try:
             force, dial = (float(row[header.index(name)]) for name in READING_COLUMNS)
             if len(row) != len(header) or not np.isfinite([force, dial]).all():
@@ -457,40 +471,49 @@ def read_readings(path: Path, error: float) -> PlateReadings:
     if issues:
         raise TandemError(issues)
     forces, dials = np.array(values, dtype=np.float64).reshape(-1, 2).T
-    idle = forces == 0.0
-    dials = dials - (float(dials[idle].mean()) if idle.any() else 0.0)
-    order = np.argsort(forces[~idle], kind="stable")
-    forces, dials = forces[~idle][order], dials[~idle][order] * MM
+    is_unloaded = forces == 0.0
+    dials = dials - (float(dials[is_unloaded].mean()) if is_unloaded.any() else 0.0)
+    order = np.argsort(forces[~is_unloaded], kind="stable")
+    forces, dials = forces[~is_unloaded][order], dials[~is_unloaded][order] * MM
     _require_plausible(path, forces, dials)
     return PlateReadings(forces, dials, error)
 
 
 def _require_plausible(path: Path, forces: FloatArray, dials: FloatArray) -> None:
-    count, different = len(forces), len(np.unique(forces))
-    if count < MIN_READINGS or different < MIN_DIFFERENT_FORCES:
-        what = f"{count} readings at {different} forces, required: {MIN_READINGS} at {MIN_DIFFERENT_FORCES} "
+    """Raise ``TandemError`` (forming.plate_test) if readings (n,), by force, cannot be those of a test."""
+    count, different_count = len(forces), len(np.unique(forces))
+    if count < MIN_READINGS or different_count < MIN_DIFFERENT_FORCES:
+        message = f"{count} readings at {different_count} forces, required: {MIN_READINGS} at "
+        message += f"{MIN_DIFFERENT_FORCES} "
         raise TandemError(
-            _reading_issue(path, None, f"{what}forces at least, from a tenth of the largest upward")
+            _reading_issue(path, None, f"{message}forces at least, from a tenth of the largest upward")
         )
     running_max = np.maximum.accumulate(dials)
-    k = int(np.argmax(running_max - dials))
+    worst_index = int(np.argmax(running_max - dials))
     if (
         dials.min() <= 0.0
         or dials[-1] <= dials[0]
-        or running_max[k] - dials[k] > MAX_FALL_FRACTION * running_max[-1]
+        or running_max[worst_index] - dials[worst_index] > MAX_FALL_FRACTION * running_max[-1]
     ):
-        k = k if dials.min() > 0.0 else int(np.argmin(dials))
-        what = f"the dial shows {dials[k] / MM:.3f} mm at {forces[k]:g} N"
-        what += f", and {running_max[k] / MM:.3f} mm at less" if running_max[k] > dials[k] else ""
-        what += "; the reading must increase with the force: correct the signs, the dial's zero, or readings"
-        raise TandemError(_reading_issue(path, None, what))
+        worst_index = worst_index if dials.min() > 0.0 else int(np.argmin(dials))
+        message = f"the dial shows {dials[worst_index] / MM:.3f} mm at {forces[worst_index]:g} N"
+        message += (
+            f", and {running_max[worst_index] / MM:.3f} mm at less"
+            if running_max[worst_index] > dials[worst_index]
+            else ""
+        )
+        message += (
+            "; the reading must increase with the force: correct the signs, the dial's zero, or readings"
+        )
+        raise TandemError(_reading_issue(path, None, message))
     ratio = forces[-1] / (dials[-1] / MM)
     if not 2.0 <= ratio <= 20_000.0:
-        what = f"{forces[-1]:g} N for {dials[-1] / MM:.4g} mm is not plausible for a clamped sheet; "
-        raise TandemError(_reading_issue(path, None, f"{what}state forces in N and the dial in mm"))
+        message = f"{forces[-1]:g} N for {dials[-1] / MM:.4g} mm is not plausible for a clamped sheet; "
+        raise TandemError(_reading_issue(path, None, f"{message}state forces in N and the dial in mm"))
 
 
 def _read_text(path: Path) -> str:
+    """Return the text of a file, or raise ``TandemError`` (forming.plate_test)."""
     if not is_file(path):
         raise TandemError(_reading_issue(path, None, f"{missing_file_reason(path)}; check the path"))
     try:
@@ -500,12 +523,12 @@ def _read_text(path: Path) -> str:
             )
         return path.read_text(encoding="utf-8-sig")
     except OSError as error:
-        what = f"cannot be read ({error.strerror}); check the path"
-        raise TandemError(_reading_issue(path, None, what)) from error
+        message = f"cannot be read ({error.strerror}); check the path"
+        raise TandemError(_reading_issue(path, None, message)) from error
     except (UnicodeDecodeError, ValueError) as error:
         raise TandemError(_reading_issue(path, None, "is not text in UTF-8; save it as CSV")) from error
 
 
-def _reading_issue(path: Path, line: int | None, what: str) -> Issue:
-    where = f", line {line}" if line is not None else ""
-    return Issue("forming.plate_test", f"{path.name}{where}: {what}", file=str(path), line=line)
+def _reading_issue(path: Path, line: int | None, message: str) -> Issue:
+    location = f", line {line}" if line is not None else ""
+    return Issue("forming.plate_test", f"{path.name}{location}: {message}", file=str(path), line=line)

@@ -30,8 +30,7 @@ from planner.processes.forming.plan.passes import max_wall_angle
 from planner.processes.forming.plan.process_plan import FormingWork
 from planner.processes.forming.plan.sheet_mechanics import wall_angle
 from planner.processes.forming.plan.springback.curves import PassSpringback
-from planner.processes.forming.plan.springback.forecast import require_forecast_mode as require_forecast
-from planner.processes.forming.plan.springback.forecast import springback_along as springback_along
+from planner.processes.forming.plan.springback.forecast import require_forecast_mode, springback_along
 
 SHIFT_GRID_M: Final = 0.5 * MM
 """Spacing [m] of the points along a path at which the forecast is evaluated; larger if there would be too
@@ -62,18 +61,20 @@ MIN_STEEPENING_RAD: Final = 0.5 * DEG
 
 
 def require_compensation_mode(work: FormingWork) -> None:
-    """Check that tools of a job may be shifted alike.
+    """Check that both tools of a job may be shifted by the same amount, and that its springback is forecast.
 
     Raises:
         TandemError: forming.springback_mode.
     """
-    require_forecast(work)
+    require_forecast_mode(work)
     op = work.operation
     if op.mode == "dpif_p":
-        what = f"{op.name}: mode dpif_p: its second tool supports the feature's border, which has to stay "
-        what += "where it is, but compensation moves both tools alike; allowed are spif, dsif, dpif_l, heat"
+        message = f"{op.name}: mode dpif_p: its second tool supports the feature's border, which has to stay "
+        message += (
+            "where it is, but compensation moves both tools alike; allowed are spif, dsif, dpif_l, heat"
+        )
         hint = "use another mode, or form a test piece and measure it"
-        raise issue_error("forming.springback_mode", what, field="mode", hint=hint)
+        raise issue_error("forming.springback_mode", message, field="mode", hint=hint)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,21 +128,23 @@ def compensated_paths(
 def _forecast_springback(
     work: FormingWork, forecast: PassSpringback, points: FloatArray, angle: FloatArray, _: FloatArray
 ) -> FloatArray:
-    """Springback (N,) [m] by `forecast.springback_along`.
+    """Return the springback (N,) [m] at contact points (N, 3) [m] on walls at angles (N,) [rad].
 
     Raises ``TandemError`` (forming.limit_load) if the sheet snaps.
     """
     pieces = [slice(k, k + POINTS_AT_ONCE) for k in range(0, len(points), POINTS_AT_ONCE)]
-    back = np.concatenate([springback_along(work, forecast, points[chunk], angle[chunk]) for chunk in pieces])
-    if not np.isfinite(back).all():
-        what = (
+    springback = np.concatenate(
+        [springback_along(work, forecast, points[chunk], angle[chunk]) for chunk in pieces]
+    )
+    if not np.isfinite(springback).all():
+        message = (
             f"pass {forecast.forming_pass.name}: the sheet snaps or buckles under the expected force, which "
             "no "
         )
-        what += "shift of the tools can compensate"
+        message += "shift of the tools can compensate"
         hint = "clamp the sheet nearer to the part, form in more passes, or use thicker sheet"
-        raise issue_error("forming.limit_load", what, field="force_n", hint=hint)
-    return back
+        raise issue_error("forming.limit_load", message, field="force_n", hint=hint)
+    return springback
 
 
 def shift_path(
@@ -183,20 +186,21 @@ def shift_path(
 
 
 def _limit_slope(grid: FloatArray, required: FloatArray, slope: float, first: float) -> FloatArray:
-    """Largest curve (N,) below ``required`` (N,) of at most ``slope``.
+    """Return the largest curve (N,) [m] that is nowhere above ``required`` (N,) or steeper than ``slope``.
 
-    It is over ``grid`` (N,) [m], from ``first`` [m] on. It is above ``required`` where it cannot have come
-    down yet.
+    It starts at ``first`` [m], and is above ``required`` only where it cannot have come down yet. Values of
+    ``required`` below 0 count as 0. ``grid`` (N,) are arc lengths [m].
     """
-    below = np.maximum(required, 0.0)
-    below[0] = first
-    forward = slope * grid + np.minimum.accumulate(below - slope * grid)
-    lower = np.minimum.accumulate((forward + slope * grid)[::-1])[::-1] - slope * grid
-    return np.asarray(np.maximum(lower, first - slope * grid))
+    bound = np.maximum(required, 0.0)
+    bound[0] = first
+    # min over t of bound(t) + slope |s - t|: first over all t <= s, then over all t >= s
+    rising_limited = slope * grid + np.minimum.accumulate(bound - slope * grid)
+    limited = np.minimum.accumulate((rising_limited + slope * grid)[::-1])[::-1] - slope * grid
+    return np.asarray(np.maximum(limited, first - slope * grid))
 
 
 def moving_average(value: FloatArray, half: float) -> FloatArray:
-    """Return the mean (N,) over a window of ``half`` points on either side, less at the ends."""
+    """Return the mean (N,) of values over a window of ``half`` points on either side, fewer at the ends."""
     count = len(value)
     index = np.arange(count)
     reach = np.minimum(round(half), np.minimum(index, count - 1 - index))
@@ -205,9 +209,10 @@ def moving_average(value: FloatArray, half: float) -> FloatArray:
 
 
 def _added_arcs(arc: FloatArray, grid: FloatArray, shift: FloatArray, step: float) -> FloatArray:
-    """Arc lengths (K,) [m] of additional targets between those at ``arc`` (N,) [m].
+    """Return arc lengths (K,) [m] of targets to add between those at ``arc`` (N,) [m].
 
-    They are needed so that the shift is linear between targets: at most ``step`` [m] apart where it is not.
+    They divide each move within which the shift is not linear, at most ``step`` [m] apart. The shift is given
+    on ``grid`` (M,) [m].
     """
     straight = np.interp(grid, arc, np.interp(arc, grid, shift))
     move = np.clip(np.searchsorted(arc, grid, side="right") - 1, 0, max(len(arc) - 2, 0))
@@ -221,10 +226,11 @@ def _added_arcs(arc: FloatArray, grid: FloatArray, shift: FloatArray, step: floa
 
 
 def _target_numbers(arc: FloatArray, added: FloatArray) -> FloatArray:
-    """Fractional numbers (K,) of all targets of a path, with additional ones at ``added``.
+    """Return fractional numbers (K,) of all targets of a path, with additional ones at ``added`` (M,) [m].
 
-    The targets are at ``arc`` (N,) [m]. The fraction is that of the move from one target to the next. Where
-    one tool dwells, several targets are at one position.
+    The targets are at ``arc`` (N,) [m] and keep their whole numbers. The fraction of an additional one is
+    that of the move on which it lies. Numbers, not arc lengths, identify targets, because several of them are
+    at one position where one tool dwells.
     """
     previous = np.clip(np.searchsorted(arc, added, side="right") - 1, 0, max(len(arc) - 2, 0))
     fraction = (added - arc[previous]) / np.maximum(arc[previous + 1] - arc[previous], 1e-12)
@@ -232,13 +238,14 @@ def _target_numbers(arc: FloatArray, added: FloatArray) -> FloatArray:
 
 
 def _refine_path(path: FormingToolPath, number: FloatArray) -> FormingToolPath:
-    """A path with additional targets, by their fractional numbers (K,): `_target_numbers`."""
+    """Return a path with the targets that fractional numbers (K,) of `_target_numbers` identify."""
     previous = np.minimum(number.astype(np.int64), len(path.forming_centre) - 1)
     fraction = number - previous
     following = np.minimum(previous + 1, len(path.forming_centre) - 1)
-    end = np.where(fraction == 0.0, previous, following)
+    end_target = np.where(fraction == 0.0, previous, following)
 
     def interpolate(value: FloatArray) -> FloatArray:
+        """Return values (K, ...) at the numbers; exactly those of the path at whole numbers."""
         part = fraction if value.ndim == 1 else fraction[:, None]
         interpolated = (1.0 - part) * value[previous] + part * value[following]
         exact = fraction == 0.0
@@ -251,8 +258,8 @@ def _refine_path(path: FormingToolPath, number: FloatArray) -> FormingToolPath:
         normal=unit(interpolate(path.contact.normal)),
         centre=interpolate(path.contact.centre),
         angle=interpolate(path.contact.angle),
-        loop=path.contact.loop[end],
-        working=path.contact.working[end],
+        loop=path.contact.loop[end_target],
+        working=path.contact.working[end_target],
     )
     return dataclasses.replace(
         path,
@@ -262,7 +269,7 @@ def _refine_path(path: FormingToolPath, number: FloatArray) -> FormingToolPath:
         support_axis=None if path.support_axis is None else unit(interpolate(path.support_axis)),
         gap=interpolate(path.gap),
         contact=contact,
-        unresolved=None if path.unresolved is None else path.unresolved[end],
+        unresolved=None if path.unresolved is None else path.unresolved[end_target],
     )
 
 
@@ -282,7 +289,7 @@ def apply_shifts(
         given: Shifted paths.
 
     Raises:
-        TandemError: forming.compensation if a path is none of them.
+        TandemError: forming.compensation if a pass has no shifts, or if its path is not the shifted one.
     """
     by_name = {shifted_path.name: shifted_path for shifted_path in given}
     out = []
@@ -294,14 +301,14 @@ def apply_shifts(
         file_arc = file_arc * (arc[-1] / max(float(file_arc[-1]), 1e-12))
         deviation = lengths(interpolate_polyline(shifted_path.point, file_arc, arc) - path.forming_centre)
         if len(shifted_path.point) < 2 or deviation.max() > MAX_PATH_DEVIATION_M:
-            worst = int(np.argmax(deviation))
-            x, y, z = path.forming_centre[worst] / MM
-            what = (
-                f"pass {forming_pass.name} is {deviation[worst] / MM:.3f} mm off it at ({x:.2f}, {y:.2f}, "
-                f"{z:.2f}) mm, "
+            worst_index = int(np.argmax(deviation))
+            x, y, z = path.forming_centre[worst_index] / MM
+            message = (
+                f"pass {forming_pass.name} is {deviation[worst_index] / MM:.3f} mm off it at ({x:.2f}, "
+                f"{y:.2f}, {z:.2f}) mm, "
             )
             raise file_error(
-                what + f"allowed {MAX_PATH_DEVIATION_M / MM:g} mm: the path has changed since then"
+                message + f"allowed {MAX_PATH_DEVIATION_M / MM:g} mm: the path has changed since then"
             )
         distance = np.abs(arc[_nearest_index(arc, file_arc)] - file_arc)
         refined = _refine_path(path, _target_numbers(arc, file_arc[distance > TARGET_TOLERANCE_M]))
@@ -321,9 +328,10 @@ def apply_shifts(
 
 
 def _nearest_index(sorted_arc: FloatArray, requested: FloatArray) -> IntArray:
-    ahead = np.clip(np.searchsorted(sorted_arc, requested), 1, len(sorted_arc) - 1)
-    back = requested - sorted_arc[ahead - 1] < sorted_arc[ahead] - requested
-    return np.asarray(ahead - back)
+    """Return the index (K,) of the nearest of ascending arc lengths (N,) to each requested one (K,)."""
+    next_index = np.clip(np.searchsorted(sorted_arc, requested), 1, len(sorted_arc) - 1)
+    is_previous_nearer = requested - sorted_arc[next_index - 1] < sorted_arc[next_index] - requested
+    return np.asarray(next_index - is_previous_nearer)
 
 
 REWRITE_HINT: Final = "write it again: tandem springback PROBLEM --write FILE, or tandem adjust of a scan"
@@ -347,8 +355,8 @@ def steepening_issues(
     """Report walls that the shifts make steeper than one pass may form (forming.wall_angle).
 
     The problem has to accept them. Walls are evaluated from each loop to the next, after the section on which
-    the shift grows from 0 by ``slope``. If one level is formed alone, from where the previous level ended to
-    its own end.
+    the shift grows from 0 by ``slope``. If one level is formed alone, its wall is evaluated from where the
+    previous level ended to its own end.
 
     Args:
         work: Work of the operation.
@@ -357,13 +365,16 @@ def steepening_issues(
         slope: Slope of the shifts.
         level: Level that is formed alone, or None.
     """
-    op, metal = work.operation, work.sheet.metal
+    op = work.operation
+    metal = work.sheet.metal
     for (forming_pass, path), shifted in zip(paths, given, strict=True):
         earlier = [
-            p for p in work.passes if p.feature == forming_pass.feature and p.number < forming_pass.number
+            other
+            for other in work.passes
+            if other.feature == forming_pass.feature and other.number < forming_pass.number
         ]
         limit = max_wall_angle(
-            max((wall_angle(p.vertices, p.faces) for p in earlier), default=0.0), op, metal
+            max((wall_angle(other.vertices, other.faces) for other in earlier), default=0.0), op, metal
         )
         if level is None:
             points, nominal_angle, angle = _wall_between_loops(forming_pass, shifted, slope)
@@ -372,20 +383,21 @@ def steepening_issues(
                 forming_pass, path, shifted, level, (op.stepdown_mm or 0.0) * MM
             )
         excess = np.where(angle - nominal_angle > MIN_STEEPENING_RAD, angle, 0.0)
-        k = int(np.argmax(excess)) if len(excess) else 0
-        if len(excess) and excess[k] > limit:
-            x, y, z = points[k] / MM
-            what = (
-                f"pass {forming_pass.name}: with springback compensation its wall is {excess[k] / DEG:.1f} "
-                f"deg at ({x:.1f}, {y:.1f}, {z:.1f}) mm, {nominal_angle[k] / DEG:.1f} deg without it; "
-                f"{metal.title} is known to allow {limit / DEG:.1f} deg there in one pass"
+        worst_index = int(np.argmax(excess)) if len(excess) else 0
+        if len(excess) and excess[worst_index] > limit:
+            x, y, z = points[worst_index] / MM
+            message = (
+                f"pass {forming_pass.name}: with springback compensation its wall is "
+                f"{excess[worst_index] / DEG:.1f} deg at ({x:.1f}, {y:.1f}, {z:.1f}) mm, "
+                f"{nominal_angle[worst_index] / DEG:.1f} deg without it; {metal.title} is known to allow "
+                f"{limit / DEG:.1f} deg there in one pass"
             )
             yield Issue(
                 "forming.wall_angle",
-                what,
+                message,
                 Severity.WARNING,
                 field="springback" if level is None else "level",
-                **measurement(excess[k] / DEG, limit / DEG, "deg"),
+                **measurement(excess[worst_index] / DEG, limit / DEG, "deg"),
                 hint="clamp the sheet nearer to the part to reduce springback, or form more passes",
                 accepted=False,
             )
@@ -394,78 +406,74 @@ def steepening_issues(
 def _wall_between_loops(
     forming_pass: FormingPass, shifted: ShiftedPath, slope: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Points (K, 3) [m] of a path, its walls (K,) [rad], and the walls with its shifts.
+    """Return points (K, 3) [m] of a path, and wall angles (K,) [rad] there without and with the shifts.
 
-    A wall is that from the previous loop to the point.
+    A wall angle is that of the line from the nearest point in plan of the previous loop to the point. Points
+    up to the end of the section on which the shift grows from 0 are left out.
     """
     arc = arc_length(shifted.point)
     grows = (shifted.shift >= GROWING_FRACTION * slope * arc) & (arc > 0.0)
     growth_end = float(arc[grows].max(initial=0.0))
     points, tables = [], []
-    for k in range(int(shifted.loop.max())):
-        previous_loop, current_loop = np.flatnonzero(shifted.loop == k), np.flatnonzero(shifted.loop == k + 1)
+    for loop in range(int(shifted.loop.max())):
+        previous_loop = np.flatnonzero(shifted.loop == loop)
+        current_loop = np.flatnonzero(shifted.loop == loop + 1)
         if len(previous_loop) < 2 or len(current_loop) < 2:
             continue
-        stations = np.union1d(
+        sample_arc = np.union1d(
             arc[current_loop], np.arange(arc[current_loop[0]], arc[current_loop[-1]], WALL_SPACING_M)
         )
-        station_points, shift = (
-            interpolate_polyline(shifted.point, arc, stations),
-            np.interp(stations, arc, shifted.shift),
-        )
-        line, plan = (
-            shapely.linestrings(shifted.point[previous_loop, :2]),
-            arc_length(shifted.point[previous_loop, :2]),
-        )
-        plan_points = shapely.points(station_points[:, :2])
+        sample_points = interpolate_polyline(shifted.point, arc, sample_arc)
+        shift = np.interp(sample_arc, arc, shifted.shift)
+        line = shapely.linestrings(shifted.point[previous_loop, :2])
+        plan_arc = arc_length(shifted.point[previous_loop, :2])
+        plan_points = shapely.points(sample_points[:, :2])
         line_arc = shapely.line_locate_point(line, plan_points)
         rise = forming_pass.side * (
-            np.interp(line_arc, plan, shifted.point[previous_loop, 2]) - station_points[:, 2]
+            np.interp(line_arc, plan_arc, shifted.point[previous_loop, 2]) - sample_points[:, 2]
         )
-        added_depth = shift - np.interp(line_arc, plan, shifted.shift[previous_loop])
-        is_after_growth = np.interp(line_arc, plan, arc[previous_loop]) > growth_end
-        points.append(station_points[is_after_growth])
+        added_depth = shift - np.interp(line_arc, plan_arc, shifted.shift[previous_loop])
+        is_after_growth = np.interp(line_arc, plan_arc, arc[previous_loop]) > growth_end
+        points.append(sample_points[is_after_growth])
         tables.append(
-            np.stack([stations, shapely.distance(line, plan_points), rise, added_depth], axis=1)[
+            np.stack([sample_arc, shapely.distance(line, plan_points), rise, added_depth], axis=1)[
                 is_after_growth
             ]
         )
     if not points:
         return np.zeros((0, 3)), np.zeros(0), np.zeros(0)
-    station_points, height = np.concatenate(points), np.concatenate(tables)
-    distance = np.hypot(
-        height[:, 1], height[:, 2]
-    )  # a level last loop partly coincides with the previous one
-    rows = np.flatnonzero(distance > 0.5 * float(np.median(distance))) if len(distance) else np.arange(0)
-    station_points, (stations, plan_distance, rise, added_depth) = station_points[rows], height[rows].T
+    sample_points, table = np.concatenate(points), np.concatenate(tables)
+    # a level last loop partly coincides with the previous one
+    distance = np.hypot(table[:, 1], table[:, 2])
+    kept = np.flatnonzero(distance > 0.5 * float(np.median(distance))) if len(distance) else np.arange(0)
+    sample_points, (sample_arc, plan_distance, rise, added_depth) = sample_points[kept], table[kept].T
     # loops are polygons with unrelated corners, so average along the path
-    first, last = (
-        np.searchsorted(stations, stations - AVERAGING_HALF_LENGTH_M),
-        np.searchsorted(stations, stations + AVERAGING_HALF_LENGTH_M, side="right"),
-    )
+    first = np.searchsorted(sample_arc, sample_arc - AVERAGING_HALF_LENGTH_M)
+    last = np.searchsorted(sample_arc, sample_arc + AVERAGING_HALF_LENGTH_M, side="right")
     total = np.cumsum(np.pad(np.stack([plan_distance, rise, added_depth]), ((0, 0), (1, 0))), axis=1)
     plan_distance, rise, added_depth = (total[:, last] - total[:, first]) / (last - first)
-    return station_points, np.arctan2(rise, plan_distance), np.arctan2(rise + added_depth, plan_distance)
+    return sample_points, np.arctan2(rise, plan_distance), np.arctan2(rise + added_depth, plan_distance)
 
 
 def _wall_of_level(
     forming_pass: FormingPass, path: FormingToolPath, shifted: ShiftedPath, level: Level, step: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Points (K, 3) [m] of a single level, its walls (K,) [rad], and the walls with its shifts.
+    """Return points (K, 3) [m] of a level, and wall angles (K,) [rad] there without and with the shifts.
 
     The level above ends at the shift with which this one starts, and is deeper by at most the slope times the
-    distance from there. So the walls are at least as steep as this result.
+    distance from there. So the walls are at least as steep as this result. It is empty where no wall is
+    formed or where the shift still grows from 0.
     """
-    none = np.zeros((0, 3)), np.zeros(0), np.zeros(0)
+    no_walls = np.zeros((0, 3)), np.zeros(0), np.zeros(0)
     start_depth, end_depth = level_depths(forming_pass, step, level.number)
     arc = arc_length(shifted.point)
-    first = level.before_mm * MM
+    first_shift = level.before_mm * MM
     if start_depth <= 0.0 or end_depth - start_depth < MIN_LEVEL_STEP_FRACTION * step:
-        return none
-    if first > 0.0 and first >= GROWING_FRACTION * level.slope * arc[-1] * level.number:
-        return none  # it still grows from 0
+        return no_walls
+    if first_shift > 0.0 and first_shift >= GROWING_FRACTION * level.slope * arc[-1] * level.number:
+        return no_walls  # the shift still grows from 0
     nominal_angle = np.interp(arc, arc_length(path.forming_centre), path.contact.angle)
-    added_depth = np.maximum(shifted.shift - first - level.slope * (arc[-1] - arc), 0.0)
+    added_depth = np.maximum(shifted.shift - first_shift - level.slope * (arc[-1] - arc), 0.0)
     return (
         shifted.point,
         nominal_angle,
@@ -486,24 +494,28 @@ def compensated_note(
     """
     deepest = max(given, key=lambda path: float(path.shift.max()))
     max_shift = float(deepest.shift.max()) / MM
-    field, why, of = "springback.file", "the file states its assumptions", ""
+    field = "springback.file"
+    basis = "the file states its assumptions"
+    level_clause = ""
     if level is not None:
-        field, why, of = "level.file", "this follows from measured forces", f"level {level} of "
+        field = "level.file"
+        basis = "this follows from measured forces"
+        level_clause = f"level {level} of "
     if scan is not None:
-        why = f"this follows from the scan {scan} of a part that was formed before"
-    what = format_message(
+        basis = f"this follows from the scan {scan} of a part that was formed before"
+    message = format_message(
         "forming.compensated",
         file=file,
         max_shift_mm=max_shift,
-        level_clause=of,
+        level_clause=level_clause,
         pass_name=deepest.name,
-        basis=why,
+        basis=basis,
     )
-    return Issue("forming.compensated", what, Severity.NOTE, field=field, value=max_shift, unit="mm")
+    return Issue("forming.compensated", message, Severity.NOTE, field=field, value=max_shift, unit="mm")
 
 
 def compensation_exhibit(given: Sequence[ShiftedPath]) -> dict[str, Any]:
-    """Return the shifts along the paths, for the report."""
+    """Return the exhibit of the shifts along the paths, for the report."""
     return {
         "kind": "heatmap",
         "title": "Springback compensation: how much deeper the tools go",

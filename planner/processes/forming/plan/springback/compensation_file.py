@@ -92,17 +92,19 @@ def job_identity(work: FormingWork, stock: Stock, part: Part | None) -> dict[str
 
 
 def _stated_forces(op: Forming) -> dict[str, Any]:
-    out: dict[str, Any] = {}
+    """Return the forces that an operation states, as plain values by name; a file as its digest."""
+    stated_values: dict[str, Any] = {}
     if op.force_by is not None:
         table, file = op.force_by.table, op.force_by.file
-        stated = [list(row) for row in table or ()] if file is None else _digest(file.read_bytes())
-        out["operation.force_by"] = stated
+        stated = [list(entry) for entry in table or ()] if file is None else _digest(file.read_bytes())
+        stated_values["operation.force_by"] = stated
     if op.support_force_n is not None:
-        out["operation.support_force_n"] = op.support_force_n
-    return out
+        stated_values["operation.support_force_n"] = op.support_force_n
+    return stated_values
 
 
 def _mesh_digest(mesh: Mesh) -> str:
+    """Return the digest of a mesh whose vertices are rounded to nanometres."""
     vertices = np.round(mesh.vertices * 1e9).astype("<i8").tobytes()
     return _digest(vertices + np.asarray(mesh.faces).astype("<i8").tobytes())
 
@@ -152,12 +154,12 @@ def springback_file_text(
     Args:
         title: Title of the problem.
         work: Work of the operation.
-        identity: What the file belongs to.
+        identity: Values that identify the job to which the file belongs.
         forecasts: Springback of each pass.
         paths: Shifted paths.
         slope: Slope of the shifts.
     """
-    rows = forecast.forecast_rows(forecasts)
+    control_points = forecast.forecast_rows(forecasts)
     head = {
         "tandem_springback": FILE_VERSIONS["tandem_springback"],
         "problem": title,
@@ -167,7 +169,7 @@ def springback_file_text(
         "slope": slope,
     }
     lines = [f"{_dump(key)}: {_dump(value)}" for key, value in head.items()]
-    points = ",\n".join(_dump(row) for row in rows)
+    points = ",\n".join(_dump(control_point) for control_point in control_points)
     lines.append(f'"control_points": [\n{points}\n]')
     return with_checksum([*lines, *path_lines(paths)])
 
@@ -178,25 +180,25 @@ def path_lines(paths: Sequence[ShiftedPath]) -> list[str]:
 
 
 def passes_text(paths: Sequence[ShiftedPath]) -> str:
-    """Return passes with their rings."""
+    """Return passes as JSON text, one ring a line, each a table of x, y, z and shift [mm]."""
     passes = []
     for path in paths:
         rings = []
-        for k in np.unique(path.loop):
-            in_loop = path.loop == k
+        for loop in np.unique(path.loop):
+            in_loop = path.loop == loop
             table = (
                 np.round(np.column_stack([path.point[in_loop], path.shift[in_loop]]) / MM, LENGTH_DECIMALS)
                 + 0.0
             )
             rings.append(_dump(table.tolist()))
-        joined = ",\n".join(rings)
-        passes.append(f'{{"name": {_dump(path.name)}, "rings": [\n{joined}\n]}}')
-    both = ",\n".join(passes)
-    return f"[\n{both}\n]"
+        joined_rings = ",\n".join(rings)
+        passes.append(f'{{"name": {_dump(path.name)}, "rings": [\n{joined_rings}\n]}}')
+    joined_passes = ",\n".join(passes)
+    return f"[\n{joined_passes}\n]"
 
 
 def with_checksum(lines: Sequence[str]) -> str:
-    """Return a file of these lines, with its checksum as the last one."""
+    """Return the text of a file: a JSON object of these lines, with the checksum of them as the last one."""
     body = "{\n" + ",\n".join(lines) + ",\n"
     return body + f'"sha256": "{hashlib.sha256(body.encode()).hexdigest()}"\n}}\n'
 
@@ -212,10 +214,10 @@ class PassForecast:
     Attributes:
         name: Name of the pass.
         point: Contact points (C, 3) [m].
-        level: Level (C,) of each.
-        curves: Springback curves.
+        level: Level (C,) of each point.
+        curves: C springback curves.
         force: Expected forces (C,) [N].
-        springback: Springback (C,) [m] under them.
+        springback: Springback (C,) [m] under these forces.
     """
 
     name: str
@@ -251,7 +253,7 @@ def read_springback_file(path: Path, operation: Forming, identity: Mapping[str, 
     Args:
         path: File.
         operation: Operation that names it.
-        identity: What the file must belong to.
+        identity: Values that identify the job to which the file has to belong.
 
     Raises:
         TandemError: forming.compensation, with all differences from ``identity`` at once.
@@ -267,13 +269,17 @@ def read_springback_file(path: Path, operation: Forming, identity: Mapping[str, 
     require_shift_limits(paths, limits.slope, limits.most_mm * MM)
     if limits.scan is not None:
         return SpringbackFile(path.name, paths, limits.slope, scan=_require_scan(data, limits.scan.file))
-    rows = _require_list(data, "control_points")
-    names = dict.fromkeys(str(row.get("pass")) for row in rows if isinstance(row, dict))
-    return SpringbackFile(path.name, paths, limits.slope, tuple(_read_forecast(rows, name) for name in names))
+    control_points = _require_list(data, "control_points")
+    names = dict.fromkeys(
+        str(control_point.get("pass")) for control_point in control_points if isinstance(control_point, dict)
+    )
+    return SpringbackFile(
+        path.name, paths, limits.slope, tuple(_read_forecast(control_points, name) for name in names)
+    )
 
 
 def _require_scan(data: Mapping[str, Any], path: Path) -> str:
-    """Name of the scan from which the file was made.
+    """Return the name of the scan from which the file was made.
 
     Raises ``TandemError`` (forming.compensation) if it is not the scan of the problem.
     """
@@ -297,15 +303,17 @@ def require_identity(data: Mapping[str, Any], identity: Mapping[str, Any]) -> No
     file_identity = data.get("belongs_to")
     file_identity = file_identity if isinstance(file_identity, dict) else {}
     own_identity = json.loads(_dump(dict(identity)))
-    differ = [
+    differences = [
         f"{name}: got {_value_text(file_identity.get(name))}, the problem has "
         f"{_value_text(own_identity.get(name))}"
         for name in dict.fromkeys([*own_identity, *file_identity])
         if file_identity.get(name) != own_identity.get(name)
     ]
-    if differ:
+    if differences:
         issues = [
-            issue for what in differ for issue in file_error(f"it belongs to another job: {what}").issues
+            issue
+            for message in differences
+            for issue in file_error(f"it belongs to another job: {message}").issues
         ]
         raise TandemError(issues)
 
@@ -330,16 +338,16 @@ def read_checked_file(path: Path, kind: str) -> dict[str, Any]:
             raise file_error(f"{path.name} has more than {MAX_FILE_BYTES // 1_000_000} MB")
         content = path.read_text("utf-8")
     except (OSError, ValueError) as error:
-        what = f"{path.name}: it cannot be read ({getattr(error, 'strerror', None) or 'no text'})"
-        raise file_error(what) from None
-    body, mark, tail = content.rpartition('"sha256"')
-    stated = tail.replace('"', " ").replace(":", " ").replace("}", " ").split()
+        message = f"{path.name}: it cannot be read ({getattr(error, 'strerror', None) or 'no text'})"
+        raise file_error(message) from None
+    body, checksum_key, checksum_text = content.rpartition('"sha256"')
+    checksum_words = checksum_text.replace('"', " ").replace(":", " ").replace("}", " ").split()
     if content.lstrip().startswith('{"tandem_loop"'):
-        what = f"{path.name} has curves for tandem next-loop, written by --curves, and no shifts"
-        raise file_error(what)
-    if not mark or len(stated) != 1:
+        message = f"{path.name} has curves for tandem next-loop, written by --curves, and no shifts"
+        raise file_error(message)
+    if not checksum_key or len(checksum_words) != 1:
         raise file_error(f"{path.name} is truncated: its last line is no checksum")
-    if hashlib.sha256(body.encode()).hexdigest() != stated[0]:
+    if hashlib.sha256(body.encode()).hexdigest() != checksum_words[0]:
         raise file_error(
             f"{path.name} was changed after it was written, or is truncated: its checksum does not match"
         )
@@ -347,10 +355,10 @@ def read_checked_file(path: Path, kind: str) -> dict[str, Any]:
         data = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise file_error(f"{path.name} is not valid JSON: {error}") from None
-    other = [FILE_KINDS[key] for key in FILE_KINDS if key != kind and isinstance(data, dict) and key in data]
-    if other:
+    others = [FILE_KINDS[key] for key in FILE_KINDS if key != kind and isinstance(data, dict) and key in data]
+    if others:
         hint = "name adjustments with their scan, springback: {file: ..., scan: {file: ...}}, others without"
-        raise file_error(f"{path.name} is a {other[0]}, expected a {FILE_KINDS[kind]}", hint)
+        raise file_error(f"{path.name} is a {others[0]}, expected a {FILE_KINDS[kind]}", hint)
     if not isinstance(data, dict) or data.get(kind) != FILE_VERSIONS[kind]:
         raise file_error(f"{path.name} is not a {FILE_KINDS[kind]} of version {FILE_VERSIONS[kind]}")
     return data
@@ -384,21 +392,22 @@ def read_shifted_path(entry: Any) -> ShiftedPath:
     return ShiftedPath(name, table_of_all[:, :3], table_of_all[:, 3], loop)
 
 
-def _read_forecast(rows: Sequence[Any], name: str) -> PassForecast:
-    pass_rows = [row for row in rows if isinstance(row, dict) and str(row.get("pass")) == name]
+def _read_forecast(entries: Sequence[Any], name: str) -> PassForecast:
+    """Return the forecast of the pass ``name``; raises ``TandemError`` if its control points are invalid."""
+    pass_entries = [entry for entry in entries if isinstance(entry, dict) and str(entry.get("pass")) == name]
     try:
-        table = np.array([[row[key] for key in _CONTROL_KEYS] for row in pass_rows], dtype=np.float64)
-        curves = [np.array([row[key] for key in _CURVE_KEYS], dtype=np.float64) for row in pass_rows]
+        table = np.array([[entry[key] for key in _CONTROL_KEYS] for entry in pass_entries], dtype=np.float64)
+        curves = [np.array([entry[key] for key in _CURVE_KEYS], dtype=np.float64) for entry in pass_entries]
     except (KeyError, TypeError, ValueError, OverflowError):
         table, curves = np.zeros((0, len(_CONTROL_KEYS))), []
     arrays = [table, *curves]
-    rising = all(c.ndim == 2 and c.shape[1] > 2 and (np.diff(c) > 0.0).all() for c in curves)
+    rising = all(curve.ndim == 2 and curve.shape[1] > 2 and (np.diff(curve) > 0.0).all() for curve in curves)
     if not len(table) or not all(np.isfinite(array).all() for array in arrays) or not rising:
-        what = (
+        message = (
             f"pass {name}: its control points are not rows of {', '.join((*_CONTROL_KEYS, *_CURVE_KEYS))}, "
             "with "
         )
-        raise file_error(what + "increasing curves")
+        raise file_error(message + "increasing curves")
     level = table[:, 0]
     if (level < 0).any() or (level >= MAX_LEVELS).any() or (level % 1.0 != 0.0).any():
         raise file_error(f"pass {name}: levels of control points must be numbers from 0 to {MAX_LEVELS - 1}")
@@ -406,7 +415,10 @@ def _read_forecast(rows: Sequence[Any], name: str) -> PassForecast:
         name,
         table[:, 1:4] * MM,
         table[:, 0].astype(np.int64),
-        tuple(SpringbackCurve(n, s * MM, False) for n, s in curves),
+        tuple(
+            SpringbackCurve(curve_force, curve_springback * MM, False)
+            for curve_force, curve_springback in curves
+        ),
         table[:, 5],
         table[:, 4] * MM,
     )
@@ -415,7 +427,7 @@ def _read_forecast(rows: Sequence[Any], name: str) -> PassForecast:
 def require_shift_limits(
     paths: Sequence[ShiftedPath], slope: float, max_shift: float, first: float = 0.0
 ) -> None:
-    """Check the shifts of paths.
+    """Check that the shifts of paths stay within their limits.
 
     Args:
         paths: Shifted paths.
@@ -430,20 +442,22 @@ def require_shift_limits(
     issues: list[Issue] = []
     for path in paths:
         step = lengths(np.diff(path.point, axis=0))
-        steep = np.abs(np.diff(path.shift)) - SHIFT_ROUNDING_M - slope * step
+        slope_excess = np.abs(np.diff(path.shift)) - SHIFT_ROUNDING_M - slope * step
         if path.shift.max() > max_shift:
-            what = f"pass {path.name} has a shift of {path.shift.max() / MM:.3f} mm, "
-            what += f"most_mm allows {max_shift / MM:g} mm"
-            issues += file_error(what, f"allow more (springback: most_mm), or {REWRITE_HINT}").issues
+            message = f"pass {path.name} has a shift of {path.shift.max() / MM:.3f} mm, "
+            message += f"most_mm allows {max_shift / MM:g} mm"
+            issues += file_error(message, f"allow more (springback: most_mm), or {REWRITE_HINT}").issues
         problems = []
         if path.shift.min() < 0.0:
             problems.append(f"a shift of {path.shift.min() / MM:.3f} mm, allowed 0 and more")
         if abs(path.shift[0] - first) > SHIFT_ROUNDING_M:
             problems.append(f"a shift of {path.shift[0] / MM:.3f} mm at its start, allowed {first / MM:g}")
-        if len(steep) and steep.max() > 0.0:
-            k = int(np.argmax(steep))
-            got = abs(path.shift[k + 1] - path.shift[k]) / max(float(step[k]), 1e-12)
-            problems.append(f"a slope of {got:.4f} mm/mm, allowed {slope:g}")
-        issues += [issue for what in problems for issue in file_error(f"pass {path.name} has {what}").issues]
+        if len(slope_excess) and slope_excess.max() > 0.0:
+            k = int(np.argmax(slope_excess))
+            actual_slope = abs(path.shift[k + 1] - path.shift[k]) / max(float(step[k]), 1e-12)
+            problems.append(f"a slope of {actual_slope:.4f} mm/mm, allowed {slope:g}")
+        issues += [
+            issue for message in problems for issue in file_error(f"pass {path.name} has {message}").issues
+        ]
     if issues:
         raise TandemError(issues)

@@ -48,7 +48,9 @@ MAX_CONTROL_POINTS: Final = 60
 MIN_LEVELS: Final = 3
 """Minimum number of levels of a pass with control points, if it has as many loops."""
 TURN_DEPTH_FRACTION: Final = 0.25
-"""Fraction of a pass' depth that a turn of the wall by `ANGLE_UNIT` counts as in the choice of levels."""
+"""Fraction of a pass' depth to which a change of the wall angle by `ANGLE_UNIT` is equivalent in the choice
+of levels.
+"""
 MIN_LEVEL_DISTANCE_M: Final = 0.05 * MM
 """Minimum depth [m] between any two levels with control points: loops of one floor are one level."""
 LEVEL_SPACING_M: Final = 1.0 * MM
@@ -100,12 +102,12 @@ def choose_control_points(
 ) -> ControlPoints:
     """Return the control points of a path: the middle of each cluster on some levels.
 
-    The levels are evenly spaced in depth.
+    The levels are evenly spaced in depth and wall angle.
 
     Args:
         point: Contact points (N, 3) [m] of the targets.
-        angle: Wall angles (N,) [rad].
-        loop: Loops (N,).
+        angle: Wall angles (N,) [rad] there.
+        loop: Loop (N,) of each target.
         radius: Radius [m] of the tool.
         max_points: Maximum number of points, as far as `MIN_LEVELS` permits.
     """
@@ -114,14 +116,14 @@ def choose_control_points(
     rings = _divide_like_neighbours(_label_rings(rings, radius))
     clusters = np.array([int(ring.label.max()) + 1 for ring in rings])
     depth = np.array([float(ring.point[:, 2].mean()) for ring in rings])
-    steep = np.array([float(ring.angle.mean()) for ring in rings])
-    chosen = _choose_levels(depth, steep, clusters, max_points)
-    rows = [
+    mean_angle = np.array([float(ring.angle.mean()) for ring in rings])
+    chosen = _choose_levels(depth, mean_angle, clusters, max_points)
+    entries = [
         (level, ring_index, cluster)
         for level, k in enumerate(chosen)
         for cluster, ring_index in enumerate(cluster_middles(rings[k].label))
     ]
-    level, ring_index, cluster = np.array(rows, dtype=np.int64).T
+    level, ring_index, cluster = np.array(entries, dtype=np.int64).T
     chosen_rings = tuple(rings[k] for k in chosen)
     return ControlPoints(
         point=np.stack([chosen_rings[i].point[j] for i, j in zip(level, ring_index, strict=True)]),
@@ -135,19 +137,25 @@ def choose_control_points(
     )
 
 
-def _choose_levels(depth: FloatArray, steep: FloatArray, clusters: IntArray, max_points: int) -> IntArray:
-    """Loops that get control points: the first, the last, and others between.
+def _choose_levels(
+    depth: FloatArray, mean_angle: FloatArray, clusters: IntArray, max_points: int
+) -> IntArray:
+    """Return the indices of the loops that get control points: the first, the last, and others between.
 
-    By their mean z (M,) [m] and wall angle (M,) [rad], evenly spaced in depth and in the turn of the wall,
-    because force and sheet change with both.
+    By mean ``depth`` z (M,) [m] and ``mean_angle`` of the wall (M,) [rad] together they are evenly spaced,
+    because force and sheet change with both. They have at most ``max_points`` ``clusters`` (M,) as far as
+    `MIN_LEVELS` permits.
     """
-    down = np.abs(depth - depth[0])
-    whole = max(float(down.max()), 1e-12)
+    distance_down = np.abs(depth - depth[0])
+    total_depth = max(float(distance_down.max()), 1e-12)
     progress = np.append(
         0.0,
-        np.cumsum(np.abs(np.diff(depth)) / whole + TURN_DEPTH_FRACTION * np.abs(np.diff(steep)) / ANGLE_UNIT),
+        np.cumsum(
+            np.abs(np.diff(depth)) / total_depth
+            + TURN_DEPTH_FRACTION * np.abs(np.diff(mean_angle)) / ANGLE_UNIT
+        ),
     )
-    max_levels = 1 + int(np.ceil(float(down.max()) / LEVEL_SPACING_M))
+    max_levels = 1 + int(np.ceil(float(distance_down.max()) / LEVEL_SPACING_M))
     for count in range(min(max_levels, len(depth)), 0, -1):
         goals = np.linspace(0.0, float(progress[-1]), count) if count > 1 else progress[-1:]
         chosen = _distinct_depths(depth, np.unique(np.abs(progress[:, None] - goals).argmin(axis=0)))
@@ -157,7 +165,7 @@ def _choose_levels(depth: FloatArray, steep: FloatArray, clusters: IntArray, max
 
 
 def _distinct_depths(depth: FloatArray, chosen: IntArray) -> IntArray:
-    """The ``chosen`` loops that have distinct depths (``depth`` (M,) [m] of all loops)."""
+    """Return those of the ``chosen`` loops that have distinct depths; ``depth`` (M,) [m] is of all loops."""
     kept: list[int] = []
     for k in chosen.tolist():
         if all(abs(float(depth[k] - depth[other])) > MIN_LEVEL_DISTANCE_M for other in kept):
@@ -184,38 +192,43 @@ def cluster_middles(label: IntArray) -> IntArray:
 
 
 def _resample_ring(point: FloatArray, angle: FloatArray, radius: float) -> ClusterRing:
-    """A loop resampled to equidistant points."""
+    """Return a loop resampled to equidistant points, as a single cluster."""
     ends = np.vstack([point, point[:1]])
     arc = arc_length(ends)
     count = max(MIN_RING_POINTS, round(float(arc[-1]) / (radius / POINTS_PER_RADIUS)))
-    at = np.arange(count) * (arc[-1] / count)
-    even = interpolate_polyline(ends, arc, at)
-    return ClusterRing(even, np.interp(at, arc, np.append(angle, angle[0])), np.zeros(count, dtype=np.int64))
+    even_arc = np.arange(count) * (arc[-1] / count)
+    even_points = interpolate_polyline(ends, arc, even_arc)
+    return ClusterRing(
+        even_points, np.interp(even_arc, arc, np.append(angle, angle[0])), np.zeros(count, dtype=np.int64)
+    )
 
 
 def _label_rings(rings: Sequence[ClusterRing], radius: float) -> list[ClusterRing]:
-    across = curvature_across(rings)
+    """Return the rings with the clusters of their points by wall angle and both curvatures."""
+    across_curvatures = curvature_across(rings)
     out = []
-    for ring, turn in zip(rings, across, strict=True):
-        plan = curvature_in_plan(ring.point[:, :2], POINTS_PER_RADIUS)
-        features = np.stack([ring.angle / ANGLE_UNIT, plan * radius, turn * radius], axis=1)
+    for ring, across_curvature in zip(rings, across_curvatures, strict=True):
+        plan_curvature = curvature_in_plan(ring.point[:, :2], POINTS_PER_RADIUS)
+        features = np.stack(
+            [ring.angle / ANGLE_UNIT, plan_curvature * radius, across_curvature * radius], axis=1
+        )
         out.append(dataclasses.replace(ring, label=ring_clusters(features)))
     return out
 
 
 def _divide_like_neighbours(rings: Sequence[ClusterRing]) -> list[ClusterRing]:
-    """Rings, with those that have few clusters divided like another ring.
+    """Return the rings, with those that have few clusters divided like another ring.
 
     They are divided at the points nearest in plan to the divisions of the next ring below with a usual number
     of clusters, or else above.
     """
     count = np.array([int(ring.label.max()) + 1 for ring in rings])
-    usual = float(np.median(count))
-    full = np.flatnonzero(count >= usual)
+    usual_count = float(np.median(count))
+    usual_rings = np.flatnonzero(count >= usual_count)
     out = list(rings)
-    for k in np.flatnonzero(count <= FEW_CLUSTERS_FRACTION * usual).tolist():
-        ahead = full[full > k]
-        reference = rings[int(ahead[0] if len(ahead) else full[-1])]
+    for k in np.flatnonzero(count <= FEW_CLUSTERS_FRACTION * usual_count).tolist():
+        below = usual_rings[usual_rings > k]
+        reference = rings[int(below[0] if len(below) else usual_rings[-1])]
         plan_points = rings[k].point[:, :2]
         divisions = reference.point[reference.label != np.roll(reference.label, 1), :2]
         starts = np.zeros(len(plan_points), dtype=np.bool_)
@@ -238,8 +251,8 @@ def curvature_in_plan(xy: FloatArray, window: int) -> FloatArray:
         window: Number of points on either side.
     """
     n = len(xy)
-    rows = (np.arange(n)[:, None] + np.arange(-window, window + 1)) % n
-    neighbourhood = xy[rows] - xy[:, None]
+    indices = (np.arange(n)[:, None] + np.arange(-window, window + 1)) % n
+    neighbourhood = xy[indices] - xy[:, None]
     scale = float(np.sqrt((neighbourhood**2).sum(axis=2).mean()))
     neighbourhood = neighbourhood / scale
     terms = np.concatenate(
@@ -258,14 +271,14 @@ def curvature_in_plan(xy: FloatArray, window: int) -> FloatArray:
     values, vectors = np.linalg.eig(inverse @ moments)
     values, vectors = values.real, vectors.real
     # exact circles have an eigenvalue of 0, which rounding may put below it
-    best = np.where(values >= -1e-12, values, np.inf).argmin(axis=1)
-    a, b, c, d = np.take_along_axis(vectors, best[:, None, None], axis=2)[:, :, 0].T
+    best_index = np.where(values >= -1e-12, values, np.inf).argmin(axis=1)
+    a, b, c, d = np.take_along_axis(vectors, best_index[:, None, None], axis=2)[:, :, 0].T
     # the gradient at the point itself, relative to the direction of travel, shows the inside of the circle
     direction = np.roll(xy, -1, axis=0) - np.roll(xy, 1, axis=0)
     sign = np.sign(direction[:, 1] * b - direction[:, 0] * c)
     area = plan_area(np.vstack([xy, xy[:1]]))
-    size = np.sqrt(np.maximum(b * b + c * c - 4.0 * a * d, 1e-300))
-    return np.asarray(np.sign(area) * sign * 2.0 * a / size / scale)
+    constraint_root = np.sqrt(np.maximum(b * b + c * c - 4.0 * a * d, 1e-300))
+    return np.asarray(np.sign(area) * sign * 2.0 * a / constraint_root / scale)
 
 
 def curvature_across(rings: Sequence[ClusterRing]) -> list[FloatArray]:
@@ -288,12 +301,12 @@ def curvature_across(rings: Sequence[ClusterRing]) -> list[FloatArray]:
 
 
 def _nearest_in_plan(ring: ClusterRing, other: ClusterRing) -> tuple[FloatArray, FloatArray]:
-    """Nearest point in plan of another ring to each point of a ring: points (N, 3), wall angles (N,)."""
+    """Return the points (N, 3) [m] of another ring nearest in plan to a ring, and their angles (N,) [rad]."""
     if ring is other:
         return ring.point, ring.angle
     distance = lengths(ring.point[:, None, :2] - other.point[None, :, :2])
-    at = distance.argmin(axis=1)
-    return other.point[at], other.angle[at]
+    nearest = distance.argmin(axis=1)
+    return other.point[nearest], other.angle[nearest]
 
 
 def ring_clusters(
@@ -316,19 +329,20 @@ def ring_clusters(
     # the spread within the clusters when K of them are left: merging adds Ward's distance to it
     within = np.cumsum(np.concatenate([[0.0], gained]))[::-1]
     counts = np.arange(2, min(max_clusters, n - 1) + 1)
-    w = within[counts - 1]
-    index = (spread - w) / (counts - 1) / ((w + n * floor * floor) / (n - counts))
-    best = int(counts[int(np.argmax(index))])
+    spread_within = within[counts - 1]
+    # index of Calinski and Harabasz
+    index = (spread - spread_within) / (counts - 1) / ((spread_within + n * floor * floor) / (n - counts))
+    best_count = int(counts[int(np.argmax(index))])
     starts = np.zeros(n, dtype=np.bool_)
-    starts[ends[n - best :]] = True
-    return np.asarray((np.cumsum(starts) - 1) % best)
+    starts[ends[n - best_count :]] = True
+    return np.asarray((np.cumsum(starts) - 1) % best_count)
 
 
 def _merge_order(features: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Order in which arcs of a ring are merged.
+    """Merge neighbouring arcs of a ring, each time the two with the smallest Ward's distance.
 
-    Returns the start (N,) of the later arc of each merge (the last one is that of the remaining arc), and the
-    increase (N - 1,) of the spread by each merge.
+    Each point is an arc at first. Returns the start (N,) of the later arc of each merge (the last one is that
+    of the remaining arc), and the increase (N - 1,) of the spread by each merge.
     """
     n = len(features)
     total = [row.copy() for row in features]
@@ -336,19 +350,20 @@ def _merge_order(features: FloatArray) -> tuple[IntArray, FloatArray]:
     following, previous = [(k + 1) % n for k in range(n)], [(k - 1) % n for k in range(n)]
 
     def ward_distance(a: int, b: int) -> float:
+        """Return the increase of the spread within arcs if the arcs with these numbers are merged."""
         difference = total[a] / count[a] - total[b] / count[b]
         return float(count[a] * count[b] / (count[a] + count[b]) * (difference @ difference))
 
     queue = [(ward_distance(k, following[k]), k, following[k], 0, 0) for k in range(n)]
     heapq.heapify(queue)
     order: list[int] = []
-    gained: list[float] = []
+    increase: list[float] = []
     while len(order) < n - 1:
-        value, a, b, old_a, old_b = heapq.heappop(queue)
+        distance, a, b, old_a, old_b = heapq.heappop(queue)
         if not (alive[a] and alive[b]) or (version[a], version[b]) != (old_a, old_b):
-            continue
+            continue  # one of the arcs has changed since the entry was made
         order.append(b)
-        gained.append(value)
+        increase.append(distance)
         total[a] = total[a] + total[b]
         count[a] += count[b]
         alive[b] = False
@@ -361,4 +376,4 @@ def _merge_order(features: FloatArray) -> tuple[IntArray, FloatArray]:
                     queue, (ward_distance(first, second), first, second, version[first], version[second])
                 )
     order.append(alive.index(True))
-    return np.array(order, dtype=np.int64), np.array(gained)
+    return np.array(order, dtype=np.int64), np.array(increase)

@@ -83,7 +83,7 @@ class SpringbackCurve:
     allowed: int = 0
 
     def at(self, force: float | FloatArray) -> FloatArray:
-        """Return the springback [m] under ``force`` [N], NaN beyond the last force."""
+        """Return the springback [m] under forces [N], in the shape of ``force``; NaN beyond the last one."""
         if len(self.force) < 2:  # it snaps under the first load
             return np.where(np.asarray(force) > 0.0, np.nan, 0.0)
         return np.asarray(PchipInterpolator(self.force, self.springback, extrapolate=False)(force))
@@ -103,7 +103,7 @@ class PassSpringback:
         control: Control points.
         curves: C curves.
         force: Expected forces (C,) [N].
-        springback: Springback (C,) [m] under them.
+        springback: Springback (C,) [m] under these forces, NaN where the sheet snaps.
     """
 
     forming_pass: FormingPass
@@ -130,20 +130,20 @@ class PassSpringback:
         )
         order = np.argsort(height)
         height, ring_springback = height[order], ring_springback[order]
-        above = np.clip(np.searchsorted(height, points[:, 2]), 1, max(len(height) - 1, 1))
-        below = above - 1
-        above = np.minimum(above, len(height) - 1)
-        rise = height[above] - height[below]
+        upper = np.clip(np.searchsorted(height, points[:, 2]), 1, max(len(height) - 1, 1))
+        lower = upper - 1
+        upper = np.minimum(upper, len(height) - 1)
+        rise = height[upper] - height[lower]
         rise = np.where(rise > 0.0, rise, 1.0)  # two levels of a file may be nearest to one loop
-        fraction = np.clip((points[:, 2] - height[below]) / rise, 0.0, 1.0)
-        rows = np.arange(len(points))
-        return _interpolate(ring_springback[below, rows], ring_springback[above, rows], fraction)
+        fraction = np.clip((points[:, 2] - height[lower]) / rise, 0.0, 1.0)
+        indices = np.arange(len(points))
+        return _interpolate(ring_springback[lower, indices], ring_springback[upper, indices], fraction)
 
     def _on_ring(self, level: int, ring_index: IntArray, force: FloatArray) -> FloatArray:
-        """Springback (N,) [m] at indices (N,) of a level's ring under forces (N,) [N].
+        """Return the springback (N,) [m] at indices (N,) of a level's ring under forces (N,) [N].
 
-        Linear from one control point to the next, along the ring. Forces are limited to the last one of each
-        curve; where the sheet snaps beyond that, the result is NaN.
+        It is linear from one control point to the next, along the ring. Forces are limited to the last one of
+        each curve; where the sheet snaps beyond that, the result is NaN.
         """
         on_level = np.flatnonzero(self.control.level == level)
         on_level = on_level[np.argsort(self.control.ring_index[on_level])]
@@ -152,20 +152,20 @@ class PassSpringback:
         following = (previous + 1) % len(on_level)
         gap = (knots[following] - knots[previous] - 1) % count + 1
         fraction = ((ring_index - knots[previous]) % count) / gap
-        ends = np.zeros((2, len(ring_index)))
-        for k, row in enumerate(on_level):
-            curve = self.curves[row]
+        end_springback = np.zeros((2, len(ring_index)))
+        for k, control_index in enumerate(on_level):
+            curve = self.curves[control_index]
             max_force = np.inf if curve.snaps else curve.force[-1]
-            for end, value in zip((previous, following), ends, strict=True):
+            for end, value in zip((previous, following), end_springback, strict=True):
                 selected = end == k
                 value[selected] = curve.at(np.minimum(force[selected], max_force))
-        return _interpolate(ends[0], ends[1], fraction)
+        return _interpolate(end_springback[0], end_springback[1], fraction)
 
 
 def _interpolate(first: FloatArray, second: FloatArray, fraction: FloatArray) -> FloatArray:
-    """Interpolation from ``first`` to ``second`` (N,) by a ``fraction`` (N,).
+    """Interpolate from ``first`` to ``second`` (N,) by a ``fraction`` (N,).
 
-    At an end the other value may be NaN.
+    At an end, where the fraction is 0 or 1, the other value may be NaN.
     """
     mixed = (1.0 - fraction) * first + fraction * second
     return np.asarray(np.where(fraction <= 0.0, first, np.where(fraction >= 1.0, second, mixed)))
@@ -176,7 +176,8 @@ def sheet_forces(
 ) -> FloatArray:
     """Return the forces (N,) [N] along z on the sheet at points of a pass.
 
-    As the user states them, otherwise by the formula of `axial_force`, which does not include a second tool.
+    They are those that the user states, otherwise those of the formula of `axial_force`, which does not
+    include a second tool.
 
     Args:
         work: Work of the operation.
@@ -186,7 +187,8 @@ def sheet_forces(
     """
     if work.stated_forces is not None:
         return work.stated_forces.force_at(forming_pass.name, points)
-    op, radius = work.operation, work.heads[work.forming_arm(forming_pass)].radius
+    op = work.operation
+    radius = work.heads[work.forming_arm(forming_pass)].radius
     if op.stepdown_mm is None:
         ridge = np.full(len(angle), (op.scallop_mm or 0.0) * MM)
     else:
@@ -200,7 +202,7 @@ def solve_curve(
     triangles: int = MAX_TRIANGLES,
     factors: FloatArray = LOAD_FACTORS,
 ) -> SpringbackCurve:
-    """Return the curve at a point of a pass, on the sheet as formed when the tool is there.
+    """Return the springback curve at a point of a pass, on the sheet as formed when the tool is there.
 
     Loads are ``factors`` of the expected force. If larger forces are expected nearby, loads are this force
     and fractions of the larger one up to it.
@@ -216,8 +218,8 @@ def solve_curve(
         ValueError: if the formed sheet cannot be meshed with any of these numbers.
     """
     forming_pass = work.passes[point.number]
-    formed = sheet_walls(work, point.number, float(point.contact[2]))
-    sheet_mesh, allowed = _mesh_sheet(formed, work.sheet.opening, triangles, point.contact)
+    walls = sheet_walls(work, point.number, float(point.contact[2]))
+    sheet_mesh, allowed = _mesh_sheet(walls, work.sheet.opening, triangles, point.contact)
     mesh = Mesh(sheet_mesh.nodes, sheet_mesh.triangles)
     metal = work.sheet.metal
     sheet = ShellSheet(
@@ -233,29 +235,33 @@ def solve_curve(
     direction = np.array([0.0, 0.0, -float(forming_pass.side)])
     try:
         loading = Loading(sheet, clamped(sheet, _border_condition(work)))
-        moved, snaps = (
-            loading.curve(
-                pressure_weights(sheet, point.contact, PRESSED_WIDTH_M), loads[:, None] * direction
-            ),
-            False,
+        displacements = loading.curve(
+            pressure_weights(sheet, point.contact, PRESSED_WIDTH_M), loads[:, None] * direction
         )
+        snaps = False
     except LimitLoadError as error:
-        moved, snaps = error.displacements, True
-    count = len(moved)
-    return SpringbackCurve(np.append(0.0, loads[:count]), np.append(0.0, moved @ direction), snaps, allowed)
+        displacements, snaps = error.displacements, True
+    count = len(displacements)
+    return SpringbackCurve(
+        np.append(0.0, loads[:count]), np.append(0.0, displacements @ direction), snaps, allowed
+    )
 
 
 def _mesh_sheet(
-    formed: Sequence[Wall], opening: FloatArray, triangles: int, point: FloatArray
+    walls: Sequence[Wall], opening: FloatArray, triangles: int, point: FloatArray
 ) -> tuple[ShellMesh, int]:
-    """A mesh of a sheet with a node at a point (3,) [m], and the number of triangles that it was allowed."""
-    *first, last = (int(factor * triangles) for factor in TRIANGLE_FACTORS)
-    for allowed in first:
+    """Return a mesh of a sheet with a node at a point (3,) [m], and the allowed number of its triangles.
+
+    The numbers of `TRIANGLE_FACTORS` are tried in turn. Raises ``ValueError`` if none is sufficient.
+    """
+    *earlier_counts, last_count = (int(factor * triangles) for factor in TRIANGLE_FACTORS)
+    for allowed in earlier_counts:
         with contextlib.suppress(ValueError):  # the last attempt reports the reason
-            return mesh_walls(formed, opening, allowed, point[None], MAX_LOCAL_ELEMENT_M), allowed
-    return mesh_walls(formed, opening, last, point[None], MAX_LOCAL_ELEMENT_M), last
+            return mesh_walls(walls, opening, allowed, point[None], MAX_LOCAL_ELEMENT_M), allowed
+    return mesh_walls(walls, opening, last_count, point[None], MAX_LOCAL_ELEMENT_M), last_count
 
 
 def _border_condition(work: FormingWork) -> str | float:
-    stiff = work.sheet.border
-    return "sliding" if stiff == 0.0 else "immovable" if np.isinf(stiff) else stiff
+    """Return the border of the sheet as `clamped` expects it: a word, or its stiffness [N/m^2]."""
+    stiffness = work.sheet.border
+    return "sliding" if stiffness == 0.0 else "immovable" if np.isinf(stiffness) else stiffness

@@ -68,24 +68,26 @@ def require_forecast_mode(work: FormingWork) -> None:
     """
     mode = work.operation.mode
     if mode not in FORECAST_MODES:
-        what = (
+        message = (
             f"{work.operation.name}: mode {mode}: {NO_FORECAST_REASONS[mode]}; allowed are "
             f"{', '.join(FORECAST_MODES)}"
         )
         hint = "form a test piece and measure it"
-        raise issue_error("forming.springback_mode", what, field="mode", hint=hint)
+        raise issue_error("forming.springback_mode", message, field="mode", hint=hint)
     if work.staged:
-        what = f"{work.operation.name}: the sheet is formed in stages, or was cut before; springback is "
-        what += "predicted only for whole sheets that one operation forms"
+        message = f"{work.operation.name}: the sheet is formed in stages, or was cut before; springback is "
+        message += "predicted only for whole sheets that one operation forms"
         hint = "form a test piece and measure it"
-        raise issue_error("forming.springback_mode", what, field="features", hint=hint)
+        raise issue_error("forming.springback_mode", message, field="features", hint=hint)
 
 
 def no_forecast_note(work: FormingWork) -> Issue:
     """Return the note that a sheet that was formed or cut before has no forecast (forming.springback)."""
-    what = f"{work.operation.name}: springback is not predicted, because the sheet was formed or cut before"
+    message = (
+        f"{work.operation.name}: springback is not predicted, because the sheet was formed or cut before"
+    )
     hint = "form a test piece and measure it (tandem scan-fit)"
-    return Issue("forming.springback", what, Severity.NOTE, hint=hint)
+    return Issue("forming.springback", message, Severity.NOTE, hint=hint)
 
 
 def describe_forces(work: FormingWork) -> list[str]:
@@ -120,29 +122,32 @@ def forecast_points(
     """
     out = []
     for number, (forming_pass, path) in enumerate(paths):
-        radius, contact = work.heads[work.forming_arm(forming_pass)].radius, path.contact
+        radius = work.heads[work.forming_arm(forming_pass)].radius
+        contact = path.contact
         control = choose_control_points(contact.point, contact.angle, contact.loop, radius, max_points)
         force = sheet_forces(work, forming_pass, control.point, control.angle)
         force = np.maximum(force, MIN_FORCE_FRACTION * float(force.max()))
         nearby_force = _nearby_force(
             control, contact.loop, sheet_forces(work, forming_pass, contact.point, contact.angle)
         )
-        rows = [
-            SpringbackPoint(number, contact_point, float(n), float(nearby_force[level]))
-            for contact_point, n, level in zip(control.point, force, control.level, strict=True)
+        pass_points = [
+            SpringbackPoint(number, contact_point, float(expected_force), float(nearby_force[level]))
+            for contact_point, expected_force, level in zip(control.point, force, control.level, strict=True)
         ]
-        out.append((control, rows))
+        out.append((control, pass_points))
     return out
 
 
 def _nearby_force(control: ControlPoints, loop: IntArray, force: FloatArray) -> FloatArray:
-    """Largest force (L,) [N] on the loops from the level above each level to the one below.
+    """Return, for each level with control points, the largest force (L,) [N] on its loop and those nearby.
+
+    These are the loops from the previous level with control points to the next one.
 
     ``loop`` (N,) and ``force`` (N,) [N] are those of the path's targets.
     """
     ends = np.concatenate([control.loop[:1], control.loop, control.loop[-1:]])
-    pairs = zip(ends[:-2], ends[2:], strict=True)
-    return np.array([float(force[(loop >= low) & (loop <= high)].max()) for low, high in pairs])
+    neighbours = zip(ends[:-2], ends[2:], strict=True)
+    return np.array([float(force[(loop >= low) & (loop <= high)].max()) for low, high in neighbours])
 
 
 def springback_along(
@@ -150,7 +155,7 @@ def springback_along(
 ) -> FloatArray:
     """Return the springback (N,) [m] along the contact of a pass, under the force there.
 
-    The force is at least the minimum that counts where the sheet is flat.
+    The force is at least `MIN_FORCE_FRACTION` of the largest one, as at the control points.
 
     Args:
         work: Work of the operation.
@@ -180,7 +185,8 @@ def max_relative_difference(
 ) -> float:
     """Return the largest relative difference of springback from ``other`` curves, under the points' forces.
 
-    Differences up to `SPRINGBACK_TOLERANCE_M` do not count; 0 if both snap.
+    Differences up to `SPRINGBACK_TOLERANCE_M` do not count. A point at which both sheets snap counts as 0.
+    The result is infinite if only one of them snaps somewhere.
     """
     back = np.array(
         [
@@ -210,20 +216,20 @@ def solve_curves(
         shares: Loads as multiples of the expected forces.
 
     Raises:
-        TandemError: forming.springback_mesh.
+        TandemError: forming.springback_mesh if the sheet cannot be meshed.
     """
     for point in selected:
         try:
             curve = solve_curve(work, point, triangles, shares)
         except ValueError as error:
-            what = format_message(
+            message = format_message(
                 "forming.springback_mesh",
                 pass_name=work.passes[point.number].name,
                 z_mm=point.contact[2] / MM,
                 error=error,
             )
             hint = f"allow more triangles: {int(2.0 * TRIANGLE_FACTORS[-1] * triangles)}"
-            raise issue_error("forming.springback_mesh", what, field="triangles", hint=hint) from error
+            raise issue_error("forming.springback_mesh", message, field="triangles", hint=hint) from error
         yield curve
 
 
@@ -236,15 +242,15 @@ def make_forecast(
 
     Args:
         paths: Passes with their tool paths.
-        control: Control points and points of each pass.
-        curves: Curves of all points in their order.
+        control: Control points of each pass, and the points that were solved at them.
+        curves: Curves of all points, in the order of passes and points.
     """
     out, offset = [], 0
-    for (forming_pass, _), (control_points, rows) in zip(paths, control, strict=True):
-        pass_curves = tuple(curves[offset : offset + len(rows)])
-        offset += len(rows)
-        force = np.array([row.force for row in rows])
-        springback = np.array([float(curve.at(n)) for curve, n in zip(pass_curves, force, strict=True)])
+    for (forming_pass, _), (control_points, pass_points) in zip(paths, control, strict=True):
+        pass_curves = tuple(curves[offset : offset + len(pass_points)])
+        offset += len(pass_points)
+        force = np.array([point.force for point in pass_points])
+        springback = np.array([float(curve.at(load)) for curve, load in zip(pass_curves, force, strict=True)])
         out.append(PassSpringback(forming_pass, control_points, pass_curves, force, springback))
     return tuple(out)
 
@@ -252,21 +258,21 @@ def make_forecast(
 def forecast_issues(forecasts: Sequence[PassSpringback]) -> list[Issue]:
     """Return what the user must know about a forecast: forming.springback, forming.limit_load."""
     out: list[Issue] = []
-    worst = max(forecasts, key=lambda item: float(np.nanmax(item.springback, initial=0.0)))
-    max_mm = float(np.nanmax(worst.springback, initial=0.0)) / MM
+    worst_pass = max(forecasts, key=lambda item: float(np.nanmax(item.springback, initial=0.0)))
+    max_mm = float(np.nanmax(worst_pass.springback, initial=0.0)) / MM
     if max_mm > REPORTED_SPRINGBACK_MM:
-        worst_point = int(np.nanargmax(worst.springback))
-        z = worst.control.point[worst_point, 2] / MM
-        mean = float(np.nanmean(worst.springback)) / MM
-        what = (
-            f"pass {worst.forming_pass.name}: the sheet springs back by up to {max_mm:.2f} mm when the tool "
-            "releases "
+        worst_index = int(np.nanargmax(worst_pass.springback))
+        z = worst_pass.control.point[worst_index, 2] / MM
+        mean = float(np.nanmean(worst_pass.springback)) / MM
+        message = (
+            f"pass {worst_pass.forming_pass.name}: the sheet springs back by up to {max_mm:.2f} mm when the "
+            "tool releases "
         )
-        what += (
-            f"it (at z = {z:.1f} mm, under {worst.force[worst_point]:.0f} N), by {mean:.2f} mm on average "
-            "over "
+        message += (
+            f"it (at z = {z:.1f} mm, under {worst_pass.force[worst_index]:.0f} N), by {mean:.2f} mm on "
+            "average over "
         )
-        what += (
+        message += (
             "its control points; the part will be too shallow by that (reported above "
             f"{REPORTED_SPRINGBACK_MM:g} mm)"
         )
@@ -275,7 +281,7 @@ def forecast_issues(forecasts: Sequence[PassSpringback]) -> list[Issue]:
         out.append(
             Issue(
                 "forming.springback",
-                what,
+                message,
                 Severity.WARNING,
                 **measurement(max_mm, REPORTED_SPRINGBACK_MM, "mm"),
                 hint=hint,
@@ -284,17 +290,17 @@ def forecast_issues(forecasts: Sequence[PassSpringback]) -> list[Issue]:
     for item in forecasts:
         snaps = np.flatnonzero(np.isnan(item.springback))
         if len(snaps):
-            reached = item.curves[snaps[0]].force[-1]
+            max_force = item.curves[snaps[0]].force[-1]
             first_load = LOAD_FACTORS[0] * item.force[snaps[0]]
-            holds = f"holds {reached:.0f} N" if reached > 0.0 else f"does not hold {first_load:.0f} N"
+            holds = f"holds {max_force:.0f} N" if max_force > 0.0 else f"does not hold {first_load:.0f} N"
             out.append(
                 Issue(
                     "forming.limit_load",
                     f"pass {item.forming_pass.name}: at z = {item.control.point[snaps[0], 2] / MM:.1f} mm "
-                    f"the sheet {holds}, {item.force[snaps[0]]:.0f} N are expected; beyond that it snaps or "
-                    "buckles",
+                    f"the sheet {holds}, {item.force[snaps[0]]:.0f} N are expected; beyond that it "
+                    "snaps or buckles",
                     Severity.WARNING,
-                    **measurement(float(item.force[snaps[0]]), float(reached), "N"),
+                    **measurement(float(item.force[snaps[0]]), float(max_force), "N"),
                     hint="clamp the sheet nearer to the part, form in more passes, or use thicker sheet",
                 )
             )
@@ -307,10 +313,10 @@ class SpringbackEstimate:
 
     Attributes:
         number: Number of the pass.
-        rows: Targets of its path.
-        springback: Springback [m] at each.
-        force: Forces [N].
-        assumed: Whether the forces are by the formula.
+        rows: Indices of the targets of its path at which springback was estimated.
+        springback: Springback [m] at each of them.
+        force: Force [N] at each of them.
+        assumed: Whether the forces follow from the formula.
     """
 
     number: int
@@ -320,7 +326,7 @@ class SpringbackEstimate:
     assumed: bool
 
     def force_text(self, force: Sequence[float]) -> str:
-        """Return some of its forces [N] in words, from the smallest to the largest."""
+        """Return the range of some of its forces [N] in words, with their origin if they are assumed."""
         low, high = min(force), max(force)
         text = f"{high:.0f} N" if round(low) == round(high) else f"{low:.0f} to {high:.0f} N"
         return f"an assumed force of {text} ({FORMULA_SOURCE})" if self.assumed else text
@@ -340,29 +346,30 @@ def estimate_springback(
     if work.operation.mode not in FORECAST_MODES:
         return None
     number = int(np.argmax([abs(forming_pass.end - forming_pass.start) for forming_pass in work.passes]))
-    forming_pass, contact = paths[number][0], paths[number][1].contact
+    forming_pass, path = paths[number]
+    contact = path.contact
     force = sheet_forces(work, forming_pass, contact.point, contact.angle)
     last_loop = int(contact.loop.max())
     springback: dict[int, float] = {}
     for loop in sorted({last_loop // 2, last_loop}):
-        rows = np.flatnonzero(contact.loop == loop)
-        row = int(rows[np.argmax(force[rows])])
-        if force[row] <= 0.0:
+        targets = np.flatnonzero(contact.loop == loop)
+        target = int(targets[np.argmax(force[targets])])
+        if force[target] <= 0.0:
             continue
         try:
             curve = solve_curve(
                 work,
-                SpringbackPoint(number, contact.point[row], force[row]),
+                SpringbackPoint(number, contact.point[target], force[target]),
                 ESTIMATE_TRIANGLES,
                 ESTIMATE_LOAD_FACTORS,
             )
         except ValueError:
             continue
         if not curve.snaps:
-            springback[row] = float(curve.springback[-1])
-    row_forces = tuple(float(force[row]) for row in springback)
+            springback[target] = float(curve.springback[-1])
+    target_forces = tuple(float(force[target]) for target in springback)
     return SpringbackEstimate(
-        number, tuple(springback), tuple(springback.values()), row_forces, work.stated_forces is None
+        number, tuple(springback), tuple(springback.values()), target_forces, work.stated_forces is None
     )
 
 
@@ -373,19 +380,19 @@ def estimate_issues(
     forming_pass, path = paths[estimate.number]
     field = "force_n" if work.operation.force_by is None else "force_by"
     if not estimate.rows:
-        what = (
+        message = (
             f"pass {forming_pass.name}: springback was not estimated, because the sheet has no coarse mesh "
             "or snaps"
         )
         hint = "see tandem springback"
-        return [Issue("forming.springback", what, Severity.WARNING, field=field, hint=hint)]
-    max_mm, row, force = max(zip(estimate.springback, estimate.rows, estimate.force, strict=True))
+        return [Issue("forming.springback", message, Severity.WARNING, field=field, hint=hint)]
+    max_mm, target, force = max(zip(estimate.springback, estimate.rows, estimate.force, strict=True))
     max_mm /= MM
     if max_mm <= REPORTED_SPRINGBACK_MM:
         return []
-    x, y, z = path.contact.point[row] / MM
+    x, y, z = path.contact.point[target] / MM
     count = len(estimate.rows)
-    what = (
+    message = (
         f"pass {forming_pass.name}: the sheet will spring back by about {max_mm:.1f} mm when the tool "
         f"releases it, at ({x:.1f}, {y:.1f}, {z:.1f}) mm under {estimate.force_text([force])}, and the part "
         f"will be too shallow by that; estimated at {count} point{'s' * (count > 1)} (reported above "
@@ -399,7 +406,7 @@ def estimate_issues(
     return [
         Issue(
             "forming.springback",
-            what,
+            message,
             Severity.WARNING,
             field=field,
             **measurement(max_mm, REPORTED_SPRINGBACK_MM, "mm"),
@@ -413,12 +420,12 @@ def forecast_rows(forecasts: Sequence[PassSpringback]) -> list[dict[str, Any]]:
 
     Lengths are in mm, forces in N, S = a F^b in mm.
     """
-    out = []
+    rows = []
     for item in forecasts:
         for k, curve in enumerate(item.curves):
             a, b = curve.power_law() if len(curve.force) > 2 else (np.nan, np.nan)
             x, y, z = item.control.point[k] / MM
-            out.append(
+            rows.append(
                 {
                     "pass": item.forming_pass.name,
                     "level": int(item.control.level[k]),
@@ -431,11 +438,13 @@ def forecast_rows(forecasts: Sequence[PassSpringback]) -> list[dict[str, Any]]:
                     "springback_mm": round(float(item.springback[k]) / MM, 4),
                     "a": float(f"{a / MM:.4g}"),
                     "b": round(b, 4),
-                    "forces_n": [round(float(n), 1) for n in curve.force],
-                    "displacements_mm": [round(float(s) / MM, 4) for s in curve.springback],
+                    "forces_n": [round(float(curve_force), 1) for curve_force in curve.force],
+                    "displacements_mm": [
+                        round(float(curve_springback) / MM, 4) for curve_springback in curve.springback
+                    ],
                 }
             )
-    return out
+    return rows
 
 
 def forecast_exhibits(forecasts: Sequence[PassSpringback]) -> dict[str, Any]:
@@ -444,25 +453,27 @@ def forecast_exhibits(forecasts: Sequence[PassSpringback]) -> dict[str, Any]:
 
 
 def _curve_exhibit(forecasts: Sequence[PassSpringback]) -> dict[str, Any]:
-    named = [
+    """Return the exhibit of some curves, those of the first cluster of each level, with their power laws."""
+    named_curves = [
         (f"{item.forming_pass.name}, z {item.control.point[k, 2] / MM:.1f} mm", item.curves[k], item.force[k])
         for item in forecasts
         for k in range(len(item.curves))
         if item.control.cluster[k] == 0
     ]
-    chosen = spread_rows(len(named), MAX_SHOWN_CURVES)
+    chosen = spread_rows(len(named_curves), MAX_SHOWN_CURVES)
     series = []
     for colour, k in enumerate(chosen):
-        name, curve, expected = named[k]
+        name, curve, expected = named_curves[k]
         x = np.linspace(0.0, float(curve.force[-1]), 60)
-        at = np.array([expected])
-        drawn = [(x, curve.at(x), ""), (at, curve.at(at), "dots")]
+        expected_load = np.array([expected])
+        drawn_lines = [(x, curve.at(x), ""), (expected_load, curve.at(expected_load), "dots")]
         if len(curve.force) > 2:
             a, b = curve.power_law()
             name += f": {a / MM:.3g} F^{b:.2f}"
-            drawn.append((x, a * x**b, "dashed"))
+            drawn_lines.append((x, a * x**b, "dashed"))
         series += [
-            {"name": name, "x": n, "y": s / MM, "colour": colour, "style": style} for n, s, style in drawn
+            {"name": name, "x": loads, "y": springback / MM, "colour": colour, "style": style}
+            for loads, springback, style in drawn_lines
         ]
     return {
         "kind": "curve",
@@ -475,22 +486,24 @@ def _curve_exhibit(forecasts: Sequence[PassSpringback]) -> dict[str, Any]:
 
 
 def _cluster_exhibit(forecasts: Sequence[PassSpringback]) -> dict[str, Any]:
+    """Return the exhibit of the loops with control points, divided into their clusters."""
     lines: list[FloatArray] = []
-    number: list[float] = []
+    cluster_numbers: list[float] = []
     for item in forecasts:
         for ring in item.control.rings:
             for cluster in range(int(ring.label.max()) + 1):
-                inside = np.flatnonzero(ring.label == cluster)
-                gap = np.flatnonzero(np.diff(inside) > 1)
-                inside = np.roll(inside, -(gap[0] + 1)) if len(gap) else inside
-                if len(inside) > 1:
-                    lines.append(ring.point[inside])
-                    number.append(float(cluster))
+                members = np.flatnonzero(ring.label == cluster)
+                gap = np.flatnonzero(np.diff(members) > 1)
+                # a cluster may pass the start of the ring
+                members = np.roll(members, -(gap[0] + 1)) if len(gap) else members
+                if len(members) > 1:
+                    lines.append(ring.point[members])
+                    cluster_numbers.append(float(cluster))
     return {
         "kind": "paths",
         "title": "Loops by the sections that a control point represents",
         "curves": lines,
-        "value": np.array(number),
+        "value": np.array(cluster_numbers),
         "value_name": "number of the section on its loop",
         "points": np.concatenate([item.control.point for item in forecasts]),
         "near": True,

@@ -64,28 +64,33 @@ def sheet_walls(work: FormingWork, number: int, level: float) -> tuple[Wall, ...
 
 
 def _features_on(work: FormingWork, base: int | None, rings: dict[int, list[FloatArray]]) -> list[int]:
-    """Formed features that start on the floor of ``base``, or on the flat sheet."""
+    """Return the formed features that start on the floor of ``base``, or on the flat sheet if it is None."""
     return [feature for feature in rings if _enclosing_feature(work, feature, rings) == base]
 
 
 def _enclosing_feature(work: FormingWork, feature: int, rings: dict[int, list[FloatArray]]) -> int | None:
-    """Innermost formed feature that contains a feature."""
+    """Return the innermost formed feature that contains a feature, or None."""
     parent = work.tree.feature(feature).parent
     while parent is not None and parent not in rings:
         parent = work.tree.feature(parent).parent
     return parent
 
 
-def _nested_wall(work: FormingWork, feature: int, rings: dict[int, list[FloatArray]], flat: float) -> Wall:
-    """A wall whose rings, relative to their start, begin at the height ``flat`` [m]."""
-    raised = tuple(np.add(ring, [0.0, 0.0, flat]) for ring in rings[feature])
+def _nested_wall(
+    work: FormingWork, feature: int, rings: dict[int, list[FloatArray]], base_height: float
+) -> Wall:
+    """Return a feature's wall, which starts at the height ``base_height`` [m], with all walls on its floor.
+
+    ``rings`` has the rings of each formed feature, z relative to the flat on which it starts.
+    """
+    raised = tuple(np.add(ring, [0.0, 0.0, base_height]) for ring in rings[feature])
     floor = float(raised[-1][0, 2])
-    inside = tuple(_nested_wall(work, other, rings, floor) for other in _features_on(work, feature, rings))
-    return Wall(raised, inside)
+    inner = tuple(_nested_wall(work, other, rings, floor) for other in _features_on(work, feature, rings))
+    return Wall(raised, inner)
 
 
 def _complete_rings(work: FormingWork, feature: int) -> list[FloatArray]:
-    """Rings of a feature that is completely formed, z relative to the flat it starts on."""
+    """Return the open rings (K, 3) [m] of a completely formed feature, z relative to the flat around it."""
     formed = work.tree.feature(feature)
     depth = formed.levels - formed.start
     depth[0], depth[-1] = 0.0, formed.end - formed.start
@@ -98,10 +103,14 @@ def _complete_rings(work: FormingWork, feature: int) -> list[FloatArray]:
 
 
 def _partial_rings(forming_pass: FormingPass, earlier: list[FormingPass], level: float) -> list[FloatArray]:
-    """Rings of the feature that a pass forms, down to ``level`` [m], z relative to the flat it starts on."""
-    down = 1.0 if forming_pass.end < forming_pass.start else -1.0
+    """Return the open rings (K, 3) [m] of the feature that a pass forms, z relative to the flat it starts on.
+
+    The pass has formed it as far as ``level`` [m]. Inside is what the last of the ``earlier`` passes over the
+    feature has formed more deeply.
+    """
+    rise_sign = 1.0 if forming_pass.end < forming_pass.start else -1.0
     rings = _pass_contours(forming_pass, forming_pass.start, level)
-    if earlier and down * (level - earlier[-1].end) > MIN_CONTOUR_STEP_M:
+    if earlier and rise_sign * (level - earlier[-1].end) > MIN_CONTOUR_STEP_M:
         # from its last ring, which is that of the floor, outward while there is enough distance
         deeper_rings: list[FloatArray] = []
         for ring in reversed(_pass_contours(earlier[-1], level, earlier[-1].end)):
@@ -114,21 +123,22 @@ def _partial_rings(forming_pass: FormingPass, earlier: list[FormingPass], level:
 
 
 def _ring_distance(ring: FloatArray, inner: FloatArray) -> float:
-    """Distance [m] in plan of a ring from one inside of it; negative if that is not inside."""
-    around, other = (shapely.Polygon(points[:, :2]) for points in (ring, inner))
-    return float(around.exterior.distance(other)) if around.contains(other) else -1.0
+    """Return the distance [m] in plan of a ring from one inside of it; -1 if that is not inside."""
+    outer, inner_area = (shapely.Polygon(points[:, :2]) for points in (ring, inner))
+    return float(outer.exterior.distance(inner_area)) if outer.contains(inner_area) else -1.0
 
 
 def _pass_contours(forming_pass: FormingPass, top: float, bottom: float) -> list[FloatArray]:
-    """Contours of the face of a pass from level ``top`` to ``bottom`` [m], their largest pieces.
+    """Return the contours of the face of a pass from level ``top`` to ``bottom`` [m] as open rings.
 
-    The first and the last have exactly these levels.
+    Of a contour in several pieces the largest is used. The first and the last have exactly these levels.
     """
-    depth, count = abs(bottom - top), 2 + int(min(MAX_CONTOURS, abs(bottom - top) / MIN_CONTOUR_STEP_M))
+    depth = abs(bottom - top)
+    count = 2 + int(min(MAX_CONTOURS, abs(bottom - top) / MIN_CONTOUR_STEP_M))
     heights = np.linspace(top, bottom, count)
-    edge = min(EDGE_OFFSET_M, 0.1 * depth) * np.sign(bottom - top)
+    edge_offset = min(EDGE_OFFSET_M, 0.1 * depth) * np.sign(bottom - top)
     levels = np.concatenate(
-        [[top + edge], heights[1:-1], [bottom - edge if bottom == forming_pass.end else bottom]]
+        [[top + edge_offset], heights[1:-1], [bottom - edge_offset if bottom == forming_pass.end else bottom]]
     )
     normal = face_normals(TriangleMesh(forming_pass.vertices, forming_pass.faces))
     region = shapely.Polygon(forming_pass.region[:, :2]).buffer(EDGE_OFFSET_M)
@@ -138,8 +148,8 @@ def _pass_contours(forming_pass: FormingPass, top: float, bottom: float) -> list
         forming_pass.name,
     )
     out = []
-    for row, z in enumerate(heights):
-        candidates = [line for line in lines if line.level == row]
+    for number, z in enumerate(heights):
+        candidates = [line for line in lines if line.level == number]
         if candidates:
             ring = max(candidates, key=lambda line: abs(line.area())).point[:-1]
             # at a crease, over which a ball would roll, a line has several normals at one point
@@ -149,7 +159,7 @@ def _pass_contours(forming_pass: FormingPass, top: float, bottom: float) -> list
 
 
 def _drop_tip(rings: list[FloatArray]) -> list[FloatArray]:
-    """Rings without the last ones of a tip, which are too small for a row of elements; at least one."""
+    """Return rings without the innermost ones that are too small for a row of elements; at least one."""
     area = [shapely.Polygon(ring[:, :2]).area if len(ring) > 2 else 0.0 for ring in rings]
     kept = len(rings)
     while kept > 1 and area[kept - 1] < MIN_CONTOUR_AREA_M2:
@@ -158,14 +168,14 @@ def _drop_tip(rings: list[FloatArray]) -> list[FloatArray]:
 
 
 def _open_ring(ring: FloatArray) -> FloatArray:
-    """A contour without its last point, if that repeats the first."""
+    """Return a contour without its last point, if that repeats the first."""
     return ring[:-1] if np.array_equal(ring[0, :2], ring[-1, :2]) else ring
 
 
 def sheet_thickness(work: FormingWork, number: int, mesh: Mesh) -> FloatArray:
     """Return the thickness (F,) [m] of the triangles of a mesh of the sheet's middle surface.
 
-    By the sine law, and at most what an earlier pass over the feature has left.
+    It follows from the sine law, and is at most what earlier passes over the same feature have left.
 
     Args:
         work: Work of the operation.
@@ -174,17 +184,17 @@ def sheet_thickness(work: FormingWork, number: int, mesh: Mesh) -> FloatArray:
     """
     result = work.thickness * _normal_cosine(mesh)
     forming_pass = work.passes[number]
-    middle = mesh.vertices[mesh.faces].mean(axis=1)[:, :2]
-    inside = shapely.contains_xy(shapely.Polygon(forming_pass.region[:, :2]), middle[:, 0], middle[:, 1])
+    centroid = mesh.vertices[mesh.faces].mean(axis=1)[:, :2]
+    inside = shapely.contains_xy(shapely.Polygon(forming_pass.region[:, :2]), centroid[:, 0], centroid[:, 1])
     for previous in work.passes[:number]:
         if previous.feature == forming_pass.feature and inside.any():
             face = Mesh(previous.vertices, previous.faces)
             tree = cKDTree(previous.vertices[previous.faces].mean(axis=1)[:, :2])
-            left = work.thickness * _normal_cosine(face)[tree.query(middle[inside])[1]]
-            result[inside] = np.minimum(result[inside], left)
+            remaining = work.thickness * _normal_cosine(face)[tree.query(centroid[inside])[1]]
+            result[inside] = np.minimum(result[inside], remaining)
     return result
 
 
 def _normal_cosine(mesh: Mesh) -> FloatArray:
-    """Cosine (F,) of the angle of each triangle to the flat."""
+    """Return the cosine (F,) of the angle of each triangle to the flat."""
     return np.asarray(np.abs(face_normals(TriangleMesh(mesh.vertices, mesh.faces))[:, 2]))

@@ -58,7 +58,8 @@ def shifted_level_path(
 ) -> ShiftedPath:
     """Return the path of a level with its shifts.
 
-    The shifts change as far as the level's slope permits, from where the previous level ends.
+    The shifts start from the one at which the previous level ends, and approach the offsets of the ring as
+    fast as the level's slope permits.
 
     Args:
         forming_pass: Pass.
@@ -76,15 +77,18 @@ def shifted_level_path(
     subdivisions = max(1, int(np.ceil(spacing / SHIFT_GRID_M)))
     parameter = np.arange(len(ring.point) * subdivisions) / subdivisions
     closed = np.column_stack([ends[:, :2], np.append(ring.offset, ring.offset[:1])])
-    fine = np.column_stack([np.interp(parameter, np.arange(len(ends)), row) for row in closed.T])
-    tree = cKDTree(fine[:, :2])
+    fine_ring = np.column_stack([np.interp(parameter, np.arange(len(ends)), column) for column in closed.T])
+    tree = cKDTree(fine_ring[:, :2])
 
     def offset_at(points: FloatArray, _: FloatArray, __: FloatArray) -> FloatArray:
-        away, row = tree.query(points[:, :2])
-        if np.max(away) > spacing + MAX_RING_DISTANCE_STEPS * step:
-            what = f"its level has points {np.max(away) / MM:.1f} mm away from the loop along which forces "
-            raise file_error(what + "were measured")
-        return np.asarray(fine[row, 2])
+        """Return the offsets (N,) [m] of the nearest points of the ring in plan."""
+        distance, index = tree.query(points[:, :2])
+        if np.max(distance) > spacing + MAX_RING_DISTANCE_STEPS * step:
+            message = (
+                f"its level has points {np.max(distance) / MM:.1f} mm away from the loop along which forces "
+            )
+            raise file_error(message + "were measured")
+        return np.asarray(fine_ring[index, 2])
 
     return shift_path(forming_pass.name, path, radius, offset_at, level.slope, level.before_mm * MM)[0]
 
@@ -102,7 +106,7 @@ def level_file_text(
     Args:
         title: Title of the problem.
         operation: Name of the operation.
-        identity: What the file belongs to.
+        identity: Values that identify the job to which the file belongs.
         level: Level of the operation.
         shifted: Path with its shifts.
         reasons: Reasons for the shifts, by name.
@@ -126,10 +130,17 @@ def level_file_text(
 def read_level_file(
     path: Path, level: Level, name: str, identity: Mapping[str, Any]
 ) -> compensation_file.SpringbackFile:
-    """Read the file of a ``level`` of the pass ``name``.
+    """Read the file of a level.
+
+    Args:
+        path: File.
+        level: Level of the operation.
+        name: Name of the pass.
+        identity: Values that identify the job to which the file has to belong.
 
     Raises:
-        TandemError: forming.compensation.
+        TandemError: forming.compensation if the file is damaged, belongs to another job, plan, level or pass,
+            or has shifts beyond the limits of the level.
     """
     data = compensation_file.read_checked_file(path, LEVEL_FILE_KIND)
     compensation_file.require_identity(data, identity)

@@ -22,7 +22,7 @@ from planner.processes.forming.plan.springback.compensation import ShiftedPath, 
 from planner.processes.forming.plan.springback.curves import PassSpringback
 
 FORCE_EXPONENT: Final = 2.0 * SCALLOP_EXPONENT
-"""Exponent of the force in the step: scallops grow with its square."""
+"""Exponent of the force as a function of the step-down: scallops grow with its square."""
 POINT_SPACING_M: Final = 1.0 * MM
 """Spacing [m] of the points of a level, as far as their number permits."""
 RING_POINTS_RANGE: Final = (24, 240)
@@ -40,7 +40,7 @@ def loop_file_data(
     paths: Sequence[tuple[FormingPass, FormingToolPath]],
     forecast: Sequence[PassSpringback],
 ) -> dict[str, Any]:
-    """Return the data of a problem's file: passes with their levels.
+    """Return the data of a problem's file for the control loop: passes with their levels.
 
     Args:
         name: Name of the problem.
@@ -69,7 +69,9 @@ def loop_file_data(
 def _level_data(
     work: FormingWork, forming_pass: FormingPass, path: FormingToolPath, pass_springback: PassSpringback
 ) -> list[dict[str, Any]]:
-    contact, out = path.contact, []
+    """Return the data of each level of a pass: its depth, the ring of its path, and its measuring points."""
+    contact = path.contact
+    out = []
     interpolator = _CurveInterpolator(pass_springback)
     for number in first_loops(forming_pass, contact):
         points = contact.point[contact.loop == number]
@@ -85,12 +87,14 @@ def _level_data(
                 "path_mm": np.round(ring / MM, 3).tolist(),
                 "points": [
                     {
-                        "place": int(at),
-                        "forces_n": np.round(n, 2).tolist(),
-                        "springback_mm": np.round(s / MM, 4).tolist(),
-                        "expected_n": round(float(f), 2),
+                        "place": int(index),
+                        "forces_n": np.round(curve_loads, 2).tolist(),
+                        "springback_mm": np.round(curve_springback / MM, 4).tolist(),
+                        "expected_n": round(float(expected_force), 2),
                     }
-                    for at, n, s, f in zip(indices, loads, springback, force, strict=True)
+                    for index, curve_loads, curve_springback, expected_force in zip(
+                        indices, loads, springback, force, strict=True
+                    )
                 ],
             }
         )
@@ -103,7 +107,10 @@ def resample_loop(points: FloatArray) -> FloatArray:
 
 
 def _even_arc(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Arc length [m] at each point of a closed loop and back (N + 1,), and at its equidistant points (K,)."""
+    """Return the arc lengths (N + 1,) [m] at the points of a loop and at its return to the first one.
+
+    Also returns the arc lengths (K,) [m] of equidistant points on it.
+    """
     arc = arc_length(np.vstack([points, points[:1]]))
     count = int(np.clip(round(float(arc[-1]) / POINT_SPACING_M), *RING_POINTS_RANGE))
     return arc, np.arange(count) * arc[-1] / count
@@ -117,7 +124,9 @@ def level_shifts(forming_pass: FormingPass, path: FormingToolPath, shifted: Shif
         path: Its tool path without the shifts.
         shifted: Path with shifts of the file.
     """
-    contact, shift, out = path.contact, shift_at_targets(shifted, path), []
+    contact = path.contact
+    shift = shift_at_targets(shifted, path)
+    out = []
     for number in first_loops(forming_pass, contact):
         in_level = contact.loop == number
         arc, even_arc = _even_arc(contact.point[in_level])
@@ -126,55 +135,66 @@ def level_shifts(forming_pass: FormingPass, path: FormingToolPath, shifted: Shif
 
 
 def _measuring_indices(ring: FloatArray, springback: PassSpringback) -> IntArray:
-    """Indices (P,) of a level's measuring points on its ring, ascending."""
+    """Return the indices (P,) of a level's measuring points on its ring (K, 3), ascending.
+
+    They are the points nearest to the control points of the closest level that has some, and others between,
+    so that there are at least about `MIN_MEASURING_POINTS`.
+    """
     control = springback.control
-    height = np.array([float(ring_item.point[:, 2].mean()) for ring_item in control.rings])
+    height = np.array([float(control_ring.point[:, 2].mean()) for control_ring in control.rings])
     nearest = int(np.abs(height - float(ring[:, 2].mean())).argmin())
     control_points = control.point[control.level == nearest]
     nearest_indices = np.unique(cKDTree(ring[:, :2]).query(control_points[:, :2])[1])
     count = len(ring)
     gaps = np.diff(np.append(nearest_indices, nearest_indices[0] + count))
-    rows = [
-        np.floor(start + gap * np.arange(parts) / parts)
+    indices = [
+        np.floor(start + gap * np.arange(part_count) / part_count)
         for start, gap in zip(nearest_indices, gaps, strict=True)
-        for parts in [max(1, int(np.ceil(gap * MIN_MEASURING_POINTS / count - 1e-9)))]
+        for part_count in [max(1, int(np.ceil(gap * MIN_MEASURING_POINTS / count - 1e-9)))]
     ]
-    return np.unique(np.concatenate(rows).astype(np.int64) % count)
+    return np.unique(np.concatenate(indices).astype(np.int64) % count)
 
 
 class _CurveInterpolator:
-    """Curves interpolated between control points."""
+    """Interpolates the springback curves of a pass between its control points."""
 
     def __init__(self, springback: PassSpringback) -> None:
         control = springback.control
         self._rings = control.rings
         self._height = np.array([float(ring.point[:, 2].mean()) for ring in control.rings])
-        top = np.array([curve.force[-1] for curve in springback.curves])
+        max_forces = np.array([curve.force[-1] for curve in springback.curves])
         value = np.array(
-            [curve.at(CURVE_FORCE_FRACTIONS * n) for curve, n in zip(springback.curves, top, strict=True)]
+            [
+                curve.at(CURVE_FORCE_FRACTIONS * load)
+                for curve, load in zip(springback.curves, max_forces, strict=True)
+            ]
         )
         # values to interpolate, for each control point: largest force, springback at fractions of it,
         # expected force
-        self._rows = np.column_stack([top, value, springback.force])
+        self._values = np.column_stack([max_forces, value, springback.force])
         self._level, self._ring_index = control.level, control.ring_index
 
     def at(self, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Interpolated curves at points (P, 3) [m] of one level.
+        """Return the interpolated curves at points (P, 3) [m] of one level.
 
         Returns forces (P, L) [N] and springback (P, L) [m] of the curves, and the expected force (P,) [N].
         """
-        z, order = float(points[:, 2].mean()), np.argsort(self._height)
+        z = float(points[:, 2].mean())
+        order = np.argsort(self._height)
         height = self._height[order]
         above = int(np.clip(np.searchsorted(height, z), min(1, len(height) - 1), len(height) - 1))
         below = max(above - 1, 0)
         rise = height[above] - height[below]
         fraction = float(np.clip((z - height[below]) / rise, 0.0, 1.0)) if rise > 0.0 else 0.0
-        low, high = (self._on_ring(int(order[k]), points) for k in (below, above))
-        rows = (1.0 - fraction) * low + fraction * high
-        return rows[:, :1] * CURVE_FORCE_FRACTIONS, rows[:, 1:-1], rows[:, -1]
+        lower_values, upper_values = (self._on_ring(int(order[k]), points) for k in (below, above))
+        values = (1.0 - fraction) * lower_values + fraction * upper_values
+        return values[:, :1] * CURVE_FORCE_FRACTIONS, values[:, 1:-1], values[:, -1]
 
     def _on_ring(self, level: int, points: FloatArray) -> FloatArray:
+        """Return the values of curves (P, C) at the points of a ring nearest to points (P, 3) [m]."""
         ring, on_level = self._rings[level].point, self._level == level
-        at = cKDTree(ring[:, :2]).query(points[:, :2])[1]
-        ring_index, rows = self._ring_index[on_level].astype(np.float64), self._rows[on_level]
-        return np.stack([np.interp(at, ring_index, row, period=float(len(ring))) for row in rows.T], axis=1)
+        nearest = cKDTree(ring[:, :2]).query(points[:, :2])[1]
+        ring_index, values = self._ring_index[on_level].astype(np.float64), self._values[on_level]
+        return np.stack(
+            [np.interp(nearest, ring_index, column, period=float(len(ring))) for column in values.T], axis=1
+        )

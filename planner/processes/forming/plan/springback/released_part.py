@@ -53,16 +53,18 @@ def compensated_exhibit(work: FormingWork, paths: PassToolPaths, given: Springba
     Raises:
         TandemError: forming.compensation if the file has no forecast of a pass.
     """
-    by_name = {forming_pass.name: forming_pass for forming_pass in given.forecasts}
+    by_name = {pass_forecast.name: pass_forecast for pass_forecast in given.forecasts}
     shifted_paths = {shifted.name: shifted for shifted in given.paths}
-    back, deeper = {}, {}
+    springback, shifts = {}, {}
     for forming_pass, path in paths:
         if forming_pass.name not in by_name:
             raise file_error(f"it has no control points for pass {forming_pass.name}")
-        back[forming_pass.name] = _forecast_at_targets(work, forming_pass, path, by_name[forming_pass.name])
-        deeper[forming_pass.name] = shift_at_targets(shifted_paths[forming_pass.name], path)
+        springback[forming_pass.name] = _forecast_at_targets(
+            work, forming_pass, path, by_name[forming_pass.name]
+        )
+        shifts[forming_pass.name] = shift_at_targets(shifted_paths[forming_pass.name], path)
     note = f"by {given.file}: its forecast minus the shift of the tools; not measured"
-    return _released_exhibit(work, paths, back, deeper, note)
+    return _released_exhibit(work, paths, springback, shifts, note)
 
 
 def estimated_exhibit(
@@ -75,7 +77,7 @@ def estimated_exhibit(
     estimated_pass, estimated_path = paths[estimate.number]
     depth = np.abs(estimated_path.contact.point[list(estimate.rows), 2] - estimated_pass.start)
     order = np.argsort(depth)
-    back = {
+    springback = {
         forming_pass.name: np.interp(
             np.abs(path.contact.point[:, 2] - forming_pass.start),
             depth[order],
@@ -87,30 +89,33 @@ def estimated_exhibit(
     count = len(estimate.rows)
     note = f"estimated at {count} point{'s' * (count > 1)} of pass {estimated_pass.name}, under "
     note += f"{estimate.force_text(estimate.force)}, interpolated in depth; not measured"
-    return _released_exhibit(work, paths, back, {}, note)
+    return _released_exhibit(work, paths, springback, {}, note)
 
 
 def _forecast_at_targets(
-    work: FormingWork, forming_pass: FormingPass, path: FormingToolPath, given: PassForecast
+    work: FormingWork, forming_pass: FormingPass, path: FormingToolPath, pass_forecast: PassForecast
 ) -> FloatArray:
-    """Springback (N,) [m] at the targets of a path by the control points of a file."""
+    """Return the springback (N,) [m] at the targets of a path, by the control points of a file.
+
+    The file has no rings. Each level of its control points takes the loop of the path nearest in height.
+    """
     contact = path.contact
     loops = np.unique(contact.loop)
     height = np.array([contact.point[contact.loop == k, 2].mean() for k in loops])
     rings: list[ClusterRing] = []
     level: list[int] = []
     ring_index: list[int] = []
-    for number, old in enumerate(np.unique(given.level)):
-        points = given.point[given.level == old]
+    for number, file_level in enumerate(np.unique(pass_forecast.level)):
+        points = pass_forecast.point[pass_forecast.level == file_level]
         nearest = loops[int(np.abs(height - points[:, 2].mean()).argmin())]
         ring = resample_loop(contact.point[contact.loop == nearest])
         rings.append(ClusterRing(ring, np.zeros(len(ring)), np.zeros(len(ring), dtype=np.int64)))
         level += [number] * len(points)
         ring_index += np.atleast_1d(cKDTree(ring[:, :2]).query(points[:, :2])[1]).tolist()
-    order = np.argsort(given.level, kind="stable")
+    order = np.argsort(pass_forecast.level, kind="stable")
     zeros = np.zeros(len(order), dtype=np.int64)
     control = ControlPoints(
-        given.point[order],
+        pass_forecast.point[order],
         np.zeros(len(order)),
         np.array(level),
         np.array(ring_index),
@@ -119,8 +124,10 @@ def _forecast_at_targets(
         zeros,
         zeros,
     )
-    curves = tuple(given.curves[k] for k in order)
-    springback = PassSpringback(forming_pass, control, curves, given.force[order], given.springback[order])
+    curves = tuple(pass_forecast.curves[k] for k in order)
+    springback = PassSpringback(
+        forming_pass, control, curves, pass_forecast.force[order], pass_forecast.springback[order]
+    )
     return forecast.springback_along(work, springback, contact.point, contact.angle)
 
 
@@ -130,13 +137,13 @@ def springback_maps(
     forecasts: Sequence[PassSpringback],
     shifted_paths: Sequence[ShiftedPath] = (),
 ) -> dict[str, Any]:
-    """Return a forecast as a map.
+    """Return maps of a forecast in plan, as exhibits by name; none if the sheet snaps at all points.
 
-    With ``shifted_paths`` also how much too shallow the part will be without their shifts and with them, on
-    one scale.
+    With ``shifted_paths`` there are also maps of how much too shallow the part will be without their shifts
+    and with them, on one scale.
     """
     grid = _PlanGrid(work, paths)
-    back = grid.values_at_points(
+    springback = grid.values_at_points(
         {
             forecast_item.forming_pass.name: forecast.springback_along(
                 work, forecast_item, path.contact.point, path.contact.angle
@@ -144,21 +151,21 @@ def springback_maps(
             for forecast_item, (_, path) in zip(forecasts, paths, strict=True)
         }
     )
-    if np.isnan(back).all():
+    if np.isnan(springback).all():
         return {}  # the sheet snaps at all points
-    named = {"springback": ("Springback of the sheet when the tool releases it", back)}
+    maps = {"springback": ("Springback of the sheet when the tool releases it", springback)}
     if shifted_paths:
         by_name = {shifted.name: shifted for shifted in shifted_paths}
-        left = back - grid.values_at_points(
+        remaining = springback - grid.values_at_points(
             {
-                forecast_item.name: shift_at_targets(by_name[forecast_item.name], path)
-                for forecast_item, path in paths
+                forming_pass.name: shift_at_targets(by_name[forming_pass.name], path)
+                for forming_pass, path in paths
             }
         )
-        named["deviation_before"] = ("How much too shallow the part will be without the file", back)
-        named["deviation_after"] = ("How much too shallow the part will be with the file", left)
-    end = _scale_end(back)
-    formed = grid.points[np.isfinite(back), :2]
+        maps["deviation_before"] = ("How much too shallow the part will be without the file", springback)
+        maps["deviation_after"] = ("How much too shallow the part will be with the file", remaining)
+    end = _scale_end(springback)
+    formed = grid.points[np.isfinite(springback), :2]
     low, high = formed.min(axis=0) - GRID_MARGIN_M, formed.max(axis=0) + GRID_MARGIN_M
     is_near = ((grid.points[:, :2] > low) & (grid.points[:, :2] < high)).all(axis=1)
     return {
@@ -170,25 +177,28 @@ def springback_maps(
             "unit": "mm",
             **({} if name == "springback" else {"limit": end}),
         }
-        for name, (title, value) in named.items()
+        for name, (title, value) in maps.items()
     }
 
 
 def _released_exhibit(
     work: FormingWork,
     paths: PassToolPaths,
-    back: Mapping[str, FloatArray],
-    deeper: Mapping[str, FloatArray],
+    target_springback: Mapping[str, FloatArray],
+    target_shifts: Mapping[str, FloatArray],
     note: str,
 ) -> dict[str, Any]:
-    """Heights over the grid.
+    """Return the exhibit of the formed and the released part over a grid in plan.
 
-    ``back`` and ``deeper`` {pass: (N,)} [m] are springback and shift at targets. Passes that ``back`` does
-    not have are unknown.
+    ``target_springback`` and ``target_shifts`` (N,) [m] at the targets are by the names of passes. Where the
+    first is missing, the deviation is unknown; where the second is missing, the shift is 0.
     """
     grid = _PlanGrid(work, paths)
-    springback, shift = grid.values_at_points(back), np.nan_to_num(grid.values_at_points(deeper))
-    deviation, nominal, shape = springback - shift, grid.points[:, 2], (len(grid.y), len(grid.x))
+    springback = grid.values_at_points(target_springback)
+    shift = np.nan_to_num(grid.values_at_points(target_shifts))
+    deviation = springback - shift
+    nominal = grid.points[:, 2]
+    shape = (len(grid.y), len(grid.x))
     return {
         "kind": "released",
         "title": "How much too shallow the released part is",
@@ -204,43 +214,44 @@ def _released_exhibit(
 
 
 def _scale_end(springback: FloatArray) -> float:
+    """Return the end [mm] of the scale for springback (N,) [m]; NaN counts as 0."""
     max_mm = float(np.nanmax(springback, initial=0.0)) / MM
     return next((end for end in SCALE_ENDS_MM if end >= max_mm), SCALE_ENDS_MM[-1])
 
 
 class _PlanGrid:
-    """Grid of M = H W points over a part, row by row.
+    """Grid of M = H W points in plan over a part, line by line.
 
     Attributes:
-        x: Lines (W,) [m].
-        y: Lines (H,) [m].
+        x: Positions x (W,) [m] of the grid lines.
+        y: Positions y (H,) [m] of the grid lines.
         points: Points (M, 3) [m] of the part's lower face.
         side: Side (M,) of the pass that forms there.
     """
 
     def __init__(self, work: FormingWork, paths: PassToolPaths) -> None:
-        last = {forming_pass.feature: (forming_pass, path) for forming_pass, path in paths}
+        last_passes = {forming_pass.feature: (forming_pass, path) for forming_pass, path in paths}
         outline = {
             feature: shapely.Polygon(forming_pass.region[:, :2])
-            for feature, (forming_pass, _) in last.items()
+            for feature, (forming_pass, _) in last_passes.items()
         }
         self.x, self.y = _grid_lines(list(outline.values()), work.sheet.opening)
         plan = np.stack(np.meshgrid(self.x, self.y), axis=-1).reshape(-1, 2)
         self.points = np.column_stack([plan, _face_height(work.formed_mesh, plan)])
         self.side = np.ones(len(plan))
-        inner = np.full(len(plan), -1)
+        innermost = np.full(len(plan), -1)
         # smaller outlines last: a point belongs to the innermost feature around it
-        for feature in sorted(last, key=lambda feature: -outline[feature].area):
-            inner[shapely.contains_xy(outline[feature], plan[:, 0], plan[:, 1])] = feature
+        for feature in sorted(last_passes, key=lambda feature: -outline[feature].area):
+            innermost[shapely.contains_xy(outline[feature], plan[:, 0], plan[:, 1])] = feature
         self._nearest: dict[str, tuple[IntArray, IntArray]] = {}
-        for feature, (forming_pass, path) in last.items():
-            inside = np.flatnonzero(inner == feature)
+        for feature, (forming_pass, path) in last_passes.items():
+            inside = np.flatnonzero(innermost == feature)
             self.side[inside] = forming_pass.side
             nearest = np.asarray(cKDTree(path.contact.point[:, :2]).query(plan[inside])[1])
             self._nearest[forming_pass.name] = inside, nearest
 
     def values_at_points(self, value: Mapping[str, FloatArray]) -> FloatArray:
-        """Values (M,) at the points by those {pass: (N,)} at the targets; NaN where there is none."""
+        """Return values (M,) at the points from those (N,) at the targets of passes; NaN without targets."""
         out = np.full(len(self.points), np.nan)
         for name, (inside, nearest) in self._nearest.items():
             if name in value:
@@ -249,28 +260,28 @@ class _PlanGrid:
 
 
 def _grid_lines(outlines: Sequence[shapely.Polygon], opening: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lines of the grid along x (W,) and y (H,) [m]: dense over what is formed, then the opening's ends."""
+    """Return grid lines along x (W,) and y (H,) [m]: dense over what is formed, and the opening's ends."""
     low, high = np.array(shapely.union_all(outlines).bounds).reshape(2, 2) + np.array(
         [[-GRID_MARGIN_M], [GRID_MARGIN_M]]
     )
     step = float((high - low).max()) / (GRID_POINTS_PER_SIDE - 1)
     lines = []
-    for a, b, first, last in zip(low, high, opening.min(axis=0), opening.max(axis=0), strict=True):
-        close = np.linspace(a, b, 1 + max(1, round((b - a) / step)))
+    for start, end, first, last in zip(low, high, opening.min(axis=0), opening.max(axis=0), strict=True):
+        dense = np.linspace(start, end, 1 + max(1, round((end - start) / step)))
         ends = np.array([first, last])
-        lines.append(np.sort(np.append(close, ends[[first < a, last > b]])))
+        lines.append(np.sort(np.append(dense, ends[[first < start, last > end]])))
     return lines[0], lines[1]
 
 
 def _face_height(mesh: Mesh, plan: FloatArray) -> FloatArray:
-    """Height (M,) [m] of a face at points (M, 2), by the plane of its nearest piece in plan."""
+    """Return the height (M,) [m] of a face at points (M, 2), by the plane of its nearest piece in plan."""
     corners = mesh.vertices[mesh.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    level = np.abs(normal[:, 2]) > 1e-3 * np.linalg.norm(normal, axis=1)
-    corners, normal = corners[level], normal[level]
+    is_usable = np.abs(normal[:, 2]) > 1e-3 * np.linalg.norm(normal, axis=1)
+    corners, normal = corners[is_usable], normal[is_usable]
     pieces, owner = bisect_triangles(corners, PIECE_SIZE_M, MAX_PIECES)
     face = owner[cKDTree(pieces.mean(axis=1)[:, :2]).query(plan)[1]]
     slope = normal[face, :2] / normal[face, 2:]
     height = corners[face, 0, 2] - ((plan - corners[face, 0, :2]) * slope).sum(axis=1)
-    # next to a steep face its plane quickly leaves it
+    # beside a steep face its plane quickly leaves the range of its heights
     return np.asarray(np.clip(height, corners[face, :, 2].min(axis=1), corners[face, :, 2].max(axis=1)))

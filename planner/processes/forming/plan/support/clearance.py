@@ -82,15 +82,17 @@ class FarFace:
         distance = cKDTree(_sampled_centres(contact)).query(
             points, distance_upper_bound=radius + REACHED_TOLERANCE_M
         )[0]
-        flat = points[:, 2] >= forming_pass.start - _FLAT_TOLERANCE_M
-        points, self._uncovered = points[np.isfinite(distance) | flat], np.where(flat, 0.0, distance - radius)
+        is_flat = points[:, 2] >= forming_pass.start - _FLAT_TOLERANCE_M
+        points = points[np.isfinite(distance) | is_flat]
+        # distance by which the forming ball does not reach each point
+        self._uncovered = np.where(is_flat, 0.0, distance - radius)
         self._uncovered = np.maximum(self._uncovered[np.isfinite(self._uncovered)], 0.0)
         self._near_level = points[:, 2]
         self._points = points - np.array([0.0, 0.0, thickness])
         self._tree = cKDTree(self._points)
 
     def contains_formed(self, centre: FloatArray, radius: FloatArray, above: FloatArray) -> BoolArray:
-        """Return whether balls contain points of formed sheet.
+        """Return whether (M,) each ball contains a point of formed sheet.
 
         Args:
             centre: Centres (M, 3) [m].
@@ -105,10 +107,10 @@ class FarFace:
                 self._tree, max_radius, output_type="ndarray"
             )
             i, j = pairs["i"], pairs["j"]
-            hit = (pairs["v"] < radius[chunk][i] - self._uncovered[j]) & (
+            is_inside = (pairs["v"] < radius[chunk][i] - self._uncovered[j]) & (
                 self._near_level[j] > above[chunk][i] + _FLAT_TOLERANCE_M
             )
-            out[start + i[hit]] = True
+            out[start + i[is_inside]] = True
         return out
 
     def largest_radius(
@@ -144,13 +146,13 @@ class FarFace:
 
 
 def _sampled_centres(contact: ContactPath) -> FloatArray:
-    """Positions of the forming ball's centre on its path, FACE_SPACING_M apart."""
+    """Return positions (K, 3) [m] of the forming ball's centre, at most FACE_SPACING_M apart on the face."""
     length = np.linalg.norm(np.diff(contact.centre, axis=0), axis=1)
     count = np.where(contact.working[1:], np.maximum(np.ceil(length / FACE_SPACING_M), 1), 1).astype(np.int64)
-    row = np.repeat(np.arange(len(count)), count)
-    fraction = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)) / count[row]
-    step = contact.centre[row + 1] - contact.centre[row]
-    return np.concatenate([contact.centre[row] + fraction[:, None] * step, contact.centre[-1:]])
+    target = np.repeat(np.arange(len(count)), count)
+    fraction = (np.arange(len(target)) - np.repeat(np.cumsum(count) - count, count)) / count[target]
+    step = contact.centre[target + 1] - contact.centre[target]
+    return np.concatenate([contact.centre[target] + fraction[:, None] * step, contact.centre[-1:]])
 
 
 def clear_tilt(
@@ -169,17 +171,20 @@ def clear_tilt(
     """
     out = tilt.copy()
 
-    def is_cutting(rows: IntArray, angle: FloatArray) -> BoolArray:
-        centre = contact.centre[rows] - distance[rows, None] * tilt_from_vertical(contact.normal[rows], angle)
-        return face.contains_formed(centre, radius[rows], contact.point[rows, 2])
+    def is_cutting(indices: IntArray, angle: FloatArray) -> BoolArray:
+        """Return whether (K,) supports of some targets cut into formed sheet at angles (K,) [rad]."""
+        centre = contact.centre[indices] - distance[indices, None] * tilt_from_vertical(
+            contact.normal[indices], angle
+        )
+        return face.contains_formed(centre, radius[indices], contact.point[indices, 2])
 
-    rows = np.flatnonzero(is_cutting(np.arange(len(tilt)), tilt))
-    low, high = np.zeros(len(rows)), tilt[rows]
+    indices = np.flatnonzero(is_cutting(np.arange(len(tilt)), tilt))
+    low, high = np.zeros(len(indices)), tilt[indices]
     for _ in range(_TILT_HALVINGS):
         middle = 0.5 * (low + high)
-        bad = is_cutting(rows, middle)
-        low, high = np.where(bad, low, middle), np.where(bad, middle, high)
-    out[rows] = low
+        is_bad = is_cutting(indices, middle)
+        low, high = np.where(is_bad, low, middle), np.where(is_bad, middle, high)
+    out[indices] = low
     return out
 
 
@@ -203,7 +208,7 @@ def support_radius_issue(
 ) -> Issue | None:
     """Return a warning (forming.support_radius) if the support is too often rotated away from opposite.
 
-    The support is rotated because it would otherwise cut into formed sheet by more than the slack. Rotations
+    The support is rotated because it would otherwise cut into formed sheet by more than ``slack``. Rotations
     due to the flat around the feature do not count.
 
     Args:
@@ -215,39 +220,42 @@ def support_radius_issue(
     """
     forming_pass, contact = pass_contact.forming_pass, pass_contact.contact
     deviation, gap = tool_line.deviation, tool_line.gap
-    deep = forming_pass.start - contact.point[:, 2] > radii[1] * (1.0 - np.cos(contact.angle)) + 2e-4
-    is_rotated = deep & (deviation > MAX_SUPPORT_ROTATION_RAD) & contact.working
-    rows = np.flatnonzero(is_rotated)
-    if not len(rows):
+    # deep enough that the flat around the feature does not rotate the support
+    is_deep = forming_pass.start - contact.point[:, 2] > radii[1] * (1.0 - np.cos(contact.angle)) + 2e-4
+    is_rotated = is_deep & (deviation > MAX_SUPPORT_ROTATION_RAD) & contact.working
+    rotated = np.flatnonzero(is_rotated)
+    if not len(rotated):
         return None
     # the line also rotates where the supporting face changes abruptly; a smaller support does not change that
     face = FarFace(forming_pass, thickness, contact, float(radii[0]))
-    line = tilt_from_vertical(contact.normal[rows], tool_line.required[rows])
-    centre = contact.centre[rows] - (radii.sum() + gap[rows])[:, None] * line
-    squeezed = np.maximum(thickness * np.cos(contact.angle[rows]) - gap[rows], 0.0)
-    is_rotated[rows] = face.contains_formed(centre, radii[1] - squeezed - slack, contact.point[rows, 2])
+    line = tilt_from_vertical(contact.normal[rotated], tool_line.required[rotated])
+    centre = contact.centre[rotated] - (radii.sum() + gap[rotated])[:, None] * line
+    squeezed = np.maximum(thickness * np.cos(contact.angle[rotated]) - gap[rotated], 0.0)
+    is_rotated[rotated] = face.contains_formed(centre, radii[1] - squeezed - slack, contact.point[rotated, 2])
     step_length = np.linalg.norm(np.diff(contact.centre, axis=0, prepend=contact.centre[:1]), axis=1)
-    fraction = float(step_length[is_rotated].sum()) / max(float(step_length[deep].sum()), 1e-9)
+    fraction = float(step_length[is_rotated].sum()) / max(float(step_length[is_deep].sum()), 1e-9)
     if fraction <= MAX_ROTATED_FRACTION:
         return None
     touch = contact.centre[is_rotated] - (radii[0] + gap[is_rotated])[:, None] * contact.normal[is_rotated]
-    fits = face.largest_radius(
+    fitting_radius = face.largest_radius(
         touch, contact.normal[is_rotated], contact.point[is_rotated, 2], float(radii[1])
     )
     point_mm = contact.point[np.flatnonzero(is_rotated)[int(np.argmax(deviation[is_rotated]))]] / MM
-    what = (
+    message = (
         f"pass {forming_pass.name}: on {100.0 * fraction:.0f} % of the path the supporting ball of "
         f"{radii[1] / MM:.2f} mm radius cannot be opposite the forming one, most at "
         f"({point_mm[0]:.1f}, {point_mm[1]:.1f}, {point_mm[2]:.1f}) mm, where it is rotated aside by up to "
         f"{float(deviation[is_rotated].max()) / DEG:.0f} deg"
     )
-    known = fits < radii[1] - RADIUS_RESOLUTION_M
+    is_smaller = fitting_radius < radii[1] - RADIUS_RESOLUTION_M
     return Issue(
         "forming.support_radius",
-        f"{what}; the largest that fits is {fits / MM:.2f} mm" if known else what,
+        f"{message}; the largest that fits is {fitting_radius / MM:.2f} mm" if is_smaller else message,
         Severity.WARNING,
-        **measurement(float(radii[1]) / MM, fits / MM if known else None, "mm"),
-        hint="use a smaller supporting tool, or round the part more" if known else "round the part there",
+        **measurement(float(radii[1]) / MM, fitting_radius / MM if is_smaller else None, "mm"),
+        hint="use a smaller supporting tool, or round the part more"
+        if is_smaller
+        else "round the part there",
     )
 
 
@@ -291,10 +299,10 @@ def clamp_bars(stock: Stock) -> ClampBars:
     """Return the clamp of a sheet: the boxes of its support, whose y axes point inward."""
     bars = [shape for shape in stock.support if shape.kind == "box"]
     outward = np.array([-bar.pose[:2, 1] for bar in bars]).reshape(-1, 2)
-    middle = np.array([bar.pose[:3, 3] for bar in bars]).reshape(-1, 3)
+    centre = np.array([bar.pose[:3, 3] for bar in bars]).reshape(-1, 3)
     size = np.array([bar.size for bar in bars]).reshape(-1, 3)
-    reach = dots(middle[:, :2], outward) - 0.5 * size[:, 1]
-    return ClampBars(outward, reach, middle[:, 2] - 0.5 * size[:, 2], middle[:, 2] + 0.5 * size[:, 2])
+    reach = dots(centre[:, :2], outward) - 0.5 * size[:, 1]
+    return ClampBars(outward, reach, centre[:, 2] - 0.5 * size[:, 2], centre[:, 2] + 0.5 * size[:, 2])
 
 
 def clamp_clear_tilt(
@@ -312,13 +320,13 @@ def clamp_clear_tilt(
         profile: Outline (K, 2) [m] of the head.
     """
     out = tilt.copy()
-    rows = np.flatnonzero(~_keeps_clear(clamp, centre, tilt_from_vertical(normal, tilt), profile))
-    low, high = np.zeros(len(rows)), tilt[rows]
+    indices = np.flatnonzero(~_keeps_clear(clamp, centre, tilt_from_vertical(normal, tilt), profile))
+    low, high = np.zeros(len(indices)), tilt[indices]
     for _ in range(_CLAMP_TILT_HALVINGS):
         middle = 0.5 * (low + high)
-        good = _keeps_clear(clamp, centre[rows], tilt_from_vertical(normal[rows], middle), profile)
-        low, high = np.where(good, middle, low), np.where(good, high, middle)
-    out[rows] = low
+        is_clear = _keeps_clear(clamp, centre[indices], tilt_from_vertical(normal[indices], middle), profile)
+        low, high = np.where(is_clear, middle, low), np.where(is_clear, high, middle)
+    out[indices] = low
     return out
 
 
@@ -344,14 +352,14 @@ def clamp_issues(
     issues = []
     for (centre, axis), arm, profile in zip(tools, arms, profiles, strict=False):
         travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(centre, axis=0), axis=1))])
-        rows = np.flatnonzero(np.diff(np.floor(travel / CLAMP_SPACING_M), prepend=-1.0) > 0.0)
-        rows = rows[~_keeps_clear(clamp, centre[rows], axis[rows], profile, 0.0)]
-        depth, deepest_points = _deepest_points(clamp, centre[rows], axis[rows], profile)
-        if len(rows) and depth.max() > 0.0:
+        samples = np.flatnonzero(np.diff(np.floor(travel / CLAMP_SPACING_M), prepend=-1.0) > 0.0)
+        samples = samples[~_keeps_clear(clamp, centre[samples], axis[samples], profile, 0.0)]
+        depth, deepest_points = _deepest_points(clamp, centre[samples], axis[samples], profile)
+        if len(samples) and depth.max() > 0.0:
             k = int(np.argmax(depth))
             wider = wider_mm(float(depth[k]) / MM, len(clamp.reach) > 8)
             issues.append(
-                _clamp_issue(forming_pass, arm, float(depth[k]), deepest_points[k], int(rows[k]), wider)
+                _clamp_issue(forming_pass, arm, float(depth[k]), deepest_points[k], int(samples[k]), wider)
             )
     return tuple(issues)
 
@@ -373,43 +381,45 @@ def _keeps_clear(
     profile: FloatArray,
     margin: float = TILT_CLEARANCE_M,
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Whether heads (N,) certainly keep ``margin`` [m] from the clamp.
+    """Return whether (N,) each head certainly keeps ``margin`` [m] from the clamp.
 
     The circles of radius r that a head with axis a consists of reach r sqrt(1 - (a . u)^2) along a direction
     u.
     """
-    back, radius = _head_circles(profile)
+    distance_behind, radius = _head_circles(profile)
     out = np.ones(len(centre), dtype=np.bool_)
-    rows = np.flatnonzero(_may_touch(clamp, centre, axis, profile, margin))
-    for chunk in np.split(rows, range(_CLAMP_POSITIONS_AT_ONCE, len(rows), _CLAMP_POSITIONS_AT_ONCE)):
-        middle = centre[chunk, None] - back[None, :, None] * axis[chunk, None]
+    candidates = np.flatnonzero(_may_touch(clamp, centre, axis, profile, margin))
+    for chunk in np.split(
+        candidates, range(_CLAMP_POSITIONS_AT_ONCE, len(candidates), _CLAMP_POSITIONS_AT_ONCE)
+    ):
+        circle_centre = centre[chunk, None] - distance_behind[None, :, None] * axis[chunk, None]
         lateral = np.sqrt(np.maximum(1.0 - (axis[chunk, :2] @ clamp.outward.T) ** 2, 0.0))
-        extent = middle[..., :2] @ clamp.outward.T + radius[None, :, None] * lateral[:, None]
-        up = radius * np.sqrt(np.maximum(1.0 - axis[chunk, 2:] ** 2, 0.0))
-        over = middle[..., 2, None] + up[..., None] > clamp.low - margin
-        under = middle[..., 2, None] - up[..., None] < clamp.high + margin
-        out[chunk] = ~((extent > clamp.reach - margin) & over & under).any(axis=(1, 2))
+        extent = circle_centre[..., :2] @ clamp.outward.T + radius[None, :, None] * lateral[:, None]
+        vertical = radius * np.sqrt(np.maximum(1.0 - axis[chunk, 2:] ** 2, 0.0))
+        is_above_low = circle_centre[..., 2, None] + vertical[..., None] > clamp.low - margin
+        is_below_high = circle_centre[..., 2, None] - vertical[..., None] < clamp.high + margin
+        out[chunk] = ~((extent > clamp.reach - margin) & is_above_low & is_below_high).any(axis=(1, 2))
     return out
 
 
 def _may_touch(
     clamp: ClampBars, centre: FloatArray, axis: FloatArray, profile: FloatArray, margin: float
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Whether cylinders (N,) around heads come within ``margin`` [m] of a bar of the clamp.
+    """Return whether (N,) a cylinder around each head comes within ``margin`` [m] of a bar of the clamp.
 
-    They do if some part of their axes is far enough out and as high as the bar.
+    It does if some part of its axis is far enough out and as high as the bar.
     """
     max_radius = float(profile[:, 1].max())
     lateral = np.sqrt(np.maximum(1.0 - (axis[:, :2] @ clamp.outward.T) ** 2, 0.0))
     up = np.sqrt(np.maximum(1.0 - axis[:, 2:] ** 2, 0.0))
-    out = centre[:, :2] @ clamp.outward.T + max_radius * lateral - (clamp.reach - margin)
+    beyond = centre[:, :2] @ clamp.outward.T + max_radius * lateral - (clamp.reach - margin)
     over = centre[:, 2:] + max_radius * up - (clamp.low - margin)
     under = clamp.high + margin - centre[:, 2:] + max_radius * up
     rise = np.broadcast_to(axis[:, 2:], over.shape)
-    first = np.full(out.shape, profile[0, 0])
-    last = np.full(out.shape, profile[-1, 0])
+    first = np.full(beyond.shape, profile[0, 0])
+    last = np.full(beyond.shape, profile[-1, 0])
     # each of the three conditions is met where b * slope < value, at the distance b behind the TCP
-    for value, slope in ((out, axis[:, :2] @ clamp.outward.T), (over, rise), (under, -rise)):
+    for value, slope in ((beyond, axis[:, :2] @ clamp.outward.T), (over, rise), (under, -rise)):
         bound = value / np.where(np.abs(slope) < 1e-12, 1e-12, slope)
         last = np.where(slope >= 0.0, np.minimum(last, bound), last)
         first = np.where(slope < 0.0, np.maximum(first, bound), first)
@@ -419,20 +429,21 @@ def _may_touch(
 def _deepest_points(
     clamp: ClampBars, centre: FloatArray, axis: FloatArray, profile: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Depth (N,) [m] of heads under or over the clamp's bars, and the deepest points (N, 3) [m].
+    """Return the depths (N,) [m] of heads in the clamp's bars, and their deepest points (N, 3) [m].
 
-    The depth is within the heights of the bars. Points around the circles of the heads are checked.
+    The depth is measured outward, within the heights of the bars. Points around the circles of the heads are
+    checked.
     """
-    back, radius = _head_circles(profile)
-    turn = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS, endpoint=False)
+    distance_behind, radius = _head_circles(profile)
+    angle = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS, endpoint=False)
     depth, deepest = np.zeros(len(centre)), np.zeros((len(centre), 3))
     for k in range(len(centre)):
         perpendicular = np.cross(axis[k], [0.0, 1.0, 0.0] if abs(axis[k, 1]) < 0.9 else [1.0, 0.0, 0.0])
         perpendicular /= np.linalg.norm(perpendicular)
-        ring = np.cos(turn)[:, None] * perpendicular + np.sin(turn)[:, None] * np.cross(
+        ring = np.cos(angle)[:, None] * perpendicular + np.sin(angle)[:, None] * np.cross(
             axis[k], perpendicular
         )
-        points = (centre[k] - back[:, None] * axis[k])[:, None] + radius[:, None, None] * ring
+        points = (centre[k] - distance_behind[:, None] * axis[k])[:, None] + radius[:, None, None] * ring
         points = points.reshape(-1, 3)
         beyond = points[:, :2] @ clamp.outward.T - clamp.reach
         inside = (points[:, 2, None] > clamp.low) & (points[:, 2, None] < clamp.high)
@@ -442,17 +453,18 @@ def _deepest_points(
 
 
 def _head_circles(profile: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Positions behind the TCP and radii (J,) [m] of the circles by which a head is checked."""
-    even = np.arange(profile[0, 0], profile[-1, 0], CLAMP_SPACING_M)
-    back = np.concatenate([even, profile[:, 0]])
-    radius = np.concatenate([np.interp(even, profile[:, 0], profile[:, 1]), profile[:, 1]])
-    rows: IntArray = np.flatnonzero(radius > 0.0)
-    return back[rows], radius[rows]
+    """Return positions (J,) behind the TCP and radii (J,) [m] of the circles by which a head is checked."""
+    spaced = np.arange(profile[0, 0], profile[-1, 0], CLAMP_SPACING_M)
+    distance_behind = np.concatenate([spaced, profile[:, 0]])
+    radius = np.concatenate([np.interp(spaced, profile[:, 0], profile[:, 1]), profile[:, 1]])
+    used: IntArray = np.flatnonzero(radius > 0.0)
+    return distance_behind[used], radius[used]
 
 
 def _clamp_issue(
     forming_pass: FormingPass, arm: str, depth: float, point: FloatArray, index: int, wider: float
 ) -> Issue:
+    """Return the issue; ``wider`` [mm] is by how much the opening must be wider."""
     x, y, z = (float(value) / MM for value in point)
     return Issue(
         "forming.clamp",

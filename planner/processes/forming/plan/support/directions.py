@@ -18,25 +18,26 @@ from planner.processes.forming.plan.contact import ContactPath
 
 
 def tilt_from_vertical(normal: FloatArray, angle: FloatArray) -> FloatArray:
-    """Return unit vectors (N, 3) at an angle from +z.
+    """Return unit vectors (N, 3) at an angle from +z, in the direction in which normals tilt.
 
     Args:
-        normal: The vectors are in the plane of +z and these (N, 3).
+        normal: Unit normals (N, 3); each result is in the plane of +z and its normal. A vertical one gives
+            +z.
         angle: Angles (N,) [rad].
     """
-    flat = normal[:, :2]
-    length = np.linalg.norm(flat, axis=1, keepdims=True)
-    direction = np.where(length > 1e-9, flat / np.maximum(length, 1e-9), 0.0)
+    plan = normal[:, :2]
+    length = np.linalg.norm(plan, axis=1, keepdims=True)
+    direction = np.where(length > 1e-9, plan / np.maximum(length, 1e-9), 0.0)
     is_vertical = length[:, 0] <= 1e-9
     angle = np.where(is_vertical, 0.0, angle)
     return np.column_stack([np.sin(angle)[:, None] * direction, np.cos(angle)])
 
 
 def tool_axes(normal: FloatArray, tilt: float) -> FloatArray:
-    """Return unit vectors (N, 3) out of a tool above the sheet.
+    """Return unit vectors (N, 3) along the axis of a tool above the sheet, from the tool to the sheet.
 
-    They tilt from -z toward the surface by ``tilt`` [rad], at most by its wall angle. ``normal`` (N, 3)
-    points up.
+    They tilt from -z toward the opposite of ``normal`` (N, 3), which points up, by ``tilt`` [rad], at most by
+    the wall angle.
     """
     angle = np.arccos(np.clip(normal[:, 2], -1.0, 1.0))
     return -tilt_from_vertical(normal, np.minimum(angle, tilt))
@@ -80,15 +81,15 @@ def angle_to_vertical_arc(line: FloatArray, normal: FloatArray) -> FloatArray:
         line: Unit vectors (N, 3).
         normal: Unit vectors (N, 3).
     """
-    flat = np.linalg.norm(normal[:, :2], axis=1)
-    direction = normal[:, :2] / np.maximum(flat, 1e-12)[:, None]
+    plan_length = np.linalg.norm(normal[:, :2], axis=1)
+    direction = normal[:, :2] / np.maximum(plan_length, 1e-12)[:, None]
     # components in the frame of the arc: along it in plan, across it, and up
     along = dots(line[:, :2], direction)
     across = np.abs(direction[:, 0] * line[:, 1] - direction[:, 1] * line[:, 0])
-    steep = np.clip(np.arctan2(along, line[:, 2]), 0.0, np.arctan2(flat, normal[:, 2]))
-    cosine = along * np.sin(steep) + line[:, 2] * np.cos(steep)
+    arc_angle = np.clip(np.arctan2(along, line[:, 2]), 0.0, np.arctan2(plan_length, normal[:, 2]))
+    cosine = along * np.sin(arc_angle) + line[:, 2] * np.cos(arc_angle)
     return np.asarray(
-        np.arctan2(np.hypot(across, along * np.cos(steep) - line[:, 2] * np.sin(steep)), cosine)
+        np.arctan2(np.hypot(across, along * np.cos(arc_angle) - line[:, 2] * np.sin(arc_angle)), cosine)
     )
 
 
@@ -117,13 +118,15 @@ def nearest_on_arc(line: FloatArray, first: FloatArray, second: FloatArray) -> F
     pole = np.cross(first, second)
     length = np.linalg.norm(pole, axis=1, keepdims=True)
     pole = pole / np.maximum(length, 1e-12)
-    flat = line - dots(line, pole)[:, None] * pole
-    size = np.linalg.norm(flat, axis=1, keepdims=True)
-    flat = flat / np.maximum(size, 1e-12)
-    inside = (dots(np.cross(first, flat), pole) >= 0.0) & (dots(np.cross(flat, second), pole) >= 0.0)
-    inside &= (length[:, 0] > 1e-9) & (size[:, 0] > 1e-9)
-    nearer = dots(line, first) >= dots(line, second)
-    return np.where(inside[:, None], flat, np.where(nearer[:, None], first, second))
+    projected = line - dots(line, pole)[:, None] * pole
+    size = np.linalg.norm(projected, axis=1, keepdims=True)
+    projected = projected / np.maximum(size, 1e-12)
+    is_inside = (dots(np.cross(first, projected), pole) >= 0.0) & (
+        dots(np.cross(projected, second), pole) >= 0.0
+    )
+    is_inside &= (length[:, 0] > 1e-9) & (size[:, 0] > 1e-9)
+    is_first_nearer = dots(line, first) >= dots(line, second)
+    return np.where(is_inside[:, None], projected, np.where(is_first_nearer[:, None], first, second))
 
 
 def angle_to_fan(line: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
@@ -136,9 +139,9 @@ def angle_to_fan(line: FloatArray, first: FloatArray, second: FloatArray) -> Flo
     angle = np.minimum(angle, np.arccos(np.clip(cosine, -1.0, 1.0)))
     up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), line.shape)
     sides = [dots(np.cross(a, b), line) for a, b in ((first, second), (second, up), (up, first))]
-    turn = np.sign(dots(np.cross(first, second), up))
-    inside = (turn != 0.0) & (np.min([turn * side for side in sides], axis=0) >= 0.0)
-    return np.asarray(np.where(inside, 0.0, angle))
+    orientation = np.sign(dots(np.cross(first, second), up))
+    is_inside = (orientation != 0.0) & (np.min([orientation * side for side in sides], axis=0) >= 0.0)
+    return np.asarray(np.where(is_inside, 0.0, angle))
 
 
 SMOOTHING_STEP_M: Final = 1e-3
@@ -162,14 +165,16 @@ def smooth_directions(normal: FloatArray, centre: FloatArray, max_angle: float =
     arc, grid = _arc_grid(centre)
     if len(grid) < 3:
         return normal
-    even = np.stack([np.interp(grid, arc, normal[:, k]) for k in range(3)], axis=1)
+    sampled = np.stack([np.interp(grid, arc, normal[:, axis]) for axis in range(3)], axis=1)
     width = SMOOTHING_WIDTH_M / _grid_step(grid)
-    even = gaussian_filter1d(even, width, axis=0, mode="nearest")
-    mean = np.stack([np.interp(arc, grid, even[:, k]) for k in range(3)], axis=1)
+    sampled = gaussian_filter1d(sampled, width, axis=0, mode="nearest")
+    mean = np.stack([np.interp(arc, grid, sampled[:, axis]) for axis in range(3)], axis=1)
     # the mean of directions around a curve is less steep than they are, so steepness is averaged separately
-    steep = np.arccos(np.clip(normal[:, 2], -1.0, 1.0))
-    steep = np.interp(arc, grid, gaussian_filter1d(np.interp(grid, arc, steep), width, mode="nearest"))
-    return limit_rotation(normal, tilt_from_vertical(mean, steep), max_angle)
+    wall_angle = np.arccos(np.clip(normal[:, 2], -1.0, 1.0))
+    wall_angle = np.interp(
+        arc, grid, gaussian_filter1d(np.interp(grid, arc, wall_angle), width, mode="nearest")
+    )
+    return limit_rotation(normal, tilt_from_vertical(mean, wall_angle), max_angle)
 
 
 def smooth_lower_envelope(value: FloatArray, centre: FloatArray) -> FloatArray:
@@ -183,20 +188,21 @@ def smooth_lower_envelope(value: FloatArray, centre: FloatArray) -> FloatArray:
     if len(grid) < 3:
         return value
     # between two targets the lower value counts
-    row = np.clip(np.searchsorted(arc, grid, side="right") - 1, 0, len(arc) - 2)
-    even = np.minimum(value[row], value[row + 1])
-    size = 2 * round(SMOOTHING_WIDTH_M / _grid_step(grid)) + 1
-    low = minimum_filter1d(even, size, mode="nearest")
-    mean = uniform_filter1d(low, size, mode="nearest")
+    target = np.clip(np.searchsorted(arc, grid, side="right") - 1, 0, len(arc) - 2)
+    sampled = np.minimum(value[target], value[target + 1])
+    window = 2 * round(SMOOTHING_WIDTH_M / _grid_step(grid)) + 1
+    window_minimum = minimum_filter1d(sampled, window, mode="nearest")
+    mean = uniform_filter1d(window_minimum, window, mode="nearest")
     return np.asarray(np.minimum(np.interp(arc, grid, mean), value))
 
 
 def _grid_step(grid: FloatArray) -> float:
+    """Return the spacing [m] of an even grid."""
     return float(grid[1] - grid[0])
 
 
 def _arc_grid(centre: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Arc length (N,) [m] at the targets, and an even grid over it."""
+    """Return the arc lengths (N,) [m] of a path at its targets, and an even grid of arc lengths over it."""
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(centre, axis=0), axis=1))])
     count = int(min(arc[-1] / SMOOTHING_STEP_M, MAX_SAMPLES)) + 1
     return arc, np.linspace(0.0, arc[-1], count)
@@ -218,8 +224,8 @@ def insert_targets(
         contact: Path.
         radius: Radius [m] of the forming ball.
         side: +1 if the tool above the sheet forms, else -1.
-        row: Rows (M,), ascending, at which the moves with new targets end.
-        fraction: Fraction (M,) of each move.
+        row: Indices (M,), ascending, of the targets at which the moves with new targets end.
+        fraction: Position (M,) of each new target, as a fraction of its move.
     """
     if len(row) == 0:
         return contact
@@ -239,8 +245,8 @@ def insert_targets_at(
 
     Args:
         contact: Path.
-        row: Rows (M,), ascending, at which the moves with new targets end.
-        fraction: Fraction (M,) of each move.
+        row: Indices (M,), ascending, of the targets at which the moves with new targets end.
+        fraction: Position (M,) of each new target, as a fraction of its move.
         normal: Normals (M, 3) at the new targets.
         radius: Radius [m] of the forming ball.
         side: +1 if the tool above the sheet forms, else -1.
@@ -274,19 +280,23 @@ def interpolate_rotation(first: FloatArray, second: FloatArray, fraction: FloatA
     """
     angle = np.arccos(np.clip(dots(first, second), -1.0, 1.0))
     sine = np.sin(angle)
-    straight = sine < 1e-9
-    base = np.where(straight, 1.0, sine)
-    weight_a = np.where(straight, 1.0 - fraction, np.sin((1.0 - fraction) * angle) / base)
-    weight_b = np.where(straight, fraction, np.sin(fraction * angle) / base)
-    out = weight_a[:, None] * first + weight_b[:, None] * second
-    return np.asarray(out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), _MIN_NORM))
+    is_same = sine < 1e-9
+    base = np.where(is_same, 1.0, sine)
+    weight_a = np.where(is_same, 1.0 - fraction, np.sin((1.0 - fraction) * angle) / base)
+    weight_b = np.where(is_same, fraction, np.sin(fraction * angle) / base)
+    rotated = weight_a[:, None] * first + weight_b[:, None] * second
+    return np.asarray(rotated / np.maximum(np.linalg.norm(rotated, axis=1, keepdims=True), _MIN_NORM))
 
 
 def subdivision(count: IntArray) -> tuple[IntArray, FloatArray]:
-    """Return rows and fractions that divide moves into equal pieces.
+    """Return the targets that divide moves into equal pieces.
 
     Args:
-        count: Number (N,) of pieces of the move to each row; 1 leaves it whole.
+        count: Number (N,) of pieces of the move to each target; 1 leaves it whole.
+
+    Returns:
+        Indices (M,) of the targets at which the divided moves end, and fractions (M,) of these moves, as
+        `insert_targets` expects them.
     """
     extra = np.maximum(count - 1, 0)
     row = np.repeat(np.arange(len(count)), extra)

@@ -96,7 +96,7 @@ def heat_path(
     slack: float,
     refine: bool = True,
 ) -> tuple[ContactPath, FloatArray, FloatArray]:
-    """Return the heated points, the nozzle axes and the path with added targets, for a forming tool above.
+    """Return the path with added targets, the heated points and the nozzle axes, for a forming tool above.
 
     The heated point is across the sheet from the ball. The nozzle tilts as the wall does, as far as it stays
     under the flat and clear of the clamp. Both follow the smooth face that the ball touches, not its
@@ -136,32 +136,33 @@ def heat_path(
         if clamp is not None:
             tilt = clamp_clear_tilt(clamp, heated_point, normal, tilt, head_outline(nozzle))
         axis = tilt_from_vertical(normal, smooth_lower_envelope(tilt, heated_about))
-        turn = np.arccos(np.clip(dots(axis[1:], axis[:-1]), -1.0, 1.0))
-        count = np.append(1, np.ceil(turn / MAX_NOZZLE_ROTATION_RAD)).astype(np.int64)
-        count = np.maximum(count, _nozzle_pieces(opposite, contact.centre - heated_point))
-        if rounds_left == 0 or count.max() <= 1:
+        rotation = np.arccos(np.clip(dots(axis[1:], axis[:-1]), -1.0, 1.0))
+        piece_count = np.append(1, np.ceil(rotation / MAX_NOZZLE_ROTATION_RAD)).astype(np.int64)
+        piece_count = np.maximum(piece_count, _nozzle_pieces(opposite, contact.centre - heated_point))
+        if rounds_left == 0 or piece_count.max() <= 1:
             break
-        opposite = split_moves(opposite, count, touched_face)
+        opposite = split_moves(opposite, piece_count, touched_face)
     return contact, heated_point, axis
 
 
 def _nozzle_pieces(opposite: OppositePath, across: FloatArray) -> IntArray:
-    """Number (N,) of pieces into which the move to each target is split.
+    """Return the number (N,) of pieces into which the move to each target is split, at least 1.
 
-    Two pieces if at its middle the line ``across`` (N, 3) from the heated point to the ball deviates from
-    what the ball touches there; where the ball dwells, as many as the rotation of the line requires.
+    There are two pieces if at its middle the line ``across`` (N, 3) from the heated point to the ball
+    deviates from what the ball touches there; where the ball dwells, as many as the rotation of the line
+    requires.
     """
-    unit = across / np.linalg.norm(across, axis=1, keepdims=True)
-    line = interpolate(unit[:-1], unit[1:], np.full(len(unit) - 1, 0.5))
+    direction = across / np.linalg.norm(across, axis=1, keepdims=True)
+    line = interpolate(direction[:-1], direction[1:], np.full(len(direction) - 1, 0.5))
     line /= np.linalg.norm(line, axis=1, keepdims=True)
-    middle = opposite.middle[np.arange(1, len(unit))]
+    middle = opposite.middle[np.arange(1, len(direction))]
     deviation = np.arccos(np.clip(dots(middle.limit_normal(line, 0.0), line), -1.0, 1.0))
-    turn = np.arccos(np.clip(dots(unit[1:], unit[:-1]), -1.0, 1.0))
+    rotation = np.arccos(np.clip(dots(direction[1:], direction[:-1]), -1.0, 1.0))
     heated_point = opposite.contact.centre - across
     move_length = np.linalg.norm(np.diff(opposite.contact.centre, axis=0), axis=1)
     move_length = np.maximum(move_length, np.linalg.norm(np.diff(heated_point, axis=0), axis=1))
     halves = np.where((deviation > MAX_MIDWAY_ANGLE_RAD) & (move_length > _SHORT_MOVE_M), 2.0, 1.0)
-    count = np.where(opposite.dwells[1:], np.ceil(turn / (2.0 * MAX_NOZZLE_ROTATION_RAD)), halves)
+    count = np.where(opposite.dwells[1:], np.ceil(rotation / (2.0 * MAX_NOZZLE_ROTATION_RAD)), halves)
     return np.append(1, np.maximum(count, 1.0)).astype(np.int64)
 
 
@@ -199,14 +200,14 @@ def border_curve(
 
 
 def _moved_region(forming_pass: FormingPass) -> shapely.Polygon:
-    """Region that a pass moves, seen from above: its largest piece."""
+    """Return the largest piece of the region that a pass moves off the flat, seen from above."""
     corners = forming_pass.vertices[forming_pass.faces]
-    moved = corners[(np.abs(corners[:, :, 2] - forming_pass.start) > FLAT_NOISE_M).any(axis=1)]
+    moved_corners = corners[(np.abs(corners[:, :, 2] - forming_pass.start) > FLAT_NOISE_M).any(axis=1)]
     region = shapely.Polygon(forming_pass.region[:, :2]).buffer(0.0)
-    triangles = shapely.polygons(moved[:, [0, 1, 2, 0], :2])
+    triangles = shapely.polygons(moved_corners[:, [0, 1, 2, 0], :2])
     shapely.prepare(region)
-    both = shapely.union_all([region, *triangles[~shapely.covers(region, triangles)]])
-    pieces = shapely.get_parts(both)
+    union = shapely.union_all([region, *triangles[~shapely.covers(region, triangles)]])
+    pieces = shapely.get_parts(union)
     return pieces[int(np.argmax(shapely.area(pieces)))]
 
 
@@ -218,9 +219,9 @@ def border_path(
     thickness: float,
     refine: bool = True,
 ) -> tuple[ContactPath, FloatArray]:
-    """Return the support's TCP (N, 3) [m] at the targets of a path, and the path with added targets.
+    """Return the path with added targets, and the support's TCP (N, 3) [m] at its targets.
 
-    Targets are added where the border bends between two of them, if ``refine``.
+    Targets are added where the border bends between two of them.
 
     Args:
         forming_pass: Pass.
@@ -232,133 +233,139 @@ def border_path(
     """
     ring = border_curve(forming_pass, support, thickness, BORDER_MARGIN_M)
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(ring[:, :2], axis=0), axis=1))])
-    middle = _last_loop_centre(contact)
-    along = _arc_by_ray(ring, arc, middle, contact.point)
-    if along is None:
-        along = _arc_by_fraction(ring, arc, contact)
+    loop_centre = _last_loop_centre(contact)
+    border_arc = _arc_by_ray(ring, arc, loop_centre, contact.point)
+    if border_arc is None:
+        border_arc = _arc_by_fraction(ring, arc, contact)
     path = contact
     if refine:
-        row, fraction, position = _border_corners(ring, arc, along)
-        path = insert_targets(contact, radius, forming_pass.side, row, fraction)
-        along = np.insert(along, row, position)
-    centre = np.column_stack([np.interp(np.mod(along, arc[-1]), arc, ring[:, k]) for k in range(3)])
+        target, fraction, position = _border_corners(ring, arc, border_arc)
+        path = insert_targets(contact, radius, forming_pass.side, target, fraction)
+        border_arc = np.insert(border_arc, target, position)
+    centre = np.column_stack(
+        [np.interp(np.mod(border_arc, arc[-1]), arc, ring[:, axis]) for axis in range(3)]
+    )
     return path, centre
 
 
 def _last_loop_centre(contact: ContactPath) -> FloatArray:
-    last = contact.point[(contact.loop == contact.loop.max()) & contact.working][:, :2]
-    if len(last) < 3 or np.ptp(last, axis=0).max() < 1e-6:
+    """Return the centroid (2,) [m] in plan of the last loop that forms; of a mere point, the point itself."""
+    last_points = contact.point[(contact.loop == contact.loop.max()) & contact.working][:, :2]
+    if len(last_points) < 3 or np.ptp(last_points, axis=0).max() < 1e-6:
         return np.asarray(contact.point[-1, :2])
-    polygon = shapely.Polygon(last).buffer(0.0)
-    centre = polygon.centroid if polygon.area > 0.0 else shapely.MultiPoint(last).convex_hull.centroid
+    polygon = shapely.Polygon(last_points).buffer(0.0)
+    centre = polygon.centroid if polygon.area > 0.0 else shapely.MultiPoint(last_points).convex_hull.centroid
     return np.asarray(centre.coords[0])
 
 
 def _arc_by_ray(
     ring: FloatArray, arc: FloatArray, middle: FloatArray, points: FloatArray
 ) -> FloatArray | None:
-    """Arc length (N,) [m] at which the rays through ``points`` meet the border.
+    """Return the arc length (N,) [m] at which the rays from ``middle`` (2,) through points meet the border.
 
-    It is counted on from round to round. None if some ray meets the border more than once.
+    It is counted on from round to round. None if some ray meets the border more than once. ``ring`` (K, 3)
+    [m] is the closed border, with the arc lengths ``arc`` (K,) [m].
     """
     offset = ring[:, :2] - middle
-    turn = np.unwrap(np.arctan2(offset[:, 1], offset[:, 0]))
-    if not (np.all(np.diff(turn) > 0.0) and abs(turn[-1] - turn[0] - 2.0 * np.pi) < 1e-6):
+    bearing = np.unwrap(np.arctan2(offset[:, 1], offset[:, 0]))
+    if not (np.all(np.diff(bearing) > 0.0) and abs(bearing[-1] - bearing[0] - 2.0 * np.pi) < 1e-6):
         return None
     direction = points[:, :2] - middle
     is_off_centre = np.linalg.norm(direction, axis=1) > 1e-6
     heading = np.arctan2(direction[:, 1], direction[:, 0])
     if not is_off_centre.all():  # at the middle the direction is undefined: use that of the previous target
-        known = np.flatnonzero(is_off_centre)
-        if not len(known):
+        defined = np.flatnonzero(is_off_centre)
+        if not len(defined):
             return np.full(len(points), arc[0])
-        nearest = known[np.maximum(np.searchsorted(known, np.arange(len(points)), side="right") - 1, 0)]
+        nearest = defined[np.maximum(np.searchsorted(defined, np.arange(len(points)), side="right") - 1, 0)]
         heading = heading[nearest]
-    heading = turn[0] + np.mod(heading - turn[0], 2.0 * np.pi)
-    k = np.clip(np.searchsorted(turn, heading, side="right") - 1, 0, len(turn) - 2)
-    a, edge = offset[k], offset[k + 1] - offset[k]
+    heading = bearing[0] + np.mod(heading - bearing[0], 2.0 * np.pi)
+    edge_index = np.clip(np.searchsorted(bearing, heading, side="right") - 1, 0, len(bearing) - 2)
+    edge_start, edge = offset[edge_index], offset[edge_index + 1] - offset[edge_index]
     ray = np.column_stack([np.cos(heading), np.sin(heading)])
-    fraction = (a[:, 1] * ray[:, 0] - a[:, 0] * ray[:, 1]) / (edge[:, 0] * ray[:, 1] - edge[:, 1] * ray[:, 0])
-    position = arc[k] + np.clip(fraction, 0.0, 1.0) * (arc[k + 1] - arc[k])
+    fraction = (edge_start[:, 1] * ray[:, 0] - edge_start[:, 0] * ray[:, 1]) / (
+        edge[:, 0] * ray[:, 1] - edge[:, 1] * ray[:, 0]
+    )
+    position = arc[edge_index] + np.clip(fraction, 0.0, 1.0) * (arc[edge_index + 1] - arc[edge_index])
     return np.asarray(np.unwrap(position, period=arc[-1]))
 
 
 def _arc_by_fraction(ring: FloatArray, arc: FloatArray, contact: ContactPath) -> FloatArray:
-    """Arc length (N,) [m] along the border by the fraction of each loop that is done.
+    """Return the arc length (N,) [m] along the border, by the fraction of each loop that is done.
 
-    The origin is the point of the border nearest to the start of the first loop.
+    It starts at the point of the border nearest to the start of the first loop.
     """
     border = shapely.LineString(ring[:, :2])
     origin = float(border.project(shapely.Point(contact.point[0, :2])))
     done, total = np.zeros(len(contact.point)), 0.0
     for number in np.unique(contact.loop):
-        rows = np.flatnonzero((contact.loop == number) & contact.working)
-        if len(rows) < 2:
-            done[rows] = total
+        targets = np.flatnonzero((contact.loop == number) & contact.working)
+        if len(targets) < 2:
+            done[targets] = total
             continue
-        first = max(rows[0] - 1, 0)
-        line = contact.point[np.concatenate([[first], rows]), :2]
+        first = max(targets[0] - 1, 0)
+        line = contact.point[np.concatenate([[first], targets]), :2]
         length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
         x, y = (line - line[0]).T
-        sense = 1.0 if np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) >= 0.0 else -1.0
-        done[rows] = total + sense * length[1:] / max(length[-1], 1e-12)
-        total += sense
-    known = np.flatnonzero(contact.working)
-    if len(known):
-        done = np.interp(np.arange(len(done)), known, done[known], left=0.0)
+        direction = 1.0 if np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) >= 0.0 else -1.0
+        done[targets] = total + direction * length[1:] / max(length[-1], 1e-12)
+        total += direction
+    working = np.flatnonzero(contact.working)
+    if len(working):
+        done = np.interp(np.arange(len(done)), working, done[working], left=0.0)
     return np.asarray(origin + arc[-1] * done)
 
 
 def _border_corners(
     ring: FloatArray, arc: FloatArray, along: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Corners of the border that moves between arc lengths ``along`` (N,) [m] would cut.
+    """Return the corners of the border that moves between arc lengths ``along`` (N,) [m] would cut.
 
-    Returns the row (M,) at which each move ends, the fraction (M,) of it and the arc length (M,) of the
-    corner.
+    For each corner: the index (M,) of the target at which its move ends, the fraction (M,) of the move, and
+    the arc length (M,) [m] of the corner. ``ring`` (K, 3) [m] is the closed border, with arc lengths ``arc``
+    (K,) [m].
     """
     line = shapely.LineString(ring[:, :2])
-    kept = shapely.get_coordinates(line.simplify(0.5 * MAX_BEND_DEVIATION_M))[:-1]
-    known = set(map(tuple, kept.tolist()))
-    corner = arc[:-1][[tuple(point) in known for point in ring[:-1, :2].tolist()]]
+    kept_coordinates = shapely.get_coordinates(line.simplify(0.5 * MAX_BEND_DEVIATION_M))[:-1]
+    kept_points = set(map(tuple, kept_coordinates.tolist()))
+    corner = arc[:-1][[tuple(point) in kept_points for point in ring[:-1, :2].tolist()]]
     low, high = np.minimum(along[1:], along[:-1]), np.maximum(along[1:], along[:-1])
     length = arc[-1]
 
     def corners_before(value: FloatArray) -> IntArray:
-        """Number of corners before an arc length, over all rounds."""
+        """Return the number (N,) of corners before arc lengths (N,) [m], over all rounds."""
         rounds = np.floor(value / length)
         inner = np.searchsorted(corner, value - rounds * length, side="right")
         return np.asarray((rounds * len(corner) + inner).astype(np.int64))
 
     first, stop = corners_before(low), corners_before(np.nextafter(high, -np.inf))
-    number = np.maximum(stop - first, 0)
-    move = np.repeat(np.arange(len(number)), number)
-    step = np.arange(len(move)) - np.repeat(np.cumsum(number) - number, number)
-    back = (along[1:] < along[:-1])[move]
-    index = np.where(back, stop[move] - 1 - step, first[move] + step)
+    corner_count = np.maximum(stop - first, 0)
+    move = np.repeat(np.arange(len(corner_count)), corner_count)
+    step = np.arange(len(move)) - np.repeat(np.cumsum(corner_count) - corner_count, corner_count)
+    is_backward = (along[1:] < along[:-1])[move]
+    index = np.where(is_backward, stop[move] - 1 - step, first[move] + step)
     corner_arc = corner[np.mod(index, len(corner))] + np.floor_divide(index, len(corner)) * length
     fraction = (corner_arc - along[move]) / (along[move + 1] - along[move])
-    whole = np.abs(along[move + 1] - along[move])
-    inside = (
-        np.minimum(fraction, 1.0 - fraction) * whole > MAX_BEND_DEVIATION_M
-    )  # corners nearer to a target would give moves of almost no length
-    move, corner_arc, fraction = move[inside], corner_arc[inside], fraction[inside]
+    move_length = np.abs(along[move + 1] - along[move])
+    # corners nearer to a target would give moves of almost no length
+    is_inside = np.minimum(fraction, 1.0 - fraction) * move_length > MAX_BEND_DEVIATION_M
+    move, corner_arc, fraction = move[is_inside], corner_arc[is_inside], fraction[is_inside]
 
     def border_points(value: FloatArray) -> FloatArray:
-        return np.column_stack([np.interp(np.mod(value, length), arc, ring[:, k]) for k in range(2)])
+        """Return the points (M, 2) [m] of the border at arc lengths (M,) [m]."""
+        return np.column_stack([np.interp(np.mod(value, length), arc, ring[:, axis]) for axis in range(2)])
 
-    move_start, move_end, corner_point = (
-        border_points(along[move]),
-        border_points(along[move + 1]),
-        border_points(corner_arc),
-    )
-    chord, rest = move_end - move_start, corner_point - move_start
-    projection = np.clip(dots(rest, chord) / np.maximum((chord**2).sum(axis=1), 1e-18), 0.0, 1.0)
-    deviation = np.linalg.norm(rest - projection[:, None] * chord, axis=1)
-    worst = np.zeros(len(number))
-    np.maximum.at(worst, move, deviation)
-    needed = worst[move] > MAX_BEND_DEVIATION_M
-    return (move + 1)[needed], fraction[needed], corner_arc[needed]
+    move_start = border_points(along[move])
+    move_end = border_points(along[move + 1])
+    corner_point = border_points(corner_arc)
+    chord = move_end - move_start
+    offset = corner_point - move_start
+    projection = np.clip(dots(offset, chord) / np.maximum((chord**2).sum(axis=1), 1e-18), 0.0, 1.0)
+    deviation = np.linalg.norm(offset - projection[:, None] * chord, axis=1)
+    max_deviation = np.zeros(len(corner_count))
+    np.maximum.at(max_deviation, move, deviation)
+    is_needed = max_deviation[move] > MAX_BEND_DEVIATION_M
+    return (move + 1)[is_needed], fraction[is_needed], corner_arc[is_needed]
 
 
 def make_mode_path(
@@ -388,7 +395,7 @@ def make_mode_path(
     _require_tools(operation, forming_head, support)
     mode = operation.mode
     forming_pass, contact = pass_contact.forming_pass, pass_contact.contact
-    if forming_pass.side < 0:
+    if forming_pass.side < 0:  # the modes below are computed for a forming tool above the sheet
         mirrored_path = make_mode_path(
             _mirror_pass_contact(pass_contact),
             operation,
@@ -399,26 +406,26 @@ def make_mode_path(
         )
         return _mirror_tool_path(mirrored_path)
     if support is None or mode in ("spif", "tpif"):
-        none = np.full(len(contact.point), np.nan)
+        no_gap = np.full(len(contact.point), np.nan)
         return FormingToolPath(
-            contact.centre, tool_axes(contact.normal, _tilt(operation)), None, None, none, contact
+            contact.centre, tool_axes(contact.normal, _tilt(operation)), None, None, no_gap, contact
         )
     if mode == "dpif_p":
         path, support_centre = border_path(
             forming_pass, contact, forming_head.radius, support, sheet.thickness, refinement.enabled
         )
         up = np.tile([0.0, 0.0, 1.0], (len(support_centre), 1))
-        none = np.full(len(support_centre), np.nan)
+        no_gap = np.full(len(support_centre), np.nan)
         return FormingToolPath(
-            path.centre, tool_axes(path.normal, _tilt(operation)), support_centre, up, none, path
+            path.centre, tool_axes(path.normal, _tilt(operation)), support_centre, up, no_gap, path
         )
     if mode == "heat":
         path, support_centre, nozzle_axis = heat_path(
             pass_contact, forming_head, support, sheet, operation.gouge_tol_mm * MM, refinement.enabled
         )
-        none = np.full(len(support_centre), np.nan)
+        no_gap = np.full(len(support_centre), np.nan)
         return FormingToolPath(
-            path.centre, tool_axes(path.normal, _tilt(operation)), support_centre, nozzle_axis, none, path
+            path.centre, tool_axes(path.normal, _tilt(operation)), support_centre, nozzle_axis, no_gap, path
         )
     return make_opposite_path(pass_contact, operation, forming_head, support, sheet.thickness, refinement)
 
@@ -446,25 +453,27 @@ def support_issues(
     tilt = np.arccos(np.clip(across[:, 2] / np.linalg.norm(across, axis=1), -1.0, 1.0))
     required = np.maximum(pass_contact.contact.angle - shift, 0.0)
     deviation = np.where(np.isnan(path.gap), 0.0, required - tilt)
-    radii, slack = np.array([forming_head.radius, support.radius]), operation.gouge_tol_mm * MM
+    radii = np.array([forming_head.radius, support.radius])
+    tolerance = operation.gouge_tol_mm * MM
     tool_line = ToolLine(required=required, deviation=deviation, gap=np.nan_to_num(path.gap))
-    issue = support_radius_issue(pass_contact, thickness, tool_line, radii, slack)
-    loose = _gap_issue(pass_contact.forming_pass, path, operation)
-    return tuple(candidate for candidate in (issue, loose) if candidate is not None)
+    radius_issue = support_radius_issue(pass_contact, thickness, tool_line, radii, tolerance)
+    gap_issue = _gap_issue(pass_contact.forming_pass, path, operation)
+    return tuple(candidate for candidate in (radius_issue, gap_issue) if candidate is not None)
 
 
 def _gap_issue(forming_pass: FormingPass, path: FormingToolPath, operation: Forming) -> Issue | None:
+    """Return a warning (forming.gap) about moves whose gap more targets do not improve, or None."""
     if path.unresolved is None or path.support_centre is None or not path.unresolved.any():
         return None
-    rows = np.flatnonzero(path.unresolved)
-    first = ", ".join(f"{value:.1f}" for value in path.forming_centre[rows[0]] / MM)
+    moves = np.flatnonzero(path.unresolved)
+    first_text = ", ".join(f"{value:.1f}" for value in path.forming_centre[moves[0]] / MM)
     across = path.forming_centre - path.support_centre
     length = np.linalg.norm(across, axis=1)
-    middle = np.linalg.norm(0.5 * (across[rows] + across[rows - 1]), axis=1)
-    deviation_mm = float((0.5 * (length[rows] + length[rows - 1]) - middle).max()) / MM
-    what = f"pass {forming_pass.name}: on {len(rows)} moves between targets, first at ({first}) mm, "
+    middle = np.linalg.norm(0.5 * (across[moves] + across[moves - 1]), axis=1)
+    deviation_mm = float((0.5 * (length[moves] + length[moves - 1]) - middle).max()) / MM
+    message = f"pass {forming_pass.name}: on {len(moves)} moves between targets, first at ({first_text}) mm, "
     if deviation_mm > CHORD_GAP_FRACTION * operation.gap_tol_mm:
-        what += (
+        message += (
             f"the gap of the tools deviates by up to {deviation_mm:.3f} mm, allowed is "
             f"{CHORD_GAP_FRACTION:.0%} of gap_tol_mm"
         )
@@ -472,23 +481,24 @@ def _gap_issue(forming_pass: FormingPass, path: FormingToolPath, operation: Form
             f"allow a gap_tol_mm of {deviation_mm / CHORD_GAP_FRACTION + 5e-4:.3f}, or round the part there"
         )
     else:
-        what += "the wall turns abruptly, and the line of the tools does not follow within its tolerance"
+        message += "the wall turns abruptly, and the line of the tools does not follow within its tolerance"
         hint = "round the part there"
-    what += ", however dense the targets are; the proof decides whether this is acceptable"
-    return Issue("forming.gap", what, Severity.WARNING, value=float(len(rows)), limit=0.0, hint=hint)
+    message += ", however dense the targets are; the proof decides whether this is acceptable"
+    return Issue("forming.gap", message, Severity.WARNING, value=float(len(moves)), limit=0.0, hint=hint)
 
 
 def _tilt(operation: Forming) -> float:
+    """Return the stated tilt [rad] of the tools from the sheet's normal."""
     return operation.lean_deg * DEG
 
 
 def _mirror_pass_contact(pass_contact: PassContact) -> PassContact:
-    """A pass and the path of the contact, mirrored in z."""
+    """Return a pass and the path of its contact, mirrored in z."""
     return PassContact(_mirror_pass(pass_contact.forming_pass), _mirror_contact(pass_contact.contact))
 
 
 def _mirror_sheet(sheet: MountedSheet) -> MountedSheet:
-    """A sheet whose clamp is mirrored in z."""
+    """Return a sheet whose clamp is mirrored in z."""
     clamp = sheet.clamp
     if clamp is None:
         return sheet
@@ -496,7 +506,7 @@ def _mirror_sheet(sheet: MountedSheet) -> MountedSheet:
 
 
 def _mirror_pass(forming_pass: FormingPass) -> FormingPass:
-    """A pass mirrored in z. Its faces keep their orientation in plan, so their normals point up again."""
+    """Return a pass mirrored in z. Its faces keep their orientation in plan, so normals point up again."""
     return dataclasses.replace(
         forming_pass,
         side=-forming_pass.side,
@@ -507,13 +517,14 @@ def _mirror_pass(forming_pass: FormingPass) -> FormingPass:
 
 
 def _mirror_contact(contact: ContactPath) -> ContactPath:
-    """A path mirrored in z with its normals still up."""
+    """Return the path of a contact mirrored in z, with its normals still up."""
     return dataclasses.replace(
         contact, point=contact.point * MIRROR, centre=contact.centre * MIRROR, normal=contact.normal * -MIRROR
     )
 
 
 def _mirror_tool_path(tool_path: FormingToolPath) -> FormingToolPath:
+    """Return the path of both tools mirrored in z."""
     return dataclasses.replace(
         tool_path,
         forming_centre=tool_path.forming_centre * MIRROR,
@@ -525,6 +536,7 @@ def _mirror_tool_path(tool_path: FormingToolPath) -> FormingToolPath:
 
 
 def _require_tools(operation: Forming, forming_head: FormingHead, support: FormingHead | None) -> None:
+    """Raise ``TandemError`` (forming.support_tool) if a tool does not suit the mode."""
     mode = operation.mode
     allowed_kinds = {
         "dsif": "ball",

@@ -88,18 +88,19 @@ class TouchedFace:
     gap: FloatArray
     ends: FloatArray
 
-    def __getitem__(self, rows: IntArray) -> "TouchedFace":
-        return TouchedFace(self.normal[rows], self.gap[rows], self.ends[rows])
+    def __getitem__(self, indices: IntArray) -> "TouchedFace":
+        return TouchedFace(self.normal[indices], self.gap[indices], self.ends[indices])
 
     def inserted(self, row: IntArray, other: "TouchedFace") -> "TouchedFace":
-        """Return the values with others inserted before rows (M,)."""
+        """Return the values with those of others inserted before indices (M,)."""
         pairs = ((getattr(self, f.name), getattr(other, f.name)) for f in dataclasses.fields(self))
         return TouchedFace(*(np.insert(mine, row, new, axis=0) for mine, new in pairs))
 
     def angle_to(self, line: FloatArray) -> FloatArray:
         """Return the angles (N,) [rad] of lines to the fan between the touched normals and the vertical.
 
-        By the directions or by the smooth face, whichever is nearer. ``line`` (N, 3) are unit vectors.
+        The normals are those of the directions or of the smooth face, whichever are nearer. ``line`` (N, 3)
+        are unit vectors.
         """
         return np.minimum(*(angle_to_fan(line, self.ends[:, k], self.ends[:, k + 1]) for k in (0, 2)))
 
@@ -134,59 +135,65 @@ class BallContactFace:
     def touched_at(self, centres: FloatArray) -> TouchedFace:
         """Return the face that balls at ``centres`` (N, 3) [m] touch.
 
-        If two walls, or a wall and a floor, of different thickness are touched, it is the thinner one.
+        If two walls, or a wall and a floor, of different thickness are touched, it is the thinner one. The
+        values are weighted means over all facets that are nearly as near as the nearest one.
         """
-        row, face, weights, foot, distance = self._face.touched(centres, NEAREST_TOLERANCE_M)
-        ends = self._ends(row, centres[row] - foot, face, weights, distance)
-        first = np.searchsorted(row, np.arange(len(centres)))[row]
-        normal = _normal_over_edges(centres[row] - foot, self._face.normal_at(face, weights))
+        point, face, weights, foot, distance = self._face.touched(centres, NEAREST_TOLERANCE_M)
+        ends = self._ends(point, centres[point] - foot, face, weights, distance)
+        nearest_pair = np.searchsorted(point, np.arange(len(centres)))[point]
+        normal = _normal_over_edges(centres[point] - foot, self._face.normal_at(face, weights))
         gap = dots(weights, self._gap[face])
-        turn = np.arccos(np.clip(dots(normal, normal[first]), -1.0, 1.0))
-        weight = 1.0 - (distance - distance[first]) * np.maximum(turn, FULL_WEIGHT_ANGLE_RAD) / (
+        rotation = np.arccos(np.clip(dots(normal, normal[nearest_pair]), -1.0, 1.0))
+        # falls to 0 at NEAREST_TOLERANCE_M, and sooner for facets that turn away by more than
+        # FULL_WEIGHT_ANGLE_RAD
+        weight = 1.0 - (distance - distance[nearest_pair]) * np.maximum(rotation, FULL_WEIGHT_ANGLE_RAD) / (
             FULL_WEIGHT_ANGLE_RAD * NEAREST_TOLERANCE_M
         )
-        use = weight > 0.0
+        has_weight = weight > 0.0
         min_gap = np.full(len(centres), np.inf)
-        np.minimum.at(min_gap, row[use], gap[use])
-        use &= gap <= min_gap[row] + self._jump
-        row = row[use]
+        np.minimum.at(min_gap, point[has_weight], gap[has_weight])
+        has_weight &= gap <= min_gap[point] + self._jump
+        point = point[has_weight]
         weight, normal, gap, distance = (
-            part[use] for part in (weight, normal, gap, distance - distance[first])
+            values[has_weight] for values in (weight, normal, gap, distance - distance[nearest_pair])
         )
-        tied = distance <= TIE_TOLERANCE_M
+        is_tied = distance <= TIE_TOLERANCE_M
         low, high = np.full(len(centres), np.inf), np.full(len(centres), -np.inf)
-        np.minimum.at(low, row[tied], gap[tied])
-        np.maximum.at(high, row[tied], gap[tied])
-        total, mean = np.zeros((len(centres), 3)), np.zeros(len(centres))
-        np.add.at(total, row, weight[:, None] * normal)
-        np.add.at(mean, row, weight * gap)
-        length = np.linalg.norm(total, axis=1, keepdims=True)
-        mean /= np.bincount(row, weight, len(centres))
+        np.minimum.at(low, point[is_tied], gap[is_tied])
+        np.maximum.at(high, point[is_tied], gap[is_tied])
+        normal_sum, mean_gap = np.zeros((len(centres), 3)), np.zeros(len(centres))
+        np.add.at(normal_sum, point, weight[:, None] * normal)
+        np.add.at(mean_gap, point, weight * gap)
+        length = np.linalg.norm(normal_sum, axis=1, keepdims=True)
+        mean_gap /= np.bincount(point, weight, len(centres))
         # a thinner wall that the ball is about to touch counts alone: clip to the gaps of equally near points
-        clipped = np.where(high >= low, np.clip(mean, low, high), mean)
-        return TouchedFace(total / np.maximum(length, 1e-300), clipped, ends)
+        clipped = np.where(high >= low, np.clip(mean_gap, low, high), mean_gap)
+        return TouchedFace(normal_sum / np.maximum(length, 1e-300), clipped, ends)
 
     def _ends(
         self, row: IntArray, direction: FloatArray, face: IntArray, weights: FloatArray, distance: FloatArray
     ) -> FloatArray:
-        """``TouchedFace.ends`` (N, 4, 3) of M pairs, ordered by point ``row`` (M,) and then by distance.
+        """Return `TouchedFace.ends` (N, 4, 3) of M pairs, ordered by point ``row`` (M,) and then by distance.
 
         ``direction`` (M, 3) [m] points to the centre, ``face`` (M,) has ``weights`` (M, 3), ``distance`` (M,)
         is in m.
         """
         start = np.flatnonzero(np.diff(row, prepend=-1) > 0)
-        use = np.flatnonzero(
+        is_touched = np.flatnonzero(
             distance <= np.repeat(distance[start], np.diff(np.append(start, len(row)))) + TOUCH_TOLERANCE_M
         )
-        row, start = row[use], np.searchsorted(row[use], np.arange(len(start)))
-        length = np.linalg.norm(direction[use], axis=1, keepdims=True)
-        smooth = self._face.normal_at(face[use], weights[use])
-        kinds = np.where(length > 0.0, direction[use] / np.maximum(length, 1e-300), smooth), smooth
+        row, start = row[is_touched], np.searchsorted(row[is_touched], np.arange(len(start)))
+        length = np.linalg.norm(direction[is_touched], axis=1, keepdims=True)
+        smooth = self._face.normal_at(face[is_touched], weights[is_touched])
+        kinds = (np.where(length > 0.0, direction[is_touched] / np.maximum(length, 1e-300), smooth), smooth)
         return np.stack([end for kind in kinds for end in _most_different(kind, row, start)], axis=1)
 
 
 def _most_different(unit: FloatArray, row: IntArray, start: IntArray) -> tuple[FloatArray, FloatArray]:
-    """The two unit vectors (N, 3) each of N groups, starting at ``start`` (N,), that differ the most."""
+    """Return, for each of N groups of unit vectors, the two (N, 3) that differ the most.
+
+    ``row`` (M,) is the group of each vector ``unit`` (M, 3), and ``start`` (N,) the first one of each group.
+    """
     first = start
     for _ in range(2):  # the farthest from the first vector, and the farthest from that
         order = np.lexsort((dots(unit, unit[first[row]]), row))
@@ -195,7 +202,7 @@ def _most_different(unit: FloatArray, row: IntArray, start: IntArray) -> tuple[F
 
 
 def _normal_over_edges(direction: FloatArray, normal: FloatArray) -> FloatArray:
-    """Unit normals (M, 3) of facets; over an edge the ``direction`` (M, 3) to the ball's centre.
+    """Return unit normals (M, 3) of facets; over an edge the ``direction`` (M, 3) to the ball's centre.
 
     Over an edge the normals deviate from that direction: there the ball rolls from one facet to the next.
     """
@@ -305,67 +312,71 @@ def make_opposite_path(
         thickness: Thickness [m] of the flat sheet.
         refinement: How targets are added.
     """
-    forming_pass, contact, refine = pass_contact.forming_pass, pass_contact.contact, refinement.enabled
-    points = MAX_POINTS if refine else MAX_COARSE_POINTS
-    level, far_face = (
-        forming_pass.start - thickness,
-        FarFace(forming_pass, thickness, contact, forming_head.radius, points),
-    )
+    forming_pass, contact = pass_contact.forming_pass, pass_contact.contact
+    refine = refinement.enabled
+    max_points = MAX_POINTS if refine else MAX_COARSE_POINTS
+    level = forming_pass.start - thickness
+    far_face = FarFace(forming_pass, thickness, contact, forming_head.radius, max_points)
     touched_face = BallContactFace(forming_pass, forming_head.radius, operation.squeeze, thickness)
     shift = operation.shift_deg * DEG if operation.mode == "dpif_l" else 0.0
-    radii, allowed = forming_head.radius + support.radius, CHORD_GAP_FRACTION * operation.gap_tol_mm * MM
+    radius_sum = forming_head.radius + support.radius
+    gap_tolerance = CHORD_GAP_FRACTION * operation.gap_tol_mm * MM
     slack = operation.gouge_tol_mm * MM
     opposite = (
         add_dwells(contact, touched_face, slack) if refine else without_dwells(contact, touched_face, slack)
     )
     for rounds_left in range(_MAX_SPLIT_ROUNDS if refine else 0, -1, -1):
         contact, gap = opposite.contact, opposite.touched.gap
-        distance = gap + radii
+        distance = gap + radius_sum
         # smooth along the support's path: in a corner the support moves much farther than the forming ball
-        support_about = contact.centre - radii * opposite.touched.normal
+        support_about = contact.centre - radius_sum * opposite.touched.normal
         normal = opposite.touched.limit_normal(
             smooth_directions(opposite.touched.normal, support_about, SMOOTHING_ANGLE_RAD),
             MAX_TARGET_ANGLE_RAD,
         )
-        steep = np.arccos(np.clip(normal[:, 2], -1.0, 1.0))
+        wall_angle = np.arccos(np.clip(normal[:, 2], -1.0, 1.0))
         # off the face the support cannot be opposite: it is straight below the ball
-        tilt = (1.0 - opposite.lift) * np.maximum(steep - shift, 0.0)
+        tilt = (1.0 - opposite.lift) * np.maximum(wall_angle - shift, 0.0)
         tilt = np.minimum(tilt, max_angle_below_flat(contact.centre[:, 2], distance, level, support.radius))
+        # the support presses into the sheet by the squeeze, which is not a cut
         squeezed = np.maximum(thickness * np.cos(contact.angle) - gap, 0.0)
-        inner = support.radius - squeezed - operation.gouge_tol_mm * MM
+        clear_radius = support.radius - squeezed - operation.gouge_tol_mm * MM
         facing = dataclasses.replace(contact, normal=normal)
-        tilt = smooth_lower_envelope(clear_tilt(far_face, facing, tilt, distance, inner), support_about)
+        tilt = smooth_lower_envelope(
+            clear_tilt(far_face, facing, tilt, distance, clear_radius), support_about
+        )
         across = distance[:, None] * tilt_from_vertical(normal, tilt)
-        air = (
+        is_in_air = (
             np.linalg.norm(contact.centre - contact.point, axis=1) > forming_head.radius + MIN_AIR_DISTANCE_M
         )
         if not refine:
-            count = np.ones(len(air), dtype=np.int64)
+            piece_count = np.ones(len(is_in_air), dtype=np.int64)
             break
-        count = np.maximum(
-            _line_pieces(opposite, across, radii, allowed),
-            _gap_pieces(opposite, across, radii, allowed, touched_face),
+        piece_count = np.maximum(
+            _line_pieces(opposite, across, radius_sum, gap_tolerance),
+            _gap_pieces(opposite, across, radius_sum, gap_tolerance, touched_face),
         )
         if refinement.sync_interval:
             max_drift = DRIFT_GAP_FRACTION * operation.handshake_gap_mm * MM
-            count = np.maximum(
-                count, _drift_pieces(contact.centre, across, gap + radii, refinement.sync_interval, max_drift)
+            piece_count = np.maximum(
+                piece_count,
+                _drift_pieces(contact.centre, across, gap + radius_sum, refinement.sync_interval, max_drift),
             )
-        count[1:][air[1:] | air[:-1]] = 1
-        if rounds_left == 0 or count.max() == 1:
+        piece_count[1:][is_in_air[1:] | is_in_air[:-1]] = 1
+        if rounds_left == 0 or piece_count.max() == 1:
             break
-        opposite = split_moves(opposite, count, touched_face)
+        opposite = split_moves(opposite, piece_count, touched_face)
     support_centre = contact.centre - across
-    _retract_support(support_centre, air, forming_pass, thickness, support.radius)
+    _retract_support(support_centre, is_in_air, forming_pass, thickness, support.radius)
     tool_tilt = operation.lean_deg * DEG
     return FormingToolPath(
         forming_centre=contact.centre,
         axis=tool_axes(contact.normal, tool_tilt),
         support_centre=support_centre,
         support_axis=tilt_from_vertical(normal, np.minimum(tilt, tool_tilt)),
-        gap=np.where(air, np.nan, gap),
+        gap=np.where(is_in_air, np.nan, gap),
         contact=contact,
-        unresolved=count > 1,
+        unresolved=piece_count > 1,
     )
 
 
@@ -382,41 +393,41 @@ def add_dwells(
         slack: Distance [m] from the face within which the ball counts as touching it.
         spread: Distance [m] of the two targets before and after the corner.
     """
-    aloft = _is_crossing(contact, touched_face, slack)
+    is_crossing = _is_crossing(contact, touched_face, slack)
     touched = touched_face.touched_at(contact.centre)
     step = np.linalg.norm(np.diff(contact.centre, axis=0), axis=1)
-    rows = (
+    targets = (
         np.flatnonzero(
             (_angle_between(touched.normal[1:], touched.normal[:-1]) > DWELL_ROTATION_RAD) & (step > 0.0)
         )
         + 1
     )
-    before_corner, after_corner = touched[rows - 1], touched[rows]
-    low, high = np.zeros(len(rows)), np.ones(len(rows))
+    before_corner, after_corner = touched[targets - 1], touched[targets]
+    low, high = np.zeros(len(targets)), np.ones(len(targets))
     for _ in range(_CORNER_HALVINGS):  # keep the half with the larger rotation
         middle = 0.5 * (low + high)
         middle_touched = touched_face.touched_at(
-            interpolate(contact.centre[rows - 1], contact.centre[rows], middle)
+            interpolate(contact.centre[targets - 1], contact.centre[targets], middle)
         )
-        first = _angle_between(before_corner.normal, middle_touched.normal) > _angle_between(
+        is_in_first_half = _angle_between(before_corner.normal, middle_touched.normal) > _angle_between(
             middle_touched.normal, after_corner.normal
         )
-        low, high = np.where(first, low, middle), np.where(first, middle, high)
+        low, high = np.where(is_in_first_half, low, middle), np.where(is_in_first_half, middle, high)
         before_corner, after_corner = (
-            _select(first, before_corner, middle_touched),
-            _select(first, middle_touched, after_corner),
+            _select(is_in_first_half, before_corner, middle_touched),
+            _select(is_in_first_half, middle_touched, after_corner),
         )
     middle = 0.5 * (low + high)
     if spread:  # near a crease the ball touches both walls
-        spread_fraction = spread / step[rows - 1]
+        spread_fraction = spread / step[targets - 1]
         low, high = np.maximum(low - spread_fraction, 0.0), np.minimum(high + spread_fraction, 1.0)
-        move = contact.centre[rows - 1], contact.centre[rows]
-        before_corner, after_corner = (
-            touched_face.touched_at(interpolate(*move, low)),
-            touched_face.touched_at(interpolate(*move, high)),
-        )
+        move = contact.centre[targets - 1], contact.centre[targets]
+        before_corner = touched_face.touched_at(interpolate(*move, low))
+        after_corner = touched_face.touched_at(interpolate(*move, high))
     jump = np.flatnonzero(_angle_between(before_corner.normal, after_corner.normal) > DWELL_ROTATION_RAD)
-    fraction, row, pair = middle[jump], rows[jump], (before_corner[jump], after_corner[jump])
+    fraction = middle[jump]
+    row = targets[jump]
+    pair = before_corner[jump], after_corner[jump]
     # an existing target at that position is one of the two
     target_distance = step[row - 1] * fraction, step[row - 1] * (1.0 - fraction)
     at_target = [
@@ -425,63 +436,65 @@ def add_dwells(
         for k in range(2)
     ]
     row, fraction = np.repeat(row, 2), np.repeat(fraction, 2)
-    kept = ~np.column_stack(at_target).ravel()
+    is_new = ~np.column_stack(at_target).ravel()
     normal = np.stack([part.normal for part in pair], axis=1).reshape(-1, 3)
     gap = np.column_stack([part.gap for part in pair]).ravel()
     ends = np.stack([part.ends for part in pair], axis=1).reshape(-1, 4, 3)
-    path = insert_targets_at(contact, row[kept], fraction[kept], normal[kept], touched_face.radius)
-    inserted_touched = touched.inserted(row[kept], TouchedFace(normal, gap, ends)[kept])
+    path = insert_targets_at(contact, row[is_new], fraction[is_new], normal[is_new], touched_face.radius)
+    inserted_touched = touched.inserted(row[is_new], TouchedFace(normal, gap, ends)[is_new])
     # the second target of each pair is reached without motion, whether it is new or the next existing one
-    new = np.insert(np.arange(len(step) + 1), row[kept], -1 - np.flatnonzero(kept))
-    dwells = np.isin(new, -1 - np.flatnonzero(kept)[np.flatnonzero(kept) % 2 == 1])
-    dwells |= np.isin(new, row[1::2][at_target[1]])
+    origin = np.insert(np.arange(len(step) + 1), row[is_new], -1 - np.flatnonzero(is_new))
+    dwells = np.isin(origin, -1 - np.flatnonzero(is_new)[np.flatnonzero(is_new) % 2 == 1])
+    dwells |= np.isin(origin, row[1::2][at_target[1]])
     between = np.concatenate([path.centre[:1], 0.5 * (path.centre[1:] + path.centre[:-1])])
-    lift = np.insert(aloft, row[kept], aloft[row[kept]] | aloft[row[kept] - 1]).astype(np.float64)
+    lift = np.insert(
+        is_crossing, row[is_new], is_crossing[row[is_new]] | is_crossing[row[is_new] - 1]
+    ).astype(np.float64)
     return OppositePath(path, inserted_touched, dwells, touched_face.touched_at(between), lift)
 
 
 def without_dwells(contact: ContactPath, touched_face: BallContactFace, slack: float) -> OppositePath:
-    """Return the path with the targets of ``contact`` alone, as if the touched face jumped nowhere."""
-    touched, no_dwells = (
-        touched_face.touched_at(contact.centre),
-        np.zeros(len(contact.centre), dtype=np.bool_),
-    )
+    """Return the path with the targets of ``contact`` alone, without dwells where the touched face jumps."""
+    touched = touched_face.touched_at(contact.centre)
+    no_dwells = np.zeros(len(contact.centre), dtype=np.bool_)
     return OppositePath(
         contact, touched, no_dwells, touched, _is_crossing(contact, touched_face, slack).astype(np.float64)
     )
 
 
 def _is_crossing(contact: ContactPath, touched_face: BallContactFace, slack: float) -> BoolArray:
-    """Whether (N,) the ball crosses, off the face by more than ``slack`` [m] but not in the air."""
+    """Return whether (N,) the ball crosses, off the face by more than ``slack`` [m] but not in the air."""
     away = np.linalg.norm(contact.centre - contact.point, axis=1) - touched_face.radius
     return np.asarray(~contact.working & (away > slack) & (away <= MIN_AIR_DISTANCE_M))
 
 
-def _select(first: BoolArray, when_true: TouchedFace, when_false: TouchedFace) -> TouchedFace:
-    rows = np.where(first, np.arange(len(first)), len(first) + np.arange(len(first)))
-    return when_true.inserted(np.full(len(first), len(first)), when_false)[rows]
+def _select(condition: BoolArray, when_true: TouchedFace, when_false: TouchedFace) -> TouchedFace:
+    """Return the values (N,) of one face where ``condition`` (N,) is true, and those of another elsewhere."""
+    indices = np.where(condition, np.arange(len(condition)), len(condition) + np.arange(len(condition)))
+    return when_true.inserted(np.full(len(condition), len(condition)), when_false)[indices]
 
 
 def _line_pieces(opposite: OppositePath, across: FloatArray, radii: float, tolerance: float) -> IntArray:
-    """Number (N,) of pieces into which the move to each target is split.
+    """Return the number (N,) of pieces into which the move to each target is split.
 
-    More than one if at its middle the gap deviates by more than ``tolerance`` [m] or the line by too much, or
-    where the forming ball dwells; then as many as the rotation of the line requires. ``across`` (N, 3) [m]
-    points from the support to the forming ball.
+    There are more than one if at its middle the gap deviates by more than ``tolerance`` [m] or the line by
+    too much, or where the forming ball dwells; then as many as the rotation of the line requires. ``across``
+    (N, 3) [m] points from the support to the forming ball.
     """
     length = np.linalg.norm(across, axis=1)
-    middle = 0.5 * (across[1:] + across[:-1])
-    middle_length = np.linalg.norm(middle, axis=1)
+    middle_across = 0.5 * (across[1:] + across[:-1])
+    middle_length = np.linalg.norm(middle_across, axis=1)
     gap_deviation = np.maximum(
         np.abs(middle_length - radii - opposite.middle.gap[1:]),
         0.5 * (length[1:] + length[:-1]) - middle_length,
     )
-    line = middle / middle_length[:, None]
+    line = middle_across / middle_length[:, None]
     is_rotated = angle_to_vertical_arc(line, opposite.middle.normal[1:]) > 2.0 * SMOOTHING_ANGLE_RAD
     is_rotated |= opposite.middle[np.arange(1, len(length))].angle_to(line) > MAX_MIDWAY_ANGLE_RAD
     step = np.linalg.norm(np.diff(opposite.contact.centre, axis=0), axis=1)
-    moved = np.maximum(step, np.linalg.norm(np.diff(opposite.contact.centre - across, axis=0), axis=1))
-    needs_split = ((gap_deviation > tolerance) | is_rotated) & (moved > _SHORT_MOVE_M)
+    move_length = np.maximum(step, np.linalg.norm(np.diff(opposite.contact.centre - across, axis=0), axis=1))
+    needs_split = ((gap_deviation > tolerance) | is_rotated) & (move_length > _SHORT_MOVE_M)
+    # rotation of a line of length L at which its chord is 0.5 tolerance nearer: L (1 - cos(a / 2))
     finest = 2.0 * np.arccos(1.0 - 0.5 * tolerance / length[1:])
     arc = np.ceil(_angle_between(across[1:] / length[1:, None], across[:-1] / length[:-1, None]) / finest)
     count = np.where(
@@ -493,31 +506,32 @@ def _line_pieces(opposite: OppositePath, across: FloatArray, radii: float, toler
 def _gap_pieces(
     opposite: OppositePath, across: FloatArray, radii: float, tolerance: float, touched_face: BallContactFace
 ) -> IntArray:
-    """Number (N,) of pieces into which the move to each target is split.
+    """Return the number (N,) of pieces into which the move to each target is split.
 
-    Two if the required gap changes on it by more than ``tolerance`` [m], and deviates as much at a quarter of
-    it from either end.
+    There are two if the required gap changes on it by more than ``tolerance`` [m], and deviates as much at a
+    quarter of it from either end.
     """
     gap, centre = opposite.touched.gap, opposite.contact.centre
-    rows = np.flatnonzero(np.abs(np.diff(gap)) > tolerance) + 1
-    step = np.linalg.norm(centre[rows] - centre[rows - 1], axis=1)
-    rows = rows[(step > _SHORT_MOVE_M) & ~opposite.dwells[rows]]
+    moves = np.flatnonzero(np.abs(np.diff(gap)) > tolerance) + 1
+    step = np.linalg.norm(centre[moves] - centre[moves - 1], axis=1)
+    moves = moves[(step > _SHORT_MOVE_M) & ~opposite.dwells[moves]]
     count = np.ones(len(gap), dtype=np.int64)
-    for fraction in (0.25, 0.75) if len(rows) else ():
-        fractions = np.full(len(rows), fraction)
-        required = touched_face.touched_at(interpolate(centre[rows - 1], centre[rows], fractions)).gap
-        planned = np.linalg.norm(interpolate(across[rows - 1], across[rows], fractions), axis=1) - radii
-        count[rows[np.abs(planned - required) > tolerance]] = 2
+    for fraction in (0.25, 0.75) if len(moves) else ():
+        fractions = np.full(len(moves), fraction)
+        required = touched_face.touched_at(interpolate(centre[moves - 1], centre[moves], fractions)).gap
+        planned = np.linalg.norm(interpolate(across[moves - 1], across[moves], fractions), axis=1) - radii
+        count[moves[np.abs(planned - required) > tolerance]] = 2
     return count
 
 
 def _drift_pieces(
     centre: FloatArray, across: FloatArray, distance: FloatArray, sync_interval: int, tolerance: float
 ) -> IntArray:
-    """Number (N,) of pieces into which the move to each target is split.
+    """Return the number (N,) of pieces into which the move to each target is split.
 
-    It is split because of unsynchronised controllers. With one arm up to ``sync_interval`` moves ahead of the
-    other, the distance of the balls may deviate from ``distance`` (N,) [m] by at most ``tolerance`` [m].
+    Moves are split because two controllers are not synchronised between their meetings. With one arm up to
+    ``sync_interval`` moves ahead of the other, the distance of the balls may deviate from ``distance`` (N,)
+    [m] by at most ``tolerance`` [m].
     """
     support_centre = centre - across
     count = np.ones(len(centre), dtype=np.int64)
@@ -529,18 +543,19 @@ def _drift_pieces(
             np.linalg.norm(centre[:-ahead] - support_centre[ahead:], axis=1) - distance[:-ahead]
         )
         deviation = np.maximum(forming_ahead, support_ahead)
+        # the deviation grows with the square of the length of moves
         pieces = np.where(deviation > tolerance, np.ceil(np.sqrt(deviation / tolerance)), 1.0).astype(
             np.int64
         )
         for step in range(ahead):  # all moves between must be equally short
             np.maximum.at(count, np.arange(1 + step, 1 + step + len(pieces)), pieces)
     step = np.linalg.norm(np.diff(centre, axis=0), axis=1)
-    moved = np.maximum(step, np.linalg.norm(np.diff(support_centre, axis=0), axis=1))
-    return np.where(np.append(0.0, moved) > _SHORT_MOVE_M, count, 1)
+    move_length = np.maximum(step, np.linalg.norm(np.diff(support_centre, axis=0), axis=1))
+    return np.where(np.append(0.0, move_length) > _SHORT_MOVE_M, count, 1)
 
 
 def split_moves(opposite: OppositePath, count: IntArray, touched_face: BallContactFace) -> OppositePath:
-    """Return the path with its moves split into ``count`` (N,) pieces each."""
+    """Return the path with the move to each target split into ``count`` (N,) equal pieces."""
     row, fraction = subdivision(count)
     dwells = opposite.dwells[row]
     normal = interpolate_rotation(opposite.touched.normal[row - 1], opposite.touched.normal[row], fraction)
@@ -576,27 +591,27 @@ def split_moves(opposite: OppositePath, count: IntArray, touched_face: BallConta
 
 
 def _angle_between(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Angles (N,) [rad] between unit vectors (N, 3)."""
+    """Return the angles (N,) [rad] between unit vectors (N, 3)."""
     return np.asarray(np.arccos(np.clip(dots(first, second), -1.0, 1.0)))
 
 
 def _retract_support(
     support_centre: FloatArray, air: BoolArray, forming_pass: FormingPass, thickness: float, radius: float
 ) -> None:
-    """Retract the support straight down while the forming tool crosses through the air.
+    """Retract the support straight down while the forming tool crosses through the air, in place.
 
-    It returns straight up.
+    It returns straight up. ``support_centre`` (N, 3) [m] is changed where ``air`` (N,) is true.
     """
     if not air.any() or air.all():
         return
     low = float(forming_pass.vertices[:, 2].min()) - thickness - radius - SUPPORT_LIFT_M
-    rows = np.flatnonzero(air)
+    in_air = np.flatnonzero(air)
     on_face = np.flatnonzero(~air)
-    after = np.searchsorted(on_face, rows)
-    first = np.concatenate([[True], np.diff(rows) > 1])
+    next_on_face = np.searchsorted(on_face, in_air)
+    is_first = np.concatenate([[True], np.diff(in_air) > 1])
     source = np.where(
-        (first & (after > 0)) | (after == len(on_face)),
-        on_face[np.maximum(after - 1, 0)],
-        on_face[np.minimum(after, len(on_face) - 1)],
+        (is_first & (next_on_face > 0)) | (next_on_face == len(on_face)),
+        on_face[np.maximum(next_on_face - 1, 0)],
+        on_face[np.minimum(next_on_face, len(on_face) - 1)],
     )
-    support_centre[rows] = np.column_stack([support_centre[source, :2], np.full(len(rows), low)])
+    support_centre[in_air] = np.column_stack([support_centre[source, :2], np.full(len(in_air), low)])

@@ -1,6 +1,7 @@
 """verify.forming_claims: the claims on each pass, compared with the part and the user's numbers.
 
-Gaps, borders, feeds, tolerances, and what tools may meet. `forming_part` checks the faces themselves.
+It checks gaps, borders, feeds, tolerances and the sheet that tools may meet. `verify.forming_part` checks the
+faces themselves.
 """
 
 import dataclasses
@@ -54,12 +55,12 @@ GAP_TOLERANCE_FRACTION, LATER_GAP_TOLERANCE_FRACTION = 0.01, 0.02
 the walls: for a single shape, and after previous shapes, whose walls have other facets.
 """
 GAP_EXCEPTION_FRACTION, MAX_GAP_EXCEPTION = 0.15, 0.15
-"""Fraction of the walls on which the gap may deviate more, along creases of such shapes, and the maximum
-there as a fraction of the thickness.
+"""After previous shapes: fraction of the walls on which the gap may deviate more, along creases, and the
+maximum deviation there as a fraction of the thickness.
 """
 EDGE_BAND_M = 6e-4
-"""Where a shape is as deep as a later pass within this [m], its own wall may start or end: shapes are known
-by contours, which walls leave tangentially.
+"""Where a shape is as deep as a later pass within this [m], its own wall may start or end, because walls
+leave the contours that describe a shape tangentially.
 """
 BORDER_TOLERANCE_M = 3e-4
 """Maximum deviation [m] of the path of a support from the border, offset by its radius: the outline is
@@ -70,7 +71,7 @@ MAX_BORDER_TOLERANCE_M = 5e-4
 MAX_HEAT_TOLERANCE_M = 2e-3
 """Maximum tolerance [m] of a claim on the position of a heat source."""
 MAX_LINE_TOLERANCE_RAD = np.deg2rad(4.0)
-"""Maximum tolerance [rad] of a claim on the line of two tools."""
+"""Maximum tolerance [rad] of a claim on the direction of the line between two tools."""
 MIN_PULSE_S = 0.1
 """Minimum duration [s] of a pulse."""
 MAX_RIDGE_FACTOR, MAX_MEAN_RIDGE_FACTOR = 1.1, 10.0
@@ -118,8 +119,8 @@ def check_forming_claims(context: Context) -> RuleOutcome:
     return findings.outcome(to_percent, "% of the thickness", GAP_TOLERANCE_FRACTION)
 
 
-def _claims_issue(what: str, segment: Segment, measure: Measure | None = None) -> Issue:
-    return measured_issue(FORMING_CLAIMS, what, measure, field=str(segment))
+def _claims_issue(message: str, segment: Segment, measure: Measure | None = None) -> Issue:
+    return measured_issue(FORMING_CLAIMS, message, measure, field=str(segment))
 
 
 _PASS_CLAIMS = (
@@ -136,7 +137,8 @@ _PASS_CLAIMS = (
 
 
 def _number_issues(part: FormsPart, group: Sequence[Claim]) -> Iterator[Issue]:
-    radius = dict(zip(part.arms, part.radii, strict=True))
+    """Check the radii, tolerances, feeds, steps and ridges in the claims on passes."""
+    radius_by_arm = dict(zip(part.arms, part.radii, strict=True))
     ridge = _ridge_function(part)
     for claim in group:
         if not isinstance(claim, _PASS_CLAIMS):
@@ -144,14 +146,14 @@ def _number_issues(part: FormsPart, group: Sequence[Claim]) -> Iterator[Issue]:
         differing: list[str] = []
         if isinstance(claim, FormsSheet):
             differing = _differing_fields(
-                claim, radius=radius.get(claim.arm), tolerance=part.gouge, share=part.share
+                claim, radius=radius_by_arm.get(claim.arm), tolerance=part.gouge, share=part.share
             )
             differing += [] if _ridges_are_valid(part, claim, ridge) else ["scallop"]
         elif isinstance(claim, FormsByTable):
-            radii = tuple(radius.get(arm) for arm in claim.arms)
+            radii = tuple(radius_by_arm.get(arm) for arm in claim.arms)
             differing = _differing_fields(claim, radii=radii, thickness=part.thickness, tolerance=part.gap)
         elif isinstance(claim, ToolGap):
-            radii = tuple(radius.get(arm) for arm in claim.arms)
+            radii = tuple(radius_by_arm.get(arm) for arm in claim.arms)
             differing = _differing_fields(claim, radii=radii, tolerance=part.gap, handshake=part.handshake)
             differing += ["turn"] if claim.turn > MAX_LINE_TOLERANCE_RAD + ROUNDING_TOLERANCE else []
         elif isinstance(claim, FormingFeed):
@@ -163,50 +165,57 @@ def _number_issues(part: FormsPart, group: Sequence[Claim]) -> Iterator[Issue]:
             differing += ["other"] if claim.other > allowed + TABLE_TOLERANCE_M else []
         elif isinstance(claim, SinksHolder):
             signal, step = part.sinking or ("", 0.0)
-            differing = _differing_fields(claim, signal=signal, step=step, radius=radius.get(claim.arm))
+            differing = _differing_fields(
+                claim, signal=signal, step=step, radius=radius_by_arm.get(claim.arm)
+            )
             differing += ["pulse"] if claim.pulse < MIN_PULSE_S - ROUNDING_TOLERANCE else []
         for name in differing:
-            what = f"{claim.segment}: {name} of {type(claim).__name__} is not what the problem states"
-            yield _claims_issue(what, claim.segment)
+            message = f"{claim.segment}: {name} of {type(claim).__name__} is not what the problem states"
+            yield _claims_issue(message, claim.segment)
 
 
 def _pressed_by_table(state: SheetState, group: Sequence[Claim]) -> float:
-    """Maximum depth [m] to which the second tool presses the flat sheet if the response table requires it for
-    any wall.
+    """Maximum depth [m] to which the response table requires the second tool to press into the flat sheet.
 
-    Both tools stay at the sheet's level while it is formed, so it was formed like this when the table was
-    measured.
+    Both tools stay at the level of the flat sheet while it is formed, so the sheet was pressed like this,
+    too, when the table was measured. The depth is 0 without a table.
     """
-    deep = 0.0
+    max_depth = 0.0
     for claim in group:
         if isinstance(claim, FormsByTable) and claim.segment == state.segment:
             table = accumulative.solve_table(claim.table, claim.prefer)
             down = table.support_positions(claim.thickness, sum(claim.radii), claim.give)[:, 1]
-            deep = max(deep, claim.thickness - claim.projection + sum(claim.radii) - float(down.min()))
-    return deep
+            depth = claim.thickness - claim.projection + sum(claim.radii) - float(down.min())
+            max_depth = max(max_depth, depth)
+    return max_depth
 
 
 def _differing_fields(claim: Any, **expected: Any) -> list[str]:
+    """Names of the fields of a claim that differ from the expected values by more than rounding."""
     out = []
     for name, value in expected.items():
-        got = getattr(claim, name)
+        actual = getattr(claim, name)
         if isinstance(value, float) or (isinstance(value, tuple) and isinstance(value[0], float)):
-            if not np.allclose(np.asarray(got, dtype=np.float64), value, rtol=0.0, atol=ROUNDING_TOLERANCE):
+            if not np.allclose(
+                np.asarray(actual, dtype=np.float64), value, rtol=0.0, atol=ROUNDING_TOLERANCE
+            ):
                 out.append(name)
-        elif got != value:
+        elif actual != value:
             out.append(name)
     return out
 
 
 def _ridge_function(part: FormsPart) -> Callable[[FloatArray, float], FloatArray]:
-    """Ridge heights (F,) [m] that the steps leave on walls of angles (F,) [rad], for a ball of a given radius
-    [m].
+    """Return the function for the heights (F,) [m] of the ridges that the steps of a part's passes leave.
+
+    Its arguments are wall angles (F,) [rad] and the radius [m] of the ball.
     """
     step, scallop = part.steps
 
     def ridge_height(angle: FloatArray, radius: float) -> FloatArray:
         if scallop is not None:
             return np.full(len(angle), scallop)
+        # loops are step / sin(angle) apart along the wall; the ridge is in the middle between two of them
         half = np.minimum(0.5 * (step or 0.0) / np.sin(angle), radius)
         return np.asarray(radius - np.sqrt(radius**2 - half**2))
 
@@ -216,6 +225,10 @@ def _ridge_function(part: FormsPart) -> Callable[[FloatArray, float], FloatArray
 def _ridges_are_valid(
     part: FormsPart, claim: FormsSheet, ridge: Callable[[FloatArray, float], FloatArray]
 ) -> bool:
+    """Whether the scallops that a pass claims exceed the ridges between its steps at most by certain factors.
+
+    Of the walls the flattest ones are left out that need not be formed within tolerance.
+    """
     corners = claim.vertices[claim.faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.linalg.norm(cross, axis=1)
@@ -225,27 +238,30 @@ def _ridges_are_valid(
         return False
     angle, size = angle[walls], size[walls]
     order = np.argsort(angle)
-    passed = np.cumsum(size[order]) / size.sum()
-    min_angle = float(angle[order[int(np.searchsorted(passed, 0.5 * (1.0 - part.share)))]])
-    high = ridge(np.maximum(angle, max(min_angle, MIN_WALL_ANGLE_RAD)), claim.radius)
+    area_fraction = np.cumsum(size[order]) / size.sum()
+    min_angle = float(angle[order[int(np.searchsorted(area_fraction, 0.5 * (1.0 - part.share)))]])
+    expected_ridge = ridge(np.maximum(angle, max(min_angle, MIN_WALL_ANGLE_RAD)), claim.radius)
     allowed = claim.scallop[walls] - part.gouge
     max_ridge = ridge(np.array([max(min_angle, MIN_WALL_ANGLE_RAD)]), claim.radius)[0]
-    average = (allowed * size).sum() <= MAX_MEAN_RIDGE_FACTOR * (
-        high * size
+    is_mean_valid = (allowed * size).sum() <= MAX_MEAN_RIDGE_FACTOR * (
+        expected_ridge * size
     ).sum() + ROUNDING_TOLERANCE * size.sum()
-    return bool(average and allowed.max() <= MAX_RIDGE_FACTOR * max_ridge + ROUNDING_TOLERANCE)
+    return bool(is_mean_valid and allowed.max() <= MAX_RIDGE_FACTOR * max_ridge + ROUNDING_TOLERANCE)
 
 
 def _gap_issues(part_shapes: PartShapes, claim: ToolGap) -> tuple[float, list[Issue]]:
-    """Deviation of a claimed gap from what follows from the walls of its pass and of previous passes.
+    """Compare a claimed gap with the sheet's thickness by the sine law, from the walls of its pass and of
+    previous passes of the feature.
 
-    As a fraction of the flat sheet's thickness, except for `GAP_EXCEPTION_FRACTION` of the face.
+    Returns:
+        Deviation as a fraction of the flat sheet's thickness, minus the additional tolerance for previous
+        passes, and issues. With previous passes `GAP_EXCEPTION_FRACTION` of the walls are left out.
     """
     part = part_shapes.part
     shapes, own_shape = _shapes_up_to(part_shapes, claim.segment)
     if own_shape is None:
-        what = f"the gap of {claim.segment} belongs to no pass"
-        return np.inf, [_claims_issue(what, claim.segment)]
+        message = f"the gap of {claim.segment} belongs to no pass"
+        return np.inf, [_claims_issue(message, claim.segment)]
     corners = claim.vertices[claim.faces]
     is_same_face = (
         np.abs(corners - own_shape.corners).max() < ROUNDING_TOLERANCE
@@ -253,10 +269,10 @@ def _gap_issues(part_shapes: PartShapes, claim: ToolGap) -> tuple[float, list[Is
         else False
     )
     if not is_same_face:
-        what = f"the gap of {claim.segment} belongs to another face"
-        return np.inf, [_claims_issue(what, claim.segment)]
-    smooth = _wall_cosine(own_shape)
-    low = high = smooth
+        message = f"the gap of {claim.segment} belongs to another face"
+        return np.inf, [_claims_issue(message, claim.segment)]
+    own_cosine = _wall_cosine(own_shape)
+    min_ratio = max_ratio = own_cosine
     plan = corners.reshape(-1, 3)[:, :2]
     for shape in shapes[:-1]:  # a sheet that was thinned stays thin
         min_cosine, max_cosine = _wall_cosine_range(shape, plan)
@@ -265,37 +281,44 @@ def _gap_issues(part_shapes: PartShapes, claim: ToolGap) -> tuple[float, list[Is
             is_edge, np.minimum(min_cosine, np.cos(shape.wall_angle(0.995)) - ROUNDING_TOLERANCE), min_cosine
         )
         max_cosine = np.where(is_edge, 1.0, max_cosine)
-        low = np.minimum(low, min_cosine.reshape(-1, 3))
-        high = np.minimum(high, max_cosine.reshape(-1, 3))
-    full = part.squeeze * part.thickness
+        min_ratio = np.minimum(min_ratio, min_cosine.reshape(-1, 3))
+        max_ratio = np.minimum(max_ratio, max_cosine.reshape(-1, 3))
+    flat_gap = part.squeeze * part.thickness
     actual = claim.gap[claim.faces]
     deviation = (
-        np.maximum(np.maximum(low * full - actual, actual - high * full), 0.0).max(axis=1) / part.thickness
+        np.maximum(np.maximum(min_ratio * flat_gap - actual, actual - max_ratio * flat_gap), 0.0).max(axis=1)
+        / part.thickness
     )
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    floor = (np.abs(corners[:, :, 2] - own_shape.end_level) < LEVEL_TOLERANCE_M).all(
-        axis=1
-    )  # the floor is not formed
+    # the floor is not formed
+    floor = (np.abs(corners[:, :, 2] - own_shape.end_level) < LEVEL_TOLERANCE_M).all(axis=1)
     area = np.where(own_shape.moved & ~floor, np.linalg.norm(cross, axis=1), 0.0)
     order = np.argsort(-deviation)
-    passed = np.cumsum(area[order])
+    formed_area = np.cumsum(area[order])
     excepted = GAP_EXCEPTION_FRACTION if len(shapes) > 1 else 0.0
-    worst = float(deviation[order[int(np.searchsorted(passed, excepted * passed[-1] + 1e-15))]])
+    deviation_at_fraction = float(
+        deviation[order[int(np.searchsorted(formed_area, excepted * formed_area[-1] + 1e-15))]]
+    )
     allowed = LATER_GAP_TOLERANCE_FRACTION if len(shapes) > 1 else GAP_TOLERANCE_FRACTION
     largest = float(deviation[area > 0.0].max(initial=0.0))
-    if worst <= allowed and largest <= max(GAP_TOLERANCE_FRACTION, MAX_GAP_EXCEPTION * (len(shapes) > 1)):
-        return worst - allowed + GAP_TOLERANCE_FRACTION, []
-    worst = max(worst, largest)
-    what = (
-        f"the gap of {claim.segment} is {100 * worst:.2f} % of the sheet's thickness off squeeze * t0 cos(a)"
+    if deviation_at_fraction <= allowed and largest <= max(
+        GAP_TOLERANCE_FRACTION, MAX_GAP_EXCEPTION * (len(shapes) > 1)
+    ):
+        return deviation_at_fraction - allowed + GAP_TOLERANCE_FRACTION, []
+    deviation_at_fraction = max(deviation_at_fraction, largest)
+    message = (
+        f"the gap of {claim.segment} is {100 * deviation_at_fraction:.2f} % of the sheet's thickness off "
+        "squeeze * t0 cos(a)"
     )
-    return worst, [_claims_issue(what, claim.segment, measure_in_percent(worst, allowed))]
+    return deviation_at_fraction, [
+        _claims_issue(message, claim.segment, measure_in_percent(deviation_at_fraction, allowed))
+    ]
 
 
 def _shapes_up_to(
     part_shapes: PartShapes, segment: Segment
 ) -> tuple[tuple[FormedShape, ...], FormedShape | None]:
-    """The shapes of a feature up to that of a segment, and that one itself."""
+    """The shapes of a feature up to the one that a segment forms, and that one, or None."""
     for feature in part_shapes.features:
         for k, shape in enumerate(feature.shapes):
             if any(claim.segment == segment for claim in shape.claims):
@@ -311,8 +334,9 @@ def _wall_cosine(shape: FormedShape) -> FloatArray:
 
 
 def _wall_cosine_range(shape: FormedShape, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Minimum and maximum cosine (N,) of the wall's angle at points in plan (N, 2); 1 where nothing
-    is moved.
+    """Minimum and maximum cosine (N,) of the wall's angle at points in plan (N, 2); 1 outside of the shape.
+
+    They differ where several triangles are at a point, as on edges.
     """
     corner = _wall_cosine(shape)[shape.moved]
     row, triangle, weight = shape.lookup.locate(points, _PLAN_TOLERANCE_M)
@@ -325,14 +349,15 @@ def _wall_cosine_range(shape: FormedShape, points: FloatArray) -> tuple[FloatArr
 
 
 _PLAN_TOLERANCE_M = 1e-4
-"""Points this near [m] to a shape in plan are on it."""
+"""Points within this distance [m] of a triangle in plan are on it."""
 
 
 def _missing_claim_issues(
     part: FormsPart, part_shapes: PartShapes, group: Sequence[Claim]
 ) -> Iterator[Issue]:
-    """Check that each pass has all claims that its mode requires, and those of its border, its heat source
-    and its clamp.
+    """Check that each pass has exactly the claims that its mode requires.
+
+    Also checks the claims on the border, the heat source and the clamp of its feature.
     """
     required: dict[type, bool] = {
         FormingFeed: True,
@@ -347,16 +372,16 @@ def _missing_claim_issues(
         for shape in feature.shapes:
             for claim_of_pass in shape.claims:
                 for kind, needed in required.items():
-                    own_claims = (
+                    segment_claims = (
                         c for c in group if isinstance(c, _PASS_CLAIMS) and c.segment == claim_of_pass.segment
                     )
-                    matches = [c for c in own_claims if type(c) is kind]
+                    matches = [c for c in segment_claims if type(c) is kind]
                     if len(matches) != int(needed):
-                        what = (
+                        message = (
                             f"{claim_of_pass.segment} has {len(matches)} claims {kind.__name__}, not "
                             f"{int(needed)}"
                         )
-                        yield _claims_issue(what, claim_of_pass.segment)
+                        yield _claims_issue(message, claim_of_pass.segment)
         for claim in group:
             if isinstance(claim, SupportsBorder) and _belongs_to(feature, claim.segment):
                 yield from _border_issues(part, feature, claim)
@@ -379,69 +404,73 @@ def _belongs_to(feature: FormedFeature, segment: Segment) -> bool:
 
 
 def _border_issues(part: FormsPart, feature: FormedFeature, claim: SupportsBorder) -> Iterator[Issue]:
-    """Check that the path of a support is its radius outside of what a feature moves, behind the
-    flat sheet.
+    """Check that the claimed path of a support goes around a feature on the other side of the flat sheet.
+
+    Its distance in plan from the area that the feature moves has to be the tool's radius.
     """
     final = feature.final
     side = final.claim.side
-    (arm,) = (k for k, side_of_arm in enumerate(part.sides) if side_of_arm != side)
-    radius, ball = part.radii[arm], part.kinds[arm] == "ball"
-    level = final.base - side * (part.thickness + (radius if ball else 0.0))
+    (support,) = (k for k, side_of_arm in enumerate(part.sides) if side_of_arm != side)
+    radius, is_ball = part.radii[support], part.kinds[support] == "ball"
+    level = final.base - side * (part.thickness + (radius if is_ball else 0.0))
     outer_distance = _plan_distance(final.corners[final.moved], claim.border) - radius
-    inner_distance = (
-        _plan_distance(final.corners[final.raised], claim.border) - radius
-    )  # others may be noise of the flat
+    # triangles that are moved, but not raised, may be noise of the flat
+    inner_distance = _plan_distance(final.corners[final.raised], claim.border) - radius
     deviation = np.maximum(outer_distance, -inner_distance)
     is_inside = shapely.contains_xy(shapely.Polygon(claim.border[:, :2]), final.rim[:, 0], final.rim[:, 1])
-    back = np.asarray(cKDTree(claim.border[:, :2]).query(final.rim)[0])
+    rim_distance = np.asarray(cKDTree(claim.border[:, :2]).query(final.rim)[0])
     problems = []
     if deviation.max() > BORDER_TOLERANCE_M:
         problems.append(f"{mm(float(deviation.max())):.3f} mm off the border and its radius")
     if np.abs(claim.border[:, 2] - level).max() > LEVEL_TOLERANCE_M:
         problems.append(f"{mm(float(np.abs(claim.border[:, 2] - level).max())):.3f} mm off the flat sheet")
-    if not is_inside.all() or not len(back):
+    if not is_inside.all() or not len(rim_distance):
         problems.append("not around all of the feature")
-    if claim.arm != part.arms[arm] or claim.tolerance > MAX_BORDER_TOLERANCE_M + ROUNDING_TOLERANCE:
+    if claim.arm != part.arms[support] or claim.tolerance > MAX_BORDER_TOLERANCE_M + ROUNDING_TOLERANCE:
         problems.append("of another tool or tolerance")
-    for what in problems:
-        yield _claims_issue(f"the path of the support about {claim.segment} is {what}", claim.segment)
+    for problem in problems:
+        yield _claims_issue(f"the path of the support about {claim.segment} is {problem}", claim.segment)
 
 
 LEVEL_TOLERANCE_M = 1e-5
-"""Heights [m] that differ by less are one level."""
+"""Heights [m] that differ by less count as one level."""
 
 
 def _plan_distance(corners: FloatArray, ring: FloatArray) -> FloatArray:
-    """Distances (K,) [m] of points of a ring (K, 3) from triangles (T, 3, 3), in plan."""
+    """Distances (K,) [m] in plan of points of a ring (K, 3) from the nearest of some triangles (T, 3, 3)."""
     tree = shapely.STRtree(shapely.polygons(corners[:, [0, 1, 2, 0], :2]))
     points = shapely.points(ring[:, :2])
     return np.asarray(tree.query_nearest(points, return_distance=True, all_matches=False)[1])
 
 
 def _opposite_issues(part: FormsPart, feature: FormedFeature, claim: FollowsOpposite) -> Iterator[Issue]:
-    """Check that a heat source is required at the far face of the sheet that it heats."""
-    up = min(float(np.cos(shape.wall_angle(1.0))) for shape in feature.shapes)
+    """Check that a heat source is claimed to be at the other face of the sheet that the ball forms.
+
+    Its distance from the ball's centre has to be the ball's radius plus the thickness of the sheet, which may
+    be thinned by the sine law.
+    """
+    min_cosine = min(float(np.cos(shape.wall_angle(1.0))) for shape in feature.shapes)
     radius = dict(zip(part.arms, part.radii, strict=True)).get(claim.arms[0], np.nan)
-    min_distance, max_distance = radius + part.thickness * up, radius + part.thickness
+    min_distance, max_distance = radius + part.thickness * min_cosine, radius + part.thickness
     own_shapes = [s for s in feature.shapes if any(c.segment == claim.segment for c in s.claims)]
-    same = len(claim.faces) == len(own_shapes[0].claim.faces) and np.array_equal(
+    is_same_face = len(claim.faces) == len(own_shapes[0].claim.faces) and np.array_equal(
         claim.vertices[claim.faces], own_shapes[0].corners
     )
-    good = (
+    is_at_sheet = (
         min_distance - ROUNDING_TOLERANCE <= claim.distance <= max_distance + ROUNDING_TOLERANCE
         and claim.tolerance <= MAX_HEAT_TOLERANCE_M + ROUNDING_TOLERANCE
     )
-    if not (good and same and claim.side == own_shapes[0].claim.side):
+    if not (is_at_sheet and is_same_face and claim.side == own_shapes[0].claim.side):
         yield _claims_issue(f"the source of heat for {claim.segment} is not at the sheet", claim.segment)
 
 
 @dataclasses.dataclass(frozen=True)
 class FormedSheetPoints:
-    """N points of the sheet when a feature starts.
+    """N points of the sheet when the forming of a feature starts.
 
     Attributes:
         plan: Positions (N, 2) [m] in plan.
-        height: Heights (N,) [m] of the sheet at them.
+        height: Heights z (N,) [m] of the sheet's lower face there.
         is_fixed: Whether (N,) the sheet is formed there and is outside of the feature.
         is_carried: Whether (N,) the sheet is formed there and sinks with the feature.
     """
@@ -467,24 +496,25 @@ def _state_issues(part_shapes: PartShapes, group: Sequence[Claim]) -> Iterator[I
         low, high = feature.final.rim.min(axis=0) - TOOL_REACH_M, feature.final.rim.max(axis=0) + TOOL_REACH_M
         in_reach = ((points >= low) & (points <= high)).all(axis=1)
         is_moved = in_reach & (np.abs(moved[:k]) > 1e-4)
-        formed, carried = (is_moved.any(axis=0), is_moved[part_shapes.inside[:k, k]].any(axis=0))
+        formed, carried = is_moved.any(axis=0), is_moved[part_shapes.inside[:k, k]].any(axis=0)
         height = part_shapes.level + moved[:k].sum(axis=0)
-        within = np.abs(moved[k]) > FLAT_NOISE_M
-        sheet_points = FormedSheetPoints(points, height, formed & ~within, carried & within)
+        is_in_feature = np.abs(moved[k]) > FLAT_NOISE_M
+        sheet_points = FormedSheetPoints(points, height, formed & ~is_in_feature, carried & is_in_feature)
         for number, shape in enumerate(feature.shapes):
             sunk = 0.0 if number == 0 else feature.shapes[number - 1].end_level - shape.base
             for claim in shape.claims:
                 state = claimed_states.get(claim.segment)
                 if state is None:
                     continue
-                first = claim is feature.shapes[0].claims[0]
-                down = 0.0 if first else (sunk if claim is shape.claims[0] else shape.end_level - shape.base)
+                is_first_pass = claim is feature.shapes[0].claims[0]
+                repeat_depth = sunk if claim is shape.claims[0] else shape.end_level - shape.base
+                carried_depth = 0.0 if is_first_pass else repeat_depth
                 flat = _surrounding_flat(part_shapes, k, feature)
-                yield from _missing_point_issues(state, part.thickness, sheet_points, down, flat)
+                yield from _missing_point_issues(state, part.thickness, sheet_points, carried_depth, flat)
 
 
 def _surrounding_flat(part_shapes: PartShapes, k: int, feature: FormedFeature) -> FloatArray:
-    """Points (N, 3) of the flat sheet about a feature that starts there, outside of formed sheet."""
+    """Points (N, 3) [m] of the flat sheet around feature ``k``; none if it is inside an earlier feature."""
     if part_shapes.inside[k, :k].any():
         return np.zeros((0, 3))
     rim = feature.final.rim
@@ -492,44 +522,46 @@ def _surrounding_flat(part_shapes: PartShapes, k: int, feature: FormedFeature) -
     count = 40
     x, y = np.meshgrid(*(np.linspace(a, b, count) for a, b in zip(low, high, strict=True)))
     grid = np.column_stack([x.ravel(), y.ravel()])
-    away = np.asarray(cKDTree(rim).query(grid)[0])
-    lying = np.abs(feature.final.displacement(grid)) <= FLAT_NOISE_M
+    rim_distance = np.asarray(cKDTree(rim).query(grid)[0])
+    is_flat = np.abs(feature.final.displacement(grid)) <= FLAT_NOISE_M
     for other in part_shapes.features[:k]:
-        lying &= np.abs(other.final.displacement(grid)) <= FLAT_NOISE_M
-        lying &= np.asarray(cKDTree(other.final.rim).query(grid)[0]) > STATE_SPACING_M
-    grid = grid[lying & (away < RIM_WIDTH_M - STATE_SPACING_M) & (away > STATE_SPACING_M)]
+        is_flat &= np.abs(other.final.displacement(grid)) <= FLAT_NOISE_M
+        is_flat &= np.asarray(cKDTree(other.final.rim).query(grid)[0]) > STATE_SPACING_M
+    grid = grid[is_flat & (rim_distance < RIM_WIDTH_M - STATE_SPACING_M) & (rim_distance > STATE_SPACING_M)]
     return np.column_stack([grid, np.full(len(grid), part_shapes.level)])
 
 
 def _missing_point_issues(
     state: SheetState, thickness: float, formed: FormedSheetPoints, sunk: float, flat: FloatArray
 ) -> Iterator[Issue]:
-    """Check that a state has points near all points of formed sheet.
+    """Check that a claim on the sheet's state has points near all points of formed sheet, on both faces.
 
     Args:
         state: Claim on the sheet's state.
         thickness: Thickness [m] of the flat sheet.
-        formed: Points of formed sheet.
+        formed: Points of the sheet when the feature starts.
         sunk: Displacement [m] along z by which an earlier pass has moved the carried points.
         flat: Points (M, 3) [m] of the flat sheet about the feature.
     """
     rise = np.array([0.0, 0.0, thickness])
     sheet_points = np.column_stack([formed.plan, formed.height])
     fixed_points = [sheet_points[formed.is_fixed], flat]
-    inner = sheet_points[formed.is_carried]
-    if sunk != 0.0:  # an earlier pass has moved it down already
-        fixed_points.append(inner + np.array([0.0, 0.0, sunk]))
-        inner = inner[:0]
-    for kind, required, got in (
+    carried_points = sheet_points[formed.is_carried]
+    if sunk != 0.0:  # an earlier pass has moved them already, so they are fixed now
+        fixed_points.append(carried_points + np.array([0.0, 0.0, sunk]))
+        carried_points = carried_points[:0]
+    for kind, required, claimed in (
         ("is fixed", np.concatenate(fixed_points), state.fixed),
-        ("sinks", inner, state.carried),
+        ("sinks", carried_points, state.carried),
     ):
-        both = np.concatenate([required, required + rise])
-        if not len(both):
+        both_faces = np.concatenate([required, required + rise])
+        if not len(both_faces):
             continue
-        distance = np.full(len(both), np.inf) if not len(got) else np.asarray(cKDTree(got).query(both)[0])
+        distance = np.full(len(both_faces), np.inf)
+        if len(claimed):
+            distance = np.asarray(cKDTree(claimed).query(both_faces)[0])
         k = int(np.argmax(distance))
         if distance[k] > STATE_SPACING_M:
-            at = f"({format_point_mm(both[k])}) mm"
-            what = f"in {state.segment} no claim includes the sheet at {at}, which {kind}"
-            yield _claims_issue(what, state.segment)
+            position = f"({format_point_mm(both_faces[k])}) mm"
+            message = f"in {state.segment} no claim includes the sheet at {position}, which {kind}"
+            yield _claims_issue(message, state.segment)

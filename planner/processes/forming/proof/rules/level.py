@@ -22,11 +22,12 @@ from planner.proof.rule import Measure, RuleOutcome, measured_issue, mm, rule, s
 CODE = "verify.level"
 """Code of this rule."""
 NOT_RUN_REASON = "no single level is formed"
-"""Reason why it has not run."""
+"""Reason that is reported if the rule has nothing to check."""
 MAX_EXCESS_STEPS = 0.5
-"""Fraction of a step by which a level may reach beyond its heights: its neighbours reach a whole one.
+"""Fraction of a step by which the ball may touch the face beyond the heights of its level.
 
-In fillets that just admit the ball, the touched point moves by a multiple of the ball's motion.
+In fillets that just admit the ball, the touched point moves by a multiple of the ball's motion. The adjacent
+levels are a whole step away.
 """
 MAX_PATH_DISTANCE_M = 1e-4
 """Maximum distance [m] of the replayed path from the file's while it forms."""
@@ -65,21 +66,22 @@ def check_level(context: Context) -> RuleOutcome:
     return findings.outcome(mm, "mm beyond its heights")
 
 
-def _level_issue(level: SingleLevel, what: str, measure: Measure | None = None) -> Issue:
-    return measured_issue(CODE, f"{level.claim.operation}: {what}", measure, field="level")
+def _level_issue(level: SingleLevel, message: str, measure: Measure | None = None) -> Issue:
+    return measured_issue(CODE, f"{level.claim.operation}: {message}", measure, field="level")
 
 
 def _claim_issues(context: Context, forming: FormingFacts) -> Iterator[Issue]:
-    """Operations that form a single level have exactly one claim for it."""
+    """Check that an operation that forms a single level has exactly one claim for it, others none."""
     for operation in context.problem.operations:
         required = int(getattr(operation, "level", None) is not None)
         claimed = sum(level.claim.operation == operation.name for level in forming.levels)
         if claimed != required:
-            what = f"{operation.name} forms {required} single levels, got claims for {claimed}"
-            yield Issue(CODE, what, field="level")
+            message = f"{operation.name} forms {required} single levels, got claims for {claimed}"
+            yield Issue(CODE, message, field="level")
 
 
 def _statement_issues(level: SingleLevel) -> Iterator[Issue]:
+    """Check what the problem states on a level: its file, its pass, its number and its first shift."""
     if level.fault or level.operation is None:
         yield _level_issue(level, level.fault or "there is no operation of that name")
         return
@@ -88,78 +90,89 @@ def _statement_issues(level: SingleLevel) -> Iterator[Issue]:
     if level.sheet is None or level.claim.segment.name != name:
         yield _level_issue(level, f"{level.claim.segment} is formed, expected a level of {name}")
     elif stated.number >= level.level_count:
-        what = f"{level.claim.segment} has levels 0 to {level.level_count - 1}, not {stated.number}"
-        yield _level_issue(level, what, (float(stated.number), float(level.level_count - 1), None))
+        message = f"{level.claim.segment} has levels 0 to {level.level_count - 1}, not {stated.number}"
+        yield _level_issue(level, message, (float(stated.number), float(level.level_count - 1), None))
     elif stated.number == 0 and stated.before_mm > 0.0:
-        what = f"the first level starts with a shift of {stated.before_mm:g} mm, but has no previous level"
-        yield _level_issue(level, what, (float(stated.before_mm), 0.0, "mm"))
+        message = f"the first level starts with a shift of {stated.before_mm:g} mm, but has no previous level"
+        yield _level_issue(level, message, (float(stated.before_mm), 0.0, "mm"))
 
 
 def _file_issues(context: Context, level: SingleLevel) -> Iterator[Issue]:
-    """Check that the file belongs to this very job, pass and level, and is within the problem's limits."""
-    stated, given = level.operation.level, level.file
-    if given is None:
+    """Check that the file belongs to this job, pass and level, and that its shifts are within the limits."""
+    stated, level_file = level.operation.level, level.file
+    if level_file is None:
         return
     job = springback_file.job_identity_of(context.problem, context.setups[level.index], level.operation)
     if job is None:
         yield _level_issue(level, "there is no sheet that springs back")
         return
     own_identity = {"plan": stated.plan, "level": stated.number, "pass": level.claim.segment.name, **job}
-    file_identity = {"plan": given.plan, "level": given.number, "pass": given.name, **given.belongs}
+    file_identity = {
+        "plan": level_file.plan,
+        "level": level_file.number,
+        "pass": level_file.name,
+        **level_file.belongs,
+    }
     for name in springback_file.differing_names(file_identity, own_identity):
         yield _level_issue(
             level,
             f"its file does not match: {name} is {file_identity.get(name)}, here {own_identity.get(name)}",
         )
-    first = float(stated.before_mm) * MM
-    for what, got, limit, unit in given.path.faults(float(stated.slope), float(stated.most_mm) * MM, first):
-        message = f"its file has {what}: {got:.4g} {unit}, allowed: {limit:g}"
+    first_shift = float(stated.before_mm) * MM
+    for fault, got, limit, unit in level_file.path.faults(
+        float(stated.slope), float(stated.most_mm) * MM, first_shift
+    ):
+        message = f"its file has {fault}: {got:.4g} {unit}, allowed: {limit:g}"
         yield _level_issue(level, message, (got, limit, unit))
 
 
 def _height_issues(context: Context, level: SingleLevel, formed: FormedPass) -> tuple[float, list[Issue]]:
-    """Distance [m] beyond the heights of its level of what the ball touches while it forms."""
+    """Return how far [m] beyond the heights of its level the ball touches the face, and issues."""
     claim: FormsSheet = formed.claim
     nearest = formed.nearest
-    use = formed.track.is_forming[formed.knots[nearest.row]] & formed.is_touching[nearest.row]
-    if not use.any():
+    is_touch = formed.track.is_forming[formed.knots[nearest.row]] & formed.is_touching[nearest.row]
+    if not is_touch.any():
         return 0.0, [_level_issue(level, f"the ball touches nothing of {claim.segment}")]
-    depth = claim.side * (claim.start - nearest.tied[use, 2])
+    depth = claim.side * (claim.start - nearest.tied[is_touch, 2])
     start, end = level.depths
     tolerance = MAX_EXCESS_STEPS * level.step
     if depth.max() < end - tolerance or (
         level.operation.path == "helical" and depth.min() > start + tolerance
     ):
-        what = (
+        message = (
             f"level {level.operation.level.number} of {claim.segment} is {mm(start):g} to {mm(end):g} "
             f"mm below the flat, formed is {mm(float(depth.min())):.3f} to {mm(float(depth.max())):.3f} mm"
         )
-        return 0.0, [_level_issue(level, what, measure_in_mm(depth.max(), end))]
+        return 0.0, [_level_issue(level, message, measure_in_mm(depth.max(), end))]
     beyond = np.maximum(start - depth, depth - end)
     k = int(np.argmax(beyond))
     excess = max(float(beyond[k]), 0.0)
     if excess <= tolerance:
         return excess, []
-    what = (
+    message = (
         f"level {level.operation.level.number} of {claim.segment} is {mm(start):g} to {mm(end):g} mm below "
         f"the flat, but the ball forms {mm(float(depth[k])):.3f} mm below it"
     )
-    row = int(formed.track.rows[formed.knots[nearest.row[use][k]]])
+    row = int(formed.track.rows[formed.knots[nearest.row[is_touch][k]]])
     return excess, [
-        sample_issue(CODE, what, context.motion, claim.arm, row, measure_in_mm(excess, tolerance))
+        sample_issue(CODE, message, context.motion, claim.arm, row, measure_in_mm(excess, tolerance))
     ]
 
 
 def _path_issues(context: Context, level: SingleLevel, formed: FormedPass) -> Iterator[Issue]:
-    """Check that the forming ball is on the file's path, shifted, all the time that it forms."""
+    """Check that the forming ball, shifts included, is on the file's path all the time that it forms."""
     if level.file is None:
         return
     distance = formed.track.path_distance
     if distance is None or not len(distance):
         yield _level_issue(level, f"{formed.claim.segment} has no path in its file, or in the programs")
         return
-    k = int(np.argmax(distance))
-    if distance[k] > MAX_PATH_DISTANCE_M:
-        what = f"{formed.claim.arm} is {mm(float(distance[k])):.3f} mm off the path of the level's file"
-        row, measure = int(formed.track.rows[k]), measure_in_mm(distance[k], MAX_PATH_DISTANCE_M)
-        yield sample_issue(CODE, what, context.motion, formed.claim.arm, row, measure)
+    worst_index = int(np.argmax(distance))
+    if distance[worst_index] > MAX_PATH_DISTANCE_M:
+        message = (
+            f"{formed.claim.arm} is {mm(float(distance[worst_index])):.3f} mm off the path of the level's "
+            "file"
+        )
+        sample = int(formed.track.rows[worst_index])
+        measure = measure_in_mm(distance[worst_index], MAX_PATH_DISTANCE_M)
+        yield sample_issue(CODE, message, context.motion, formed.claim.arm, sample, measure)

@@ -1,9 +1,9 @@
 """verify.springback: tools that go deeper than the part to compensate springback.
 
 The problem names a file of shifts. All other rules about sheets judge the tools without these shifts, so the
-file has to be correct. It is compared with the problem (what it belongs to, limits, forces). Its shifts are
-compared with its control points, by the proof's own interpolation, slope limit and averaging; the replayed
-path with its path; and a few control points with an elastic sheet on another mesh with another membrane.
+file has to be correct. Its job, limits and forces are compared with the problem; its shifts with its control
+points, by the proof's own interpolation, slope limit and averaging; its path with the replayed path; and a
+few control points with an elastic sheet on another mesh with another type of membrane element.
 """
 
 import dataclasses
@@ -47,19 +47,19 @@ NOT_RUN_REASON = "no tool goes deeper than the part"
 MIN_RECALCULATED = 5
 """Minimum number of control points that are recalculated, if so many are near the path."""
 MAX_DRAWS = 400
-"""Maximum number of points that are drawn to find these."""
+"""Maximum number of points that are drawn at random to find these control points."""
 MESH_TOLERANCE_FRACTION, MESH_TOLERANCE_M = 0.03, 2e-5
 """Tolerance of the recalculated springback, as a fraction, plus a constant [m]: two meshes differ."""
 MAX_PATH_DISTANCE_M = 1e-4
 """Maximum distance [m] of the replayed path from the file's while it forms."""
 INTERPOLATION_TOLERANCE_FRACTION = 0.05
-"""Tolerance of shifts, as a fraction of what lies between the control points around them."""
+"""Tolerance of shifts, as a fraction of the springback that is interpolated between control points."""
 MAX_TOUCH_DISTANCE_M = 3e-4
 """Maximum distance [m] of control points from the points that the tool touches."""
 MIN_LEVEL_DISTANCE_M = 1e-5
 """Minimum difference [m] in height of levels."""
 ANGLE_RADIUS_M = 1.5e-3
-"""Walls this near [m] to a control point are those that it is on."""
+"""A control point is on all walls within this distance [m]."""
 ANGLE_TOLERANCE_RAD = np.deg2rad(2.0)
 """Tolerance [rad] of the wall angles of control points compared with the part's."""
 CORNER_ANGLE_TOLERANCE_RAD = np.deg2rad(10.0)
@@ -77,7 +77,7 @@ as well.
 MAX_PATH_POINTS = 60_000
 """Maximum number of points of a path."""
 NO_CURVE = np.zeros(0)
-"""Curve of a point that is no control point."""
+"""Curve of a point that is not a control point."""
 SCAN_TOLERANCE_M = 1e-4
 """Tolerance [m] of shifts that follow from a scan, in addition to `INTERPOLATION_TOLERANCE_FRACTION`."""
 ON_PART_TOLERANCE_M = 1.5e-4
@@ -132,12 +132,12 @@ def check_springback(context: Context) -> RuleOutcome:
 
 
 def _unclaimed_issues(context: Context, forming: FormingFacts) -> Iterator[Issue]:
-    """Operations that name a file without a claim for it, and passes that are left out of a claim."""
+    """Check that each operation with a springback file has a claim for it, which covers all of its passes."""
     claimed = {compensation.claim.operation: compensation for compensation in forming.compensations}
     for operation in context.problem.operations:
         if getattr(operation, "springback", None) is not None and operation.name not in claimed:
-            what = f"{operation.name} names a springback file, and nothing is claimed of it"
-            yield Issue(CODE, what, field="springback")
+            message = f"{operation.name} names a springback file, and nothing is claimed of it"
+            yield Issue(CODE, message, field="springback")
     for index, claim in forming.by_setup:
         if not isinstance(claim, FormsSheet):
             continue
@@ -156,41 +156,41 @@ def _part_shapes(forming: FormingFacts, compensation: CompensationClaim) -> Part
 
 
 def _identity_issues(context: Context, compensation: CompensationClaim) -> Iterator[Issue]:
-    """Check that the file belongs to this very part, sheet, tools and operation."""
-    given = compensation.file
+    """Check that the file belongs to this part, sheet, tools and operation, and has the claimed passes."""
+    springback_data = compensation.file
     own_identity = springback_file.job_identity_of(
         context.problem, context.setups[compensation.index], compensation.operation
     )
-    if given is None or own_identity is None:
+    if springback_data is None or own_identity is None:
         yield springback_issue(compensation, "there is no sheet that springs back")
         return
-    for name in springback_file.differing_names(given.belongs, own_identity):
-        in_file, in_job = given.belongs.get(name), own_identity.get(name)
+    for name in springback_file.differing_names(springback_data.belongs, own_identity):
+        in_file, in_job = springback_data.belongs.get(name), own_identity.get(name)
         yield springback_issue(
             compensation, f"its springback file is of another job: {name} is {in_file}, here {in_job}"
         )
     if compensation.operation.mode not in COMPENSATED_MODES:
-        what = f"in mode {compensation.operation.mode} the springback of the sheet is not known"
-        yield springback_issue(compensation, what)
+        message = f"in mode {compensation.operation.mode} the springback of the sheet is not known"
+        yield springback_issue(compensation, message)
     names = {segment.name for segment in compensation.claim.segments}
-    if names != set(given.paths):
-        what = f"its springback file has the passes {sorted(given.paths)}, here {sorted(names)}"
-        yield springback_issue(compensation, what)
+    if names != set(springback_data.paths):
+        message = f"its springback file has the passes {sorted(springback_data.paths)}, here {sorted(names)}"
+        yield springback_issue(compensation, message)
 
 
 def _limit_issues(compensation: CompensationClaim) -> Iterator[Issue]:
     """Check that shifts go into the sheet, as far and as fast as the problem allows."""
     stated = compensation.operation.springback
     for name, file_path in ({} if compensation.file is None else compensation.file.paths).items():
-        for what, got, limit, unit in file_path.faults(float(stated.slope), float(stated.most_mm) * MM):
-            message = f"{name} has {what} in its springback file: {got:.4g} {unit}, allowed: {limit:g}"
+        for fault, got, limit, unit in file_path.faults(float(stated.slope), float(stated.most_mm) * MM):
+            message = f"{name} has {fault} in its springback file: {got:.4g} {unit}, allowed: {limit:g}"
             yield springback_issue(compensation, message, (got, limit, unit or None))
 
 
 def _file_passes(
     context: Context, forming: FormingFacts, compensation: CompensationClaim
 ) -> Iterator[FilePass]:
-    """The file's data of each claimed pass, with what its forming tool touches."""
+    """Yield the file's data of each claimed pass, with the points at which its tool touches the face."""
     for formed in forming.formed:
         claim = formed.claim
         if (
@@ -204,22 +204,24 @@ def _file_passes(
         if file_path is None or not controls:
             continue
         arc, centre, ring = _resample(file_path)
-        count, nearest = len(arc), formed.face.nearest(centre)
+        nearest = formed.face.nearest(centre)
         up = np.abs(centre[:, 2] - nearest.point[:, 2]) / np.maximum(nearest.distance, 1e-9)
         stated = compensation.operation.stepdown_mm
         max_rise = claim.radius if stated is None else 2.0 * float(stated) * MM
-        rise = np.zeros(count)
+        rise = np.zeros(len(arc))
         for k in np.unique(ring):
-            rows = ring == k
-            rise[rows] = min(float(np.ptp(nearest.point[rows, 2])), max_rise)
+            is_on_ring = ring == k
+            rise[is_on_ring] = min(float(np.ptp(nearest.point[is_on_ring, 2])), max_rise)
         angle = np.arccos(np.clip(up, 0.0, 1.0))
         force = forces_along(context, compensation, claim, nearest.point, angle, controls)
         yield FilePass(claim, formed.face, file_path, controls, arc, nearest.point, angle, force, ring, rise)
 
 
 def _resample(file_path: FilePath) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Points of a path, `POINT_SPACING_M` apart: arc lengths (P,) [m], the ball's centre (P, 3) [m] and the
-    ring (P,).
+    """Return points about `POINT_SPACING_M` apart on a path of the file.
+
+    Returns:
+        Arc lengths (P,) [m], centres (P, 3) [m] of the ball, and the index (P,) of the ring of each point.
     """
     path_arc = springback_bounds.arc_lengths(file_path.point)
     count = int(min(MAX_PATH_POINTS, np.ceil(path_arc[-1] / POINT_SPACING_M))) + 1
@@ -231,40 +233,48 @@ def _resample(file_path: FilePath) -> tuple[FloatArray, FloatArray, IntArray]:
 def _scan_issues(
     context: Context, forming: FormingFacts, compensation: CompensationClaim
 ) -> tuple[float, list[Issue]]:
-    """Deviation of shifts that follow from a scan from the proof's own result, as a fraction of what is
-    allowed, and issues.
+    """Compare the shifts of a file of adjustments with those that the proof calculates from the scan.
+
+    The position of the scan is checked, too. Returns the maximum deviation as a fraction of the allowed one,
+    and issues.
     """
-    given, stated, stock = (
-        compensation.file,
-        compensation.operation.springback,
-        context.setups[compensation.index].stock,
-    )
+    springback_data, stated = compensation.file, compensation.operation.springback
+    stock = context.setups[compensation.index].stock
     part = context.problem.part
-    if given is None or given.measured is None or stated.scan is None or part is None or part.formed is None:
+    if (
+        springback_data is None
+        or springback_data.measured is None
+        or stated.scan is None
+        or part is None
+        or part.formed is None
+    ):
         return 0.0, [
             springback_issue(compensation, "its file does not match the scan that the problem names")
         ]
-    scan, issues = given.measured, []
+    scan = springback_data.measured
+    issues: list[Issue] = []
     try:
         points = scan_field.read_scan(Path(stated.scan.file), scan)
     except ValueError as error:
         return 0.0, [springback_issue(compensation, f"{Path(stated.scan.file).name}: {error}")]
     field = scan_field.ScanField(part.formed.mesh, stock.size, scan.is_top, points)
-    flat, corners = field.flat_deviation()
-    marks = scan_field.mark_excess(scan)
-    if flat > scan_field.MAX_FLAT_DEVIATION_M or not corners:
-        what = f"the flat of its scan is {mm(flat):.3f} mm off that of the sheet"
+    flat_deviation, corner_count = field.flat_deviation()
+    mark_excess = scan_field.mark_excess(scan)
+    if flat_deviation > scan_field.MAX_FLAT_DEVIATION_M or not corner_count:
+        message = f"the flat of its scan is {mm(flat_deviation):.3f} mm off that of the sheet"
         issues.append(
-            springback_issue(compensation, what, measure_in_mm(flat, scan_field.MAX_FLAT_DEVIATION_M))
+            springback_issue(
+                compensation, message, measure_in_mm(flat_deviation, scan_field.MAX_FLAT_DEVIATION_M)
+            )
         )
-    if marks > scan_field.MAX_MARK_EXCESS_M:
-        what = f"its scan is {mm(marks):.3f} mm farther from its marks than the best fit"
+    if mark_excess > scan_field.MAX_MARK_EXCESS_M:
+        message = f"its scan is {mm(mark_excess):.3f} mm farther from its marks than the best fit"
         issues.append(
-            springback_issue(compensation, what, measure_in_mm(marks, scan_field.MAX_MARK_EXCESS_M))
+            springback_issue(compensation, message, measure_in_mm(mark_excess, scan_field.MAX_MARK_EXCESS_M))
         )
-    worst = max(flat / scan_field.MAX_FLAT_DEVIATION_M, marks / scan_field.MAX_MARK_EXCESS_M)
+    worst = max(flat_deviation / scan_field.MAX_FLAT_DEVIATION_M, mark_excess / scan_field.MAX_MARK_EXCESS_M)
     for formed in forming.formed:
-        claim, file_path = formed.claim, given.paths.get(formed.claim.segment.name)
+        claim, file_path = formed.claim, springback_data.paths.get(formed.claim.segment.name)
         if (
             formed.setup != compensation.index
             or claim.segment not in compensation.claim.segments
@@ -274,7 +284,8 @@ def _scan_issues(
         deviation, pass_issues = _pass_scan_issues(
             compensation, field, scan, formed, file_path, float(stock.size[2])
         )
-        worst, issues = max(worst, deviation), [*issues, *pass_issues]
+        worst = max(worst, deviation)
+        issues = [*issues, *pass_issues]
     return worst, issues
 
 
@@ -286,23 +297,28 @@ def _pass_scan_issues(
     file_path: FilePath,
     thickness: float,
 ) -> tuple[float, list[Issue]]:
-    claim, given = formed.claim, compensation.file
+    """Compare the shifts of one pass with those that follow from the scan.
+
+    A pass that does not form the part's own face has to keep the shifts of the scanned part. Returns the
+    maximum deviation as a fraction of the allowed one, and issues.
+    """
+    claim, springback_data = formed.claim, compensation.file
     name = claim.segment.name
     arc, centre, _ = _resample(file_path)
     touch = formed.face.nearest(centre).point
-    previous_path = None if given is None else given.previous_paths.get(name)
+    previous_path = None if springback_data is None else springback_data.previous_paths.get(name)
     previous_shift = scan_field.ShiftProfile(arc=np.zeros(1), shift=np.zeros(1))
     if previous_path is not None:
         previous_arc = springback_bounds.arc_lengths(previous_path.point)
         previous_shift = scan_field.ShiftProfile(
             arc=previous_arc * (arc[-1] / max(float(previous_arc[-1]), 1e-9)), shift=previous_path.shift
         )
-    high = field.part_height(touch[:, :2]) + (thickness if claim.side > 0 else 0.0)
-    forms_part = float(np.nanmedian(np.abs(high - touch[:, 2]))) <= ON_PART_TOLERANCE_M
+    part_height = field.part_height(touch[:, :2]) + (thickness if claim.side > 0 else 0.0)
+    forms_part = float(np.nanmedian(np.abs(part_height - touch[:, 2]))) <= ON_PART_TOLERANCE_M
     if forms_part != (name in scan.adjusts):
-        what = f"{name} {'forms' if forms_part else 'does not form'} the part's own face, and its file "
-        what += "leaves it as it was" if forms_part else "adjusts it by the scan"
-        return np.inf, [springback_issue(compensation, what)]
+        message = f"{name} {'forms' if forms_part else 'does not form'} the part's own face, and its file "
+        message += "leaves it as it was" if forms_part else "adjusts it by the scan"
+        return np.inf, [springback_issue(compensation, message)]
     actual = np.interp(arc, springback_bounds.arc_lengths(file_path.point), file_path.shift)
     slope = float(compensation.operation.springback.slope)
     if forms_part:
@@ -311,34 +327,36 @@ def _pass_scan_issues(
         )
         minimum, maximum, covered = scan_field.shift_bounds(field, scan, previous_shift, touched_path, slope)
         if covered < MIN_COVERED_FRACTION:
-            what = f"its scan covers {100.0 * covered:.0f} % of the path of {name}"
+            message = f"its scan covers {100.0 * covered:.0f} % of the path of {name}"
             return np.inf, [
-                springback_issue(compensation, what, measure_in_percent(covered, MIN_COVERED_FRACTION))
+                springback_issue(compensation, message, measure_in_percent(covered, MIN_COVERED_FRACTION))
             ]
     else:
         minimum = maximum = np.interp(arc, previous_shift.arc, previous_shift.shift)
     expected = np.clip(actual, minimum, maximum)
     deviation = np.abs(actual - expected)
-    slack = (
+    allowed = (
         SCAN_TOLERANCE_M + INTERPOLATION_TOLERANCE_FRACTION * np.abs(expected) + 0.5 * slope * POINT_SPACING_M
     )
-    k = int(np.argmax(deviation / slack))
-    if deviation[k] <= slack[k]:
-        return float(deviation[k] / slack[k]), []
-    what = (
-        f"{name} is shifted by {mm(actual[k]):.3f} mm at {arc[k] / MM:.0f} mm of its path, its scan and the "
-        f"shifts of the scanned part give {mm(expected[k]):.3f} mm"
+    worst_index = int(np.argmax(deviation / allowed))
+    if deviation[worst_index] <= allowed[worst_index]:
+        return float(deviation[worst_index] / allowed[worst_index]), []
+    message = (
+        f"{name} is shifted by {mm(actual[worst_index]):.3f} mm at {arc[worst_index] / MM:.0f} mm of its "
+        "path, its scan and the "
+        f"shifts of the scanned part give {mm(expected[worst_index]):.3f} mm"
     )
-    return float(deviation[k] / slack[k]), [
-        springback_issue(compensation, what, measure_in_mm(deviation[k], slack[k]))
+    return float(deviation[worst_index] / allowed[worst_index]), [
+        springback_issue(compensation, message, measure_in_mm(deviation[worst_index], allowed[worst_index]))
     ]
 
 
 def _control_point_issues(compensation: CompensationClaim, passes: Sequence[FilePass]) -> Iterator[Issue]:
     """Check the control points of a file.
 
-    They have to be where the forming tool touches the part, on walls with the stated angles, and their levels
-    have to be loops from the first one to the last.
+    They have to be where the forming tool touches the part, on walls with the stated angles. The points of a
+    level have to be on one loop, and the levels have to cover the height of the pass. Of some faults only the
+    first one in a pass is reported.
     """
     for file_pass in passes:
         tree = cKDTree(file_pass.touch)
@@ -355,40 +373,44 @@ def _control_point_issues(compensation: CompensationClaim, passes: Sequence[File
         k = int(np.argmax(distance))
         if distance[k] > 0.5 * POINT_SPACING_M + MAX_TOUCH_DISTANCE_M:
             x, y, z = points[k] / MM
-            what = f"a control point of {file_pass.claim.segment} at ({x:.1f}, {y:.1f}, {z:.1f}) mm is "
-            what += f"{mm(distance[k]):.2f} mm off what the tool touches"
+            message = f"a control point of {file_pass.claim.segment} at ({x:.1f}, {y:.1f}, {z:.1f}) mm is "
+            message += f"{mm(distance[k]):.2f} mm off what the tool touches"
             yield springback_issue(
-                compensation, what, measure_in_mm(distance[k], 0.5 * POINT_SPACING_M + MAX_TOUCH_DISTANCE_M)
+                compensation,
+                message,
+                measure_in_mm(distance[k], 0.5 * POINT_SPACING_M + MAX_TOUCH_DISTANCE_M),
             )
             continue
         normal = file_pass.face.normal[nearest.triangle]
         # angles matter only for forces by formula
-        formula = compensation.operation.force_n is None and compensation.operation.force_by is None
-        for row, control in enumerate(file_pass.controls) if formula else ():
+        has_formula = compensation.operation.force_n is None and compensation.operation.force_by is None
+        for row, control in enumerate(file_pass.controls) if has_formula else ():
             around = tree.query_ball_point(points[row], ANGLE_RADIUS_M)
             walls = np.unique(normal[nearest.row == row].round(6), axis=0)
-            both = walls.sum(axis=0, keepdims=True)  # on an edge the ball rolls from one wall to the other
-            walls = np.concatenate([walls, both / np.linalg.norm(both)])
-            steep = np.append(file_pass.angle[around], np.arccos(np.clip(np.abs(walls[:, 2]), 0.0, 1.0)))
-            angle_error = max(float(steep.min()) - control.angle, control.angle - float(steep.max()))
+            mean = walls.sum(axis=0, keepdims=True)  # on an edge the ball rolls from one wall to the other
+            walls = np.concatenate([walls, mean / np.linalg.norm(mean)])
+            angles = np.append(file_pass.angle[around], np.arccos(np.clip(np.abs(walls[:, 2]), 0.0, 1.0)))
+            angle_error = max(float(angles.min()) - control.angle, control.angle - float(angles.max()))
             if angle_error > (CORNER_ANGLE_TOLERANCE_RAD if is_in_corner[row] else ANGLE_TOLERANCE_RAD):
-                what = f"a control point of {file_pass.claim.segment} is on a wall of "
-                what += f"{np.rad2deg(control.angle):.1f} deg, where the part has "
-                what += f"{np.rad2deg(steep.min()):.1f} to {np.rad2deg(steep.max()):.1f} deg"
+                message = f"a control point of {file_pass.claim.segment} is on a wall of "
+                message += f"{np.rad2deg(control.angle):.1f} deg, where the part has "
+                message += f"{np.rad2deg(angles.min()):.1f} to {np.rad2deg(angles.max()):.1f} deg"
                 yield springback_issue(
-                    compensation, what, measure_in_degrees(angle_error, ANGLE_TOLERANCE_RAD)
+                    compensation, message, measure_in_degrees(angle_error, ANGLE_TOLERANCE_RAD)
                 )
                 break
         height, _ = file_pass.level_groups()
         tolerance = float(file_pass.rise.max()) + MAX_TOUCH_DISTANCE_M
         for row, control in enumerate(file_pass.controls):
             if abs(control.point[2] - height[control.level]) > tolerance:
-                what = (
+                message = (
                     f"control points of level {control.level} of {file_pass.claim.segment} are of several "
                     "loops"
                 )
                 yield springback_issue(
-                    compensation, what, measure_in_mm(abs(points[row, 2] - height[control.level]), tolerance)
+                    compensation,
+                    message,
+                    measure_in_mm(abs(points[row, 2] - height[control.level]), tolerance),
                 )
                 break
         if len(np.unique(points.round(7), axis=0)) < len(points):
@@ -397,20 +419,20 @@ def _control_point_issues(compensation: CompensationClaim, passes: Sequence[File
             )
         level_distance = float(np.diff(sorted(height.values())).min(initial=np.inf))
         if not level_distance > MIN_LEVEL_DISTANCE_M:
-            what = f"two levels of {file_pass.claim.segment} are at one height"
-            yield springback_issue(compensation, what, measure_in_mm(level_distance, MIN_LEVEL_DISTANCE_M))
+            message = f"two levels of {file_pass.claim.segment} are at one height"
+            yield springback_issue(compensation, message, measure_in_mm(level_distance, MIN_LEVEL_DISTANCE_M))
         low, high = float(file_pass.touch[:, 2].min()), float(file_pass.touch[:, 2].max())
         uncovered = max(min(height.values()) - low, high - max(height.values()))
         if uncovered > tolerance:
-            what = (
+            message = (
                 f"the levels of {file_pass.claim.segment} leave {mm(uncovered):.2f} mm of its depth without "
                 "a level"
             )
-            yield springback_issue(compensation, what, measure_in_mm(uncovered, tolerance))
+            yield springback_issue(compensation, message, measure_in_mm(uncovered, tolerance))
 
 
 def _shift_issues(compensation: CompensationClaim, passes: Sequence[FilePass]) -> Iterator[Issue]:
-    """Check that shifts are what lies between the control points around, as far as the slope permits."""
+    """Check that shifts are the springback between control points, limited in slope and averaged."""
     slope = float(compensation.operation.springback.slope)
     for file_pass in passes:
         low, high, _ = file_pass.springback_bounds
@@ -421,36 +443,44 @@ def _shift_issues(compensation: CompensationClaim, passes: Sequence[FilePass]) -
             )
             for value in (low, high)
         )
-        slack = INTERPOLATION_TOLERANCE_FRACTION * maximum + MESH_TOLERANCE_M + 0.5 * slope * POINT_SPACING_M
-        excess = np.maximum(minimum - actual, actual - maximum) - slack
-        k = int(np.argmax(np.where(np.isfinite(excess), excess, np.inf)))
-        if not excess[k] <= 0.0:
-            what = (
-                f"{file_pass.claim.segment} is shifted by {mm(actual[k]):.3f} mm at "
-                f"{file_pass.arc[k] / MM:.0f} mm of its path, its control points and the slope give "
-                f"{mm(minimum[k]):.3f} to {mm(maximum[k]):.3f} mm"
+        tolerance = (
+            INTERPOLATION_TOLERANCE_FRACTION * maximum + MESH_TOLERANCE_M + 0.5 * slope * POINT_SPACING_M
+        )
+        excess = np.maximum(minimum - actual, actual - maximum) - tolerance
+        worst_index = int(np.argmax(np.where(np.isfinite(excess), excess, np.inf)))
+        if not excess[worst_index] <= 0.0:
+            message = (
+                f"{file_pass.claim.segment} is shifted by {mm(actual[worst_index]):.3f} mm at "
+                f"{file_pass.arc[worst_index] / MM:.0f} mm of its path, its control points and the slope "
+                "give "
+                f"{mm(minimum[worst_index]):.3f} to {mm(maximum[worst_index]):.3f} mm"
             )
-            yield springback_issue(compensation, what, measure_in_mm(actual[k], maximum[k]))
+            yield springback_issue(
+                compensation, message, measure_in_mm(actual[worst_index], maximum[worst_index])
+            )
 
 
 def _path_issues(context: Context, forming: FormingFacts, compensation: CompensationClaim) -> Iterator[Issue]:
-    """Check that the forming ball is on the file's path, shifted, all the time that it forms."""
+    """Check that the forming ball, shifts included, is on the file's path all the time that it forms."""
     for formed in forming.formed:
         claim, tool_track = formed.claim, formed.track
         if formed.setup != compensation.index or claim.segment not in compensation.claim.segments:
             continue
         if tool_track.path_distance is None or not len(tool_track.path_distance):
-            what = f"{claim.segment} has no path in the springback file, or in the programs"
-            yield springback_issue(compensation, what)
+            message = f"{claim.segment} has no path in the springback file, or in the programs"
+            yield springback_issue(compensation, message)
             continue
-        k = int(np.argmax(tool_track.path_distance))
-        if tool_track.path_distance[k] > MAX_PATH_DISTANCE_M:
-            what = (
-                f"{claim.arm} is {mm(float(tool_track.path_distance[k])):.3f} mm off the path of the "
+        worst_index = int(np.argmax(tool_track.path_distance))
+        if tool_track.path_distance[worst_index] > MAX_PATH_DISTANCE_M:
+            message = (
+                f"{claim.arm} is {mm(float(tool_track.path_distance[worst_index])):.3f} mm off the path of "
+                "the "
                 f"springback file in {claim.segment}, allowed: {mm(MAX_PATH_DISTANCE_M):g} mm"
             )
-            measure = measure_in_mm(tool_track.path_distance[k], MAX_PATH_DISTANCE_M)
-            yield sample_issue(CODE, what, context.motion, claim.arm, int(tool_track.rows[k]), measure)
+            measure = measure_in_mm(tool_track.path_distance[worst_index], MAX_PATH_DISTANCE_M)
+            yield sample_issue(
+                CODE, message, context.motion, claim.arm, int(tool_track.rows[worst_index]), measure
+            )
 
 
 def _wall_issues(context: Context, forming: FormingFacts, compensation: CompensationClaim) -> Iterator[Issue]:
@@ -467,13 +497,16 @@ def _wall_issues(context: Context, forming: FormingFacts, compensation: Compensa
 def _elastic_issues(
     context: Context, forming: FormingFacts, compensation: CompensationClaim, passes: Sequence[FilePass]
 ) -> tuple[float, list[Issue]]:
-    """Deviation of randomly drawn control points from an elastic sheet, as a fraction of what is allowed, and
-    issues.
+    """Recalculate the springback at randomly drawn points with an elastic sheet.
+
+    First the control points around the drawn points are compared with it, then the interpolated springback
+    and the shifts at some of the drawn points themselves. Returns the maximum deviation as a fraction of the
+    allowed one, and issues.
     """
-    given, shapes_of_part = compensation.file, _part_shapes(forming, compensation)
+    springback_data, shapes_of_part = compensation.file, _part_shapes(forming, compensation)
     stock = context.setups[compensation.index].stock
     part = next((c for c in claim_group(context, compensation) if isinstance(c, FormsPart)), None)
-    if given is None or shapes_of_part is None or stock.sheet is None or part is None:
+    if springback_data is None or shapes_of_part is None or stock.sheet is None or part is None:
         return 0.0, [springback_issue(compensation, "there is no part whose sheet springs back")]
     metal = stock.sheet.metal
     clamped_sheet = elastic_sheet.ClampedSheet(
@@ -493,7 +526,7 @@ def _elastic_issues(
                 compensation, "its paths are too short for springback to be recalculated anywhere"
             )
         )
-    for k, control in _control_points_to_solve(given.controls, drawn):
+    for k, control in _control_points_to_solve(springback_data.controls, drawn):
         if control.segment not in shapes:
             issues.append(
                 springback_issue(
@@ -520,7 +553,7 @@ def _elastic_issues(
         difference = abs(control.springback - calculated)
         worst = max(worst, difference / allowed if np.isfinite(calculated) else np.inf)
         if not difference <= allowed or not np.isfinite(calculated):
-            what = (
+            message = (
                 f"{description}: it springs back by {mm(control.springback):.4f} mm under "
                 f"{control.force:.0f} N, an elastic sheet on another mesh by {mm(calculated):.4f} mm"
             )
@@ -529,7 +562,7 @@ def _elastic_issues(
                 if np.isfinite(calculated)
                 else measure_in_mm(control.springback, 0.0)
             )
-            issues.append(springback_issue(compensation, what, measure))
+            issues.append(springback_issue(compensation, message, measure))
     for point in drawn[:RECALCULATED_POINTS]:
         file_pass, k = point.file_pass, point.row
         feature, number, claim = shapes[file_pass.claim.segment.name]
@@ -564,10 +597,11 @@ def _elastic_issues(
             0.5 * (point.low + point.high),
             point.uneven,
         )
+        # verb of the message, difference, value in the file and uncertainty due to variation nearby [m]
         checks = [("has", *by_curves)]
         if point.shifted is not None:
             checks.append(("is shifted by", abs(shift - calculated), shift, point.shifted))
-        for says, difference, value, uneven in checks:
+        for verb, difference, value, uneven in checks:
             allowed = (
                 (INTERPOLATION_TOLERANCE_FRACTION + doubt_of_force) * calculated
                 + MESH_TOLERANCE_M
@@ -577,9 +611,9 @@ def _elastic_issues(
             )
             worst = max(worst, difference / allowed if np.isfinite(calculated) else np.inf)
             if not difference <= allowed:
-                what = f"{description} {says} {mm(value):.4f} mm"
-                what += " by the control points around" if says == "has" else ""
-                what += (
+                message = f"{description} {verb} {mm(value):.4f} mm"
+                message += " by the control points around" if verb == "has" else ""
+                message += (
                     f", an elastic sheet springs back by {mm(calculated):.4f} mm there under {force:.0f} N"
                 )
                 measure = (
@@ -587,7 +621,7 @@ def _elastic_issues(
                     if np.isfinite(calculated)
                     else measure_in_mm(value, 0.0)
                 )
-                issues.append(springback_issue(compensation, what, measure))
+                issues.append(springback_issue(compensation, message, measure))
     return worst, issues
 
 
@@ -597,12 +631,12 @@ class _DrawnPoint:
 
     Attributes:
         file_pass: Pass of the file.
-        row: Row of the point.
+        row: Index of the point in the pass.
         low: Minimum springback [m] by the control points.
         high: Maximum springback [m] by the control points.
-        level_difference: Difference [m] of the adjacent levels.
-        uneven: Uncertainty [m] of these due to the variation nearby.
-        shifted: Uncertainty [m] of the shift due to the variation nearby, None where the slope limits the
+        level_difference: Difference [m] of the springback of the adjacent levels.
+        uneven: Uncertainty [m] of the springback due to its variation nearby.
+        shifted: Uncertainty [m] of the shift due to its variation nearby, None where the slope limits the
             shift.
         around: Adjacent control points.
     """
@@ -620,12 +654,13 @@ class _DrawnPoint:
 def _control_points_to_solve(
     controls: tuple[FileControlPoint, ...], points: list[_DrawnPoint]
 ) -> Iterator[tuple[int, FileControlPoint]]:
-    """Control points around the drawn points, with their numbers.
+    """Yield the control points around the drawn points, each with its index among all.
 
-    If a curve continues far beyond the force of its point, because tools press more nearby, its end is added.
+    If a curve continues far beyond the force of its point, because tools press more nearby, its end follows
+    as a second control point with the same index.
     """
-    number = {id(control): k for k, control in enumerate(controls)}
-    for k in sorted({number[id(control)] for point in points for control in point.around}):
+    index_by_id = {id(control): k for k, control in enumerate(controls)}
+    for k in sorted({index_by_id[id(control)] for point in points for control in point.around}):
         control_point = controls[k]
         yield k, control_point
         if control_point.loads[-1] > CURVE_END_FACTOR * control_point.force:
@@ -644,15 +679,16 @@ def _draw_points(
 ) -> list[_DrawnPoint]:
     """Points drawn at random on the paths of all passes, each equally likely.
 
-    So many control points on a short section of the path are checked as rarely as the section. There are
-    `RECALCULATED_POINTS` points, and more until they have `MIN_RECALCULATED` control points around them.
+    Points are drawn instead of control points, so that crowded control points on a short section of the path
+    are not checked more often than others. `RECALCULATED_POINTS` points are drawn, and more until they have
+    `MIN_RECALCULATED` control points around them.
     """
     slope = float(compensation.operation.springback.slope)
     candidate_rows = [np.flatnonzero(file_pass.arc > 2.0 * file_pass.claim.radius) for file_pass in passes]
     owner = np.repeat(np.arange(len(passes)), [len(rows) for rows in candidate_rows])
     rows = np.concatenate([*candidate_rows, np.zeros(0, dtype=np.int64)])
     bounds = {k: file_pass.springback_bounds for k, file_pass in enumerate(passes)}
-    limited_by = {
+    slope_reduction = {
         k: np.maximum(
             low - springback_bounds.limit_slope(passes[k].arc, low, slope),
             high - springback_bounds.limit_slope(passes[k].arc, high, slope),
@@ -660,17 +696,17 @@ def _draw_points(
         for k, (low, high, _) in bounds.items()
     }
     out: list[_DrawnPoint] = []
-    known: set[int] = set()
+    drawn_controls: set[int] = set()
     for draw in _random_order(context.problem.digest, len(rows), MAX_DRAWS):
         k, row = int(owner[draw]), int(rows[draw])
         file_pass, (low, high, level_difference) = passes[k], bounds[k]
         reach = int(np.ceil(2.0 * file_pass.claim.radius / max(float(file_pass.arc[1]), 1e-9)))
         window = slice(max(row - reach, 0), row + reach + 1)
         around = springback_bounds.adjacent_controls(file_pass, row)
-        if len(out) >= RECALCULATED_POINTS and known.issuperset(map(id, around)):
+        if len(out) >= RECALCULATED_POINTS and drawn_controls.issuperset(map(id, around)):
             continue
-        known.update(map(id, around))
-        shifted = 0.5 * float(np.ptp(file_pass.shift[window])) if limited_by[k][row] < 1e-6 else None
+        drawn_controls.update(map(id, around))
+        shifted = 0.5 * float(np.ptp(file_pass.shift[window])) if slope_reduction[k][row] < 1e-6 else None
         uneven = 0.5 * float(np.ptp(low[window]))
         out.append(
             _DrawnPoint(
@@ -684,7 +720,7 @@ def _draw_points(
                 around,
             )
         )
-        if len(out) >= RECALCULATED_POINTS and len(known) >= MIN_RECALCULATED:
+        if len(out) >= RECALCULATED_POINTS and len(drawn_controls) >= MIN_RECALCULATED:
             break
     return out
 
@@ -692,9 +728,10 @@ def _draw_points(
 def _force_at(
     context: Context, compensation: CompensationClaim, file_pass: FilePass, k: int
 ) -> tuple[float, float]:
-    """The problem's force [N] at a point of a pass, and its relative uncertainty.
+    """The force [N] at point ``k`` of a pass that the problem states or a formula gives, and its uncertainty.
 
-    A formula depends on the wall angle, and a force that is stated by position on the position.
+    The second value is relative to the force. The uncertainty of a force by formula is due to that of the
+    wall angle, that of a stated force is due to that of the position.
     """
     operation, setup = compensation.operation, context.setups[compensation.index]
     if operation.force_n is not None or operation.force_by is not None:
@@ -702,11 +739,11 @@ def _force_at(
         return 0.5 * (low + high), 0.5 * (high - low) / max(high, 1e-9)
     sheet = setup.stock.sheet
     tensile = 0.0 if sheet is None else sheet.metal.tensile_stress
-    around = [
+    nearby_angles = [
         float(file_pass.angle[k]) + angle_offset
         for angle_offset in (0.0, -ANGLE_TOLERANCE_RAD, ANGLE_TOLERANCE_RAD)
     ]
-    angle = np.maximum(np.array([*around, *(control.angle for control in file_pass.controls)]), 0.0)
+    angle = np.maximum(np.array([*nearby_angles, *(control.angle for control in file_pass.controls)]), 0.0)
     force = formula_forces(operation, tensile, setup, file_pass.claim.radius, angle)
     return float(force[0]), float(np.abs(force[1:3] / force[0] - 1.0).max())
 
@@ -716,10 +753,10 @@ def _recalculate(
     clamped_sheet: elastic_sheet.ClampedSheet,
     control: FileControlPoint,
 ) -> tuple[float, float]:
-    """Springback [m] of an elastic sheet, and its uncertainty [m].
+    """Springback [m] of an elastic sheet at a control point, and its uncertainty [m].
 
-    If it differs from the file's, a mesh with more points decides, and half of the difference of both meshes
-    is the uncertainty.
+    If it differs from that of the file, a mesh with more points decides, and half of the difference of both
+    meshes is the uncertainty.
     """
     position, force = control.point[:2], control.force
     coarse, _ = elastic_sheet.springback_at(formed, clamped_sheet, position, force)
@@ -732,9 +769,9 @@ def _recalculate(
 
 
 def _random_order(digest: str, count: int, max_count: int) -> list[int]:
-    """Indices of ``count`` items in random order, ``max_count`` of them.
+    """Draw at most ``max_count`` of the indices of ``count`` items in random order.
 
-    The problem's digest is the seed, so that a changed problem has others.
+    The problem's digest is the seed, so that proofs are reproducible, and a changed problem has other points.
     """
     seed = int.from_bytes(hashlib.sha256(f"springback {digest}".encode()).digest()[:8], "big")
     return list(np.random.default_rng(seed).permutation(count)[:max_count].tolist())

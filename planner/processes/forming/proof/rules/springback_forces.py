@@ -17,7 +17,7 @@ from planner.proof.rule import Measure, measured_issue
 from planner.tooling import FormingTool
 
 CODE = "verify.springback"
-"""Code of this rule."""
+"""Code of the rule on springback."""
 
 
 def springback_issue(compensation: CompensationClaim, what: str, measure: Measure | None = None) -> Issue:
@@ -26,14 +26,14 @@ def springback_issue(compensation: CompensationClaim, what: str, measure: Measur
 
 
 def claim_group(context: Context, compensation: CompensationClaim) -> tuple[object, ...]:
-    """Return all claims of the operation of a claim."""
+    """Return all claims of the operation that a claim of springback compensation belongs to."""
     return next(
         group for group in context.setup_claims[compensation.index].groups if compensation.claim in group
     )
 
 
 FORCE_TOLERANCE_FRACTION = 1e-3
-"""Relative difference up to which forces are equal: figures of the file are rounded."""
+"""Relative difference up to which forces are equal: values in the file are rounded."""
 
 
 MIN_FORCE_FRACTION = 0.01
@@ -41,18 +41,19 @@ MIN_FORCE_FRACTION = 0.01
 
 
 def force_issues(context: Context, compensation: CompensationClaim) -> Iterator[Issue]:
-    """Check that forces are the problem's, or by the formula that it names."""
-    setup, given, operation = context.setups[compensation.index], compensation.file, compensation.operation
+    """Check that the forces at control points of a file are those of the problem, or by formula."""
+    setup, operation = context.setups[compensation.index], compensation.operation
+    springback_data = compensation.file
     sheet = setup.stock.sheet
-    if given is None or sheet is None:
+    if springback_data is None or sheet is None:
         return
     claims = {
         claim.segment.name: claim
         for claim in claim_group(context, compensation)
         if isinstance(claim, FormsSheet)
     }
-    for name in given.paths:
-        pass_controls = [control for control in given.controls if control.segment == name]
+    for name in springback_data.paths:
+        pass_controls = [control for control in springback_data.controls if control.segment == name]
         if not pass_controls or name not in claims:
             yield springback_issue(compensation, f"{name} has no control point in its springback file")
             continue
@@ -64,8 +65,8 @@ def force_issues(context: Context, compensation: CompensationClaim) -> Iterator[
         if stated is not None:
             expected = _apply_minimum(stated.force_at(np.array([control.point for control in pass_controls])))
         else:
-            arms = (setup.cell.arm(arm).tool for arm in operation.arms)
-            radii = [tool.head.radius for tool in arms if isinstance(tool, FormingTool)]
+            tools = (setup.cell.arm(arm).tool for arm in operation.arms)
+            radii = [tool.head.radius for tool in tools if isinstance(tool, FormingTool)]
             angle = np.array([control.angle for control in pass_controls])
             candidates = [
                 formula_forces(operation, sheet.metal.tensile_stress, setup, r, angle) for r in radii
@@ -74,30 +75,31 @@ def force_issues(context: Context, compensation: CompensationClaim) -> Iterator[
                 candidates, key=lambda forces: float(np.abs(forces - [c.force for c in pass_controls]).max())
             )
         difference = np.abs(np.array([control.force for control in pass_controls]) - expected)
-        # forces by formula depend on angles that the file rounds, those by position on positions
+        # forces by formula depend on wall angles that the file rounds, and stated ones on rounded positions
         allowed = FORCE_TOLERANCE_FRACTION * float(expected.max()) + (
             0.1 if operation.force_n is None else 0.0
         )
-        k = int(np.argmax(difference))
-        if difference[k] > allowed:
-            what = (
-                f"a control point of {name} is under {pass_controls[k].force:.1f} N, the problem's force "
+        worst_index = int(np.argmax(difference))
+        if difference[worst_index] > allowed:
+            message = (
+                f"a control point of {name} is under {pass_controls[worst_index].force:.1f} N, the "
+                "problem's force "
                 "there "
             )
-            measure = pass_controls[k].force, float(expected[k]), "N"
-            yield springback_issue(compensation, f"{what}is {expected[k]:.1f} N", measure)
+            measure = pass_controls[worst_index].force, float(expected[worst_index]), "N"
+            yield springback_issue(compensation, f"{message}is {expected[worst_index]:.1f} N", measure)
 
 
 def formula_forces(
     operation: object, tensile: float, setup: object, radius: float, angle: FloatArray
 ) -> FloatArray:
-    """Return the forces (N,) [N] of a ball on walls by a formula.
+    """Return the axial forces (N,) [N] of a ball on walls by an empirical formula.
 
-    F = 0.0716 Rm t^1.57 d^0.41 h^0.09 a cos a, with Rm in MPa, lengths in mm, a in degrees and h the ridge
-    between loops.
+    F = 0.0716 Rm t^1.57 d^0.41 h^0.09 a cos a, with the tensile strength Rm in MPa, the sheet's thickness t,
+    the ball's diameter d and the height h of the ridge between loops in mm, and the wall angle a in degrees.
 
     Args:
-        operation: Operation.
+        operation: Operation, with its step-down or scallop.
         tensile: Tensile strength Rm [Pa].
         setup: Setup with the stock.
         radius: Radius [m] of the ball.
@@ -105,34 +107,37 @@ def formula_forces(
 
     Source: Aerens and others (2010).
     """
-    thick = float(setup.stock.size[2]) / MM  # type: ignore[attr-defined]
+    thickness = float(setup.stock.size[2]) / MM  # type: ignore[attr-defined]
     r = radius / MM
     step, scallop = operation.stepdown_mm, operation.scallop_mm  # type: ignore[attr-defined]
     if step is None:
         ridge = np.full(len(angle), float(scallop))
     else:
+        # loops are step / sin(angle) apart along the wall; the ridge is in the middle between two of them
         half = np.minimum(0.5 * step / np.sin(np.maximum(angle, 1e-3)), r)
         ridge = r - np.sqrt(np.maximum(r * r - half * half, 0.0))
     degrees = np.rad2deg(angle)
-    force = 0.0716 * tensile / 1e6 * thick**1.57 * (2.0 * r) ** 0.41 * ridge**0.09 * degrees * np.cos(angle)
+    force = (
+        0.0716 * tensile / 1e6 * thickness**1.57 * (2.0 * r) ** 0.41 * ridge**0.09 * degrees * np.cos(angle)
+    )
     return _apply_minimum(force)
 
 
 def _apply_minimum(force: FloatArray, reference: FloatArray | None = None) -> FloatArray:
-    """Forces (N,) [N], at least the minimum where a pass is flat, by the largest of them or of ``of``."""
+    """Raise forces (N,) [N] to a fraction of the largest one, or of the largest ``reference`` force."""
     return np.asarray(
         np.maximum(force, MIN_FORCE_FRACTION * float((force if reference is None else reference).max()))
     )
 
 
 NEIGHBOUR_STEPS, NEIGHBOUR_ANGLE_RAD = 2, np.deg2rad(0.3)
-"""Walls from which a formula takes a force: those up to this many steps of `STEP` away, within an angle
-[rad].
+"""A force by formula may be that of any wall up to this many points of the path away, with this uncertainty
+[rad] of its angle.
 """
 
 
 def _neighbour_values(value: FloatArray) -> FloatArray:
-    """Values (P, 2 `NEIGHBOUR_STEPS` + 1) at points (P,) of a path and their neighbours."""
+    """Values (P, 2 `NEIGHBOUR_STEPS` + 1) at each point of a path and its neighbours, from values (P,)."""
     return np.lib.stride_tricks.sliding_window_view(
         np.pad(value, NEIGHBOUR_STEPS, mode="edge"), 2 * NEIGHBOUR_STEPS + 1
     )
@@ -148,21 +153,22 @@ def forces_along(
 ) -> FloatArray:
     """Return the minimum and maximum force (2, P) [N] at points of a path.
 
-    Forces are those stated nearby, or follow from the nearby walls.
+    They are the minimum and maximum of the stated forces at neighbouring points, or of the forces by formula
+    for the walls at neighbouring points.
 
     Args:
         context: Context of the proof.
         compensation: Claim of springback compensation.
         claim: Claim on the pass.
-        touch: Points (P, 3) [m].
-        angle: Wall angles (P,) [rad].
-        controls: Control points of the pass.
+        touch: Points (P, 3) [m] at which the forming tool touches the face.
+        angle: Wall angles (P,) [rad] there.
+        controls: Control points of the pass, whose largest force determines the minimum force.
     """
     operation, setup = compensation.operation, context.setups[compensation.index]
     stated = stated_force.stated_pass_force(operation, claim)
     if stated is not None:
-        largest = stated.force_at(np.array([control.point for control in controls]))
-        nearby = _neighbour_values(_apply_minimum(stated.force_at(touch), largest))
+        control_forces = stated.force_at(np.array([control.point for control in controls]))
+        nearby = _neighbour_values(_apply_minimum(stated.force_at(touch), control_forces))
         return np.stack([nearby.min(axis=1), nearby.max(axis=1)])
     sheet, radius = setup.stock.sheet, claim.radius
     control_angles = np.array([control.angle for control in controls])

@@ -1,9 +1,9 @@
-"""Rules on the forming tool, what it meets in the sheet, and the clamp.
+"""Rules on the forming tool, the sheet that it meets, and the clamp.
 
-verify.gouge, formed, feature_order, forming_feed, lean. verify.sheet: what tools meet besides the face that
-they form: formed sheet, walls, the flat sheet. verify.holder: a clamp that sinks with the sheet's rim. Only
-its signal is known: it is as many steps below its start as there were pulses. The level of the tool is that
-of the replayed motion.
+verify.gouge, formed, feature_order, forming_feed and lean are on the forming tool. verify.sheet is on the
+sheet that tools meet besides the face that they form: formed sheet, walls and the flat sheet. verify.holder
+is on a clamp that sinks with the sheet's rim. Of the clamp only its signal is known: it is as many steps
+below its start as there were pulses. The level of the tool is that of the replayed motion.
 """
 
 import dataclasses
@@ -55,12 +55,12 @@ NOTHING_FORMED_REASON = "nothing is formed"
 MAX_SHOWN_ISSUES = 50
 """Maximum number of issues for each rule and segment."""
 MAX_LIFTED_FRACTION = 0.1
-"""Maximum fraction of the path in a forming segment on which the ball may be off the face: steps between
-loops.
+"""Maximum fraction of the path in a forming segment on which the ball may be off the face, as it is on steps
+between loops.
 """
 STANDOFF_TOLERANCE_FACTOR, STANDOFF_TOLERANCE_M = 1.03, 2e-5
-"""Factor and offset [m] of the tolerance of a ball's distance from the part, which is evaluated at discrete
-points.
+"""Factor and offset [m] by which a ball's distance from the part, which is evaluated at discrete points, may
+exceed its limit.
 """
 
 
@@ -87,12 +87,12 @@ def check_gouge(context: Context) -> RuleOutcome:
         depth = claim.radius - distance
         findings.note_excess(depth, claim.tolerance, claim.segment)
         for i in first_of_runs(depth > claim.tolerance):
-            what = (
+            message = (
                 f"in {claim.segment} the ball cuts {mm(depth[i]):.3f} mm into the face or the flat sheet, "
                 f"allowed: {mm(claim.tolerance):g} mm"
             )
             row = formed_pass.track.rows[formed_pass.pieces.last[i]]
-            findings.add_at_sample(what, claim.arm, row, measure_in_mm(depth[i], claim.tolerance))
+            findings.add_at_sample(message, claim.arm, row, measure_in_mm(depth[i], claim.tolerance))
     return findings.excess_outcome(NOTHING_FORMED_REASON)
 
 
@@ -110,37 +110,37 @@ def check_formed(context: Context) -> RuleOutcome:
         faces.append(face)
         limit = forming.allowed_standoff(formed_pass)
         if limit is not None and face.unreached > STANDOFF_TOLERANCE_FACTOR * limit + STANDOFF_TOLERANCE_M:
-            what = (
+            message = (
                 f"a ball of that size stays {mm(face.unreached):.3f} mm off the part in {claim.segment}, the "
                 f"problem allows {mm(limit):g} mm"
             )
-            findings.add(what, measure_in_mm(face.unreached, limit), field=field)
+            findings.add(message, measure_in_mm(face.unreached, limit), field=field)
         if face.share < claim.share:
-            leave = f"{mm(face.allowed.min()):.3g} to {mm(face.tolerance):.3g} mm"
-            what = (
+            scallop_range = f"{mm(face.allowed.min()):.3g} to {mm(face.tolerance):.3g} mm"
+            message = (
                 f"the ball passes {100 * face.share:.2f} % of the walls of {claim.segment} within what the "
-                f"steps of its path leave there, {leave}, required: {100 * claim.share:g} %"
+                f"steps of its path leave there, {scallop_range}, required: {100 * claim.share:g} %"
             )
-            findings.add(what, measure_in_percent(face.share, claim.share), field=field)
+            findings.add(message, measure_in_percent(face.share, claim.share), field=field)
         window = (
             sparsest_window(formed_pass, forming.pass_steps(formed_pass))
             if formed_pass.level is None
             else None
         )
         if window is not None and window.fraction < MIN_LOOP_FRACTION:
-            what = (
+            message = (
                 f"from {mm(window.start):.2f} to {mm(window.end):.2f} mm below the flat around "
                 f"{claim.segment} the ball goes along {mm(window.path_length):.1f} mm of its walls, which "
                 f"are {mm(window.contour):.1f} mm around there, but the stated steps require a whole loop"
             )
-            findings.add(what, measure_in_percent(window.fraction, MIN_LOOP_FRACTION), field=field)
+            findings.add(message, measure_in_percent(window.fraction, MIN_LOOP_FRACTION), field=field)
         lifted = _lifted_fraction(formed_pass)
         if lifted > MAX_LIFTED_FRACTION:
-            what = (
+            message = (
                 f"the ball is off the face for {100 * lifted:.1f} % of its path in {claim.segment}, "
                 f"allowed: {100 * MAX_LIFTED_FRACTION:g} %"
             )
-            findings.add(what, measure_in_percent(lifted, MAX_LIFTED_FRACTION), field=field)
+            findings.add(message, measure_in_percent(lifted, MAX_LIFTED_FRACTION), field=field)
     if not faces:
         return RuleOutcome(
             tuple(findings.issues), nothing=NOTHING_FORMED_REASON, part=swept_volume.formed_obj(forming)
@@ -158,7 +158,7 @@ def check_formed(context: Context) -> RuleOutcome:
 
 
 def _lifted_fraction(formed: FormedPass) -> float:
-    """Fraction of the path in a segment at whose ends the ball is off the face by more than the scallop."""
+    """Fraction of the path of a pass on which the ball is off the face by more than the scallop."""
     use = formed.track.is_forming[formed.pieces.first]
     first, last = formed.pieces.first[use], formed.pieces.last[use]
     length = np.linalg.norm(formed.track.centre[last, 0] - formed.track.centre[first, 0], axis=1)
@@ -170,14 +170,14 @@ def _lifted_fraction(formed: FormedPass) -> float:
 
 
 def _add_unclaimed_moves(findings: Findings, forming: FormingFacts) -> None:
-    """Report moves of forming segments without a claim."""
+    """Add an issue for each label of forming moves that no claim covers, at its first node."""
     motion, arm = findings.context.motion, findings.context.job.tasks[0].arm.name
     seen: set[str] = set()
     for node, (segment, name) in enumerate(zip(motion.node_segment, motion.node_label, strict=True)):
         if segment.kind == "form" and name not in forming.labels and name not in seen:
             seen.add(name)
-            what = f"the programs form in {segment}, for which there is no claim"
-            findings.add_at_node(what, arm, node)
+            message = f"the programs form in {segment}, for which there is no claim"
+            findings.add_at_node(message, arm, node)
 
 
 @rule("verify.feature_order", FormsInOrder)
@@ -198,27 +198,31 @@ def check_feature_order(context: Context) -> RuleOutcome:
             if setup_index == index
             for folded_segment in claim.segments
         ]
+        # segments of this setup in the order in which they are formed, each with its first node; None between
         runs: list[tuple[Segment | None, int]] = []
         for node in np.flatnonzero(setups == index).tolist():
             if node_segments[node].kind == "form" and (not runs or runs[-1][0] != node_segments[node]):
                 runs.append((node_segments[node], node))
             elif node_segments[node].kind != "form" and runs and runs[-1][0]:
                 runs.append((None, node))
-        forming_runs = [(name, node) for name, node in runs if name is not None]
-        expected = [part for name in required for part in name.all_phases]
+        forming_runs = [(segment, node) for segment, node in runs if segment is not None]
+        # an approach or a retreat may be missing, a required segment may not
+        expected = [phase for segment in required for phase in segment.all_phases]
         expected = [
-            name for name in expected if name in {name for name, _ in forming_runs} or name in required
+            phase
+            for phase in expected
+            if phase in {formed for formed, _ in forming_runs} or phase in required
         ]
-        for k, (name, node) in enumerate(forming_runs):
-            if k >= len(expected) or name != expected[k]:
-                known = "" if k >= len(expected) else f", {expected[k]} has to come first"
-                what = f"{name} comes at position {k + 1} of the forming order{known}"
-                findings.add_at_node(what, arm, node)
+        for k, (segment, node) in enumerate(forming_runs):
+            if k >= len(expected) or segment != expected[k]:
+                order_hint = "" if k >= len(expected) else f", {expected[k]} has to come first"
+                message = f"{segment} comes at position {k + 1} of the forming order{order_hint}"
+                findings.add_at_node(message, arm, node)
                 break
         else:
-            for name in expected[len(forming_runs) :]:
-                if name in required:
-                    findings.add(f"{name} is never formed", field=str(name))
+            for segment in expected[len(forming_runs) :]:
+                if segment in required:
+                    findings.add(f"{segment} is never formed", field=str(segment))
     return findings.outcome_without_value("" if claims else NOTHING_FORMED_REASON)
 
 
@@ -245,11 +249,11 @@ def check_feed(context: Context) -> RuleOutcome:
             findings.note_highest(speed.max() / claim.upper, f"{arm} in {claim.segment}")
             for k in first_of_runs(speed > MAX_FEED_FACTOR * claim.upper):
                 speed_mm_s, allowed = mm(float(speed[k])), mm(claim.upper)
-                what = f"{arm} moves at {speed_mm_s:.2f} mm/s in {claim.segment}, allowed: {allowed:g}"
-                findings.add_at_sample(what, arm, rows[k], (speed_mm_s, allowed, "mm/s"))
-    fed = {claim.segment.key for _, claim in claims}
+                message = f"{arm} moves at {speed_mm_s:.2f} mm/s in {claim.segment}, allowed: {allowed:g}"
+                findings.add_at_sample(message, arm, rows[k], (speed_mm_s, allowed, "mm/s"))
+    claimed_keys = {claim.segment.key for _, claim in claims}
     for formed_pass in forming.formed:
-        if formed_pass.claim.segment.key not in fed:
+        if formed_pass.claim.segment.key not in claimed_keys:
             findings.add(
                 f"{formed_pass.claim.segment} has no claim on its feed", field=str(formed_pass.claim.segment)
             )
@@ -278,13 +282,13 @@ def check_tilt(context: Context) -> RuleOutcome:
             findings.note_excess(angle, claim.upper, f"{arm} in {claim.segment}")
             for i in first_of_runs(angle > claim.upper):
                 tilt, allowed, _ = measure = measure_in_degrees(angle[i], claim.upper)
-                what = f"{arm} is tilted by {tilt:.2f} deg in {claim.segment}, allowed: {allowed:.2f} deg"
-                findings.add_at_sample(what, arm, tool_track.rows[rows[i]], measure)
+                message = f"{arm} is tilted by {tilt:.2f} deg in {claim.segment}, allowed: {allowed:.2f} deg"
+                findings.add_at_sample(message, arm, tool_track.rows[rows[i]], measure)
     return findings.outcome(to_degrees, "deg", nothing=NOTHING_FORMED_REASON)
 
 
 def first_of_runs(is_bad: BoolArray) -> IntArray:
-    """Return the first row of each run of bad rows, at most MAX_SHOWN_ISSUES."""
+    """Return the first index of each run of bad values (N,), at most `MAX_SHOWN_ISSUES` of them."""
     rows = np.flatnonzero(is_bad)
     first = rows[np.diff(rows, prepend=-2) > 1]
     return first[:MAX_SHOWN_ISSUES]
@@ -293,8 +297,8 @@ def first_of_runs(is_bad: BoolArray) -> IntArray:
 POINT_SPACING_M = 0.002
 """Spacing [m] of the points at which faces are checked."""
 BORDER_TOLERANCE_M = 1e-12
-"""Difference [m] between the distance from a face and the height above it from which a point is beside the
-face's border.
+"""A point is beyond the border of a face if its distance from the face differs by more than this [m] from its
+height above the flat.
 """
 _MAX_FACE_POINTS = 60_000
 """Approximate maximum number of points of a face."""
@@ -307,23 +311,25 @@ def check_sheet_state(context: Context) -> RuleOutcome:
     goes down level by level, and tools approach and retreat straight where the segment starts and ends.
     """
     forming, findings = context.get(FORMING), Findings("verify.sheet", context)
-    known = {state.segment.key for _, state in forming.sheet_states}
-    for result in forming.formed:
-        if result.claim.segment.key not in known:
-            what = f"no claim states what the tools meet in {result.claim.segment}"
-            findings.add(what, field=str(result.claim.segment))
+    claimed_keys = {state.segment.key for _, state in forming.sheet_states}
+    for formed_pass in forming.formed:
+        if formed_pass.claim.segment.key not in claimed_keys:
+            message = f"no claim states what the tools meet in {formed_pass.claim.segment}"
+            findings.add(message, field=str(formed_pass.claim.segment))
     for index, state in forming.sheet_states:
         formed = forming.pass_of_segment(state.segment)
         tool_track = forming.get_track(state.segment, index, state.arms) if formed is None else formed.track
         if len(tool_track.rows) < 2:
             continue
         held = state.segment.key in forming.gap_segments
+        # for each arm: allowed depth, pending depths in its head, depths in its ball, depths in unformed
+        # sheet
         queries: list[tuple[str, float, Iterator[TrackDepths], list[TrackDepths], list[TrackDepths]]] = []
         points_by_face: dict[int, FloatArray] = {}
         for number, arm in enumerate(state.arms):
             if arm not in tool_track.arms:
-                what = f"{arm} has no program for {state.segment}"
-                findings.add(what, field=str(state.segment))
+                message = f"{arm} has no program for {state.segment}"
+                findings.add(message, field=str(state.segment))
                 continue
             allowed = state.tolerance if number == 0 else state.other
             tool = ToolInSheet(dataclasses.replace(state, tolerance=allowed), number, held)
@@ -338,19 +344,21 @@ def check_sheet_state(context: Context) -> RuleOutcome:
                 )
             )
         release_memory()  # before the queries of heads, to limit peak memory
-        for arm, allowed, heads, rest, unformed_depths in queries:
-            results = [(result, "has {:.3f} mm of the sheet inside") for result in (*heads, *rest)]
+        for arm, allowed, head_depths, ball_depths, unformed_depths in queries:
+            results = [
+                (depths, "has {:.3f} mm of the sheet inside") for depths in (*head_depths, *ball_depths)
+            ]
             results += [
-                (result, "is {:.3f} mm deeper than the sheet is formed by then") for result in unformed_depths
+                (depths, "is {:.3f} mm deeper than the sheet is formed by then") for depths in unformed_depths
             ]
             for (depth, row), description in results:
                 if len(depth):
                     findings.note_excess(depth, allowed, state.segment)
                 for i in first_of_runs(depth > allowed):
-                    what = f"the tool of {arm} {description.format(mm(depth[i]))} in {state.segment}, "
-                    what += f"allowed: {mm(allowed):g} mm"
+                    message = f"the tool of {arm} {description.format(mm(depth[i]))} in {state.segment}, "
+                    message += f"allowed: {mm(allowed):g} mm"
                     findings.add_at_sample(
-                        what, arm, tool_track.rows[row[i]], measure_in_mm(depth[i], allowed)
+                        message, arm, tool_track.rows[row[i]], measure_in_mm(depth[i], allowed)
                     )
     if forming.formed and not findings.measured:
         return findings.outcome_without_value(where="nothing near")
@@ -359,12 +367,12 @@ def check_sheet_state(context: Context) -> RuleOutcome:
 
 @dataclasses.dataclass(frozen=True)
 class ToolInSheet:
-    """Tool of a claim on the sheet's state.
+    """One tool of a claim on the sheet's state.
 
     Attributes:
         state: Claim, with the tolerance of this tool.
-        number: Number of the tool, 0 for the forming one.
-        held: Whether two tools hold the sheet between them.
+        number: Index of the tool among the claim's arms, 0 for the forming one.
+        held: Whether two tools hold the sheet between them in the segment.
     """
 
     state: SheetState
@@ -379,14 +387,18 @@ def _inside_tool(
     executor: Executor,
     points_by_face: dict[int, FloatArray],
 ) -> tuple[Iterator[TrackDepths], list[TrackDepths]]:
-    """What is inside a tool: its head, whose calculation is submitted, and its ball.
+    """Determine how deep the sheet is inside a tool along its track.
 
     Args:
-        formed: Pass, or None if tools follow a table.
+        formed: Pass, or None if tools follow a response table.
         tool_track: Track of the tools.
         tool: Tool.
-        executor: Executor of the query.
-        points_by_face: Points all over faces, by their ``id``, calculated for the first tool.
+        executor: Executor to which the calculation for the head is submitted.
+        points_by_face: Cache of points all over faces, by the ``id`` of the face.
+
+    Returns:
+        Pending depths in the tool's head (with fixed and carried sheet also its ball), and depths in the ball
+        of the tool that does not form. Those of the forming ball follow from verify.gouge.
     """
     state, number = tool.state, tool.number
     profile = state.heads[number]
@@ -426,9 +438,9 @@ def _inside_tool(
 def _unformed_depths(forming: FormingFacts, formed: FormedPass, tool: ToolInSheet) -> list[TrackDepths]:
     """Depth [m] of a tool in sheet that is not formed yet.
 
-    For the forming tool on all of its path; for another tool that holds the sheet with it on its approach and
-    retreat. For the latter the face's far end is the level that counts, because beyond it there is no sheet,
-    whatever is formed.
+    The forming tool is checked on all of its path. A second tool that holds the sheet with it is checked on
+    its approach and retreat, against the level of the face's far end, because there is no sheet beyond it at
+    any time.
     """
     claim, state = formed.claim, tool.state
     column = formed.track.arms.index(state.arms[tool.number])
@@ -438,16 +450,15 @@ def _unformed_depths(forming: FormingFacts, formed: FormedPass, tool: ToolInShee
         return [approach_depths, *forming_depths(formed, step)]
     if not tool.held:
         return []
-    ball, face_end = (
-        max(-float(state.heads[tool.number][0, 0]), 0.0),
-        float((claim.side * claim.vertices[:, 2]).min()),
-    )
-    return [approach_retreat_depths(formed.track, column, -claim.side, claim.side * face_end, ball)]
+    ball_radius = max(-float(state.heads[tool.number][0, 0]), 0.0)
+    face_end = float((claim.side * claim.vertices[:, 2]).min())
+    return [approach_retreat_depths(formed.track, column, -claim.side, claim.side * face_end, ball_radius)]
 
 
 def _knot_values_at(formed: FormedPass, level: FloatArray, rows: IntArray) -> FloatArray:
-    """Values known at the knots of a pass, at rows (K,) of its track: those of the knot at or after
-    the row.
+    """Values at rows (M,) of the track of a pass, from values ``level`` (K + 1,) at its knots.
+
+    The value at a row is that of the knot at or after it.
     """
     return level[np.minimum(np.searchsorted(formed.knots, rows), len(level) - 1)]
 
@@ -455,11 +466,15 @@ def _knot_values_at(formed: FormedPass, level: FloatArray, rows: IntArray) -> Fl
 def _wrong_side_depths(
     formed: FormedPass, centre: VectorRows, ball: float, state: SheetState, level: FloatArray | None
 ) -> list[tuple[FloatArray, IntArray]]:
-    """Depth [m] of the other tool's ball in the face and in the surrounding flat sheet, or on their wrong
-    side, with rows of the track.
+    """Depth [m] of the other tool's ball in the sheet, or beyond it, with rows of the track.
 
-    Where ``level`` (K + 1,) [m] at the knots states which part of the face exists, only that counts, and all
-    the sheet is flat before any does.
+    Args:
+        formed: Pass with its track.
+        centre: TCPs (T, 3) [m] of the other tool.
+        ball: Radius [m] of its ball.
+        state: Claim on the sheet's state, with the tolerance of this tool.
+        level: Heights (K + 1,) [m] down to which the face exists at the knots; the sheet is flat before any
+            of it does. None if all of the face exists.
     """
     first, last, deviation = formed.pieces.first, formed.pieces.last, formed.pieces.deviation
     start_knot, end_knot = np.searchsorted(formed.knots, first), np.searchsorted(formed.knots, last)
@@ -477,19 +492,19 @@ def _wrong_side_depths(
         return [(ball - distance, formed.knots), (ball - between + deviation[undecided], last[undecided])]
     flat = state.side * formed.claim.start
     # beyond the border of the face ``signed`` is the height above the flat
-    around = np.abs(np.abs(nearest.signed) - nearest.distance) > BORDER_TOLERANCE_M
+    is_over_face = np.abs(np.abs(nearest.signed) - nearest.distance) > BORDER_TOLERANCE_M
     is_before = ~formed.track.is_forming[formed.knots] & (level >= flat)
     height = state.side * centre[formed.knots][:, 2] - flat
-    deep = np.where(is_before, ball + height, np.where(around, ball - distance, -np.inf))
+    knot_depth = np.where(is_before, ball + height, np.where(is_over_face, ball - distance, -np.inf))
     between = distance_above_level(face, one_end, other_end, need, state.side, level[end_knot[undecided]])
-    return [(deep, formed.knots), (ball - between + deviation[undecided], last[undecided])]
+    return [(knot_depth, formed.knots), (ball - between + deviation[undecided], last[undecided])]
 
 
 def _carried_displacement(tool_track: ToolTrack, state: SheetState, formed_depth: float) -> FloatArray:
-    """Displacement (T,) [m] along z of the carried sheet.
+    """Displacement (T,) [m] along z of the sheet that sinks with the forming ball.
 
-    It follows the farthest level that the forming ball's surface has reached from the start; before, it is
-    ``formed_depth`` [m].
+    It is that of the farthest level from the start that the tip of the forming ball has reached, and at least
+    ``formed_depth`` [m], to which previous levels formed the sheet.
     """
     forming_column = tool_track.arms.index(state.arms[0])
     level = tool_track.centre[:, forming_column][:, 2] + state.side * float(state.heads[0][0, 0])
@@ -507,7 +522,7 @@ def _face_points(face: ProofFace) -> FloatArray:
 
 
 REPLAY_TOLERANCE_M = 2e-5
-"""Error [m] that the written targets and the replay may add."""
+"""Error [m] of a level due to rounding of the written targets and to the replay."""
 PULSE_TOLERANCE_S = 1e-6
 """Times [s] that differ by less are equal."""
 MAX_SHOWN_PULSES = 20
@@ -536,15 +551,16 @@ def check_holder(context: Context) -> RuleOutcome:
 
 @dataclasses.dataclass(frozen=True)
 class _SignalEdge:
-    """The signal switches to ``value`` at ``time`` [s]."""
+    """The clamp's signal switches to ``value``, 0 for off, at ``time`` [s]."""
 
     time: float
     value: float
 
 
 def _signal_edges(context: Context, claim: SinksHolder) -> list[_SignalEdge]:
-    """Times at which the signal of a clamp, off at first, switches on and off, in order; holders react to its
-    edges alone.
+    """Edges of the signal of a clamp in order of time, from off at the start.
+
+    Clamps react to edges alone, so repeated values are left out.
     """
     switched = context.motion.signal_changes(claim.signal, context.controller_task_names((claim.arm,)))
     switchings = [_SignalEdge(time, value) for time, value in switched]
@@ -553,35 +569,35 @@ def _signal_edges(context: Context, claim: SinksHolder) -> list[_SignalEdge]:
 
 
 def _pulse_issues(claim: SinksHolder, edges: list[_SignalEdge]) -> list[Issue]:
-    """Check that pulses are long enough, as many as there are whole steps, and off at the end."""
+    """Check that each whole step has a pulse, that pulses are long enough, and that the signal ends off."""
     issues = []
     previous: _SignalEdge | None = None
     for edge in edges:
         if previous is not None and edge.time - previous.time < claim.pulse - PULSE_TOLERANCE_S:
             state = "on" if previous.value else "off"
-            what = (
+            message = (
                 f"{claim.signal} is {state} for {edge.time - previous.time:.3f} s at {previous.time:.2f} s, "
                 f"required: {claim.pulse:g} s"
             )
-            issues.append(Issue("verify.holder", what, time=edge.time))
+            issues.append(Issue("verify.holder", message, time=edge.time))
         previous = edge
     if previous is not None and previous.value:
         issues.append(Issue("verify.holder", f"{claim.signal} is still on when the programs end"))
     count = sum(edge.value > 0.0 for edge in edges)
     required = int(np.floor(abs(claim.start - claim.end) / claim.step + 1e-3))
     if count != required:
-        what = (
+        message = (
             f"{claim.signal} is pulsed {count} times, {mm(abs(claim.start - claim.end)):g} mm in steps of "
             f"{mm(claim.step):g} mm require {required}"
         )
-        issues.append(Issue("verify.holder", what, value=count, limit=required))
+        issues.append(Issue("verify.holder", message, value=count, limit=required))
     return issues[:MAX_SHOWN_PULSES]
 
 
 def _outside_issues(
     context: Context, claim: SinksHolder, tool_track: ToolTrack, edges: list[_SignalEdge]
 ) -> list[Issue]:
-    """Signal edges outside of the pass, which lasts from the end of the approach to the retreat."""
+    """Report signal edges outside of the pass, which lasts from the end of the approach to the retreat."""
     forming_rows = np.flatnonzero(tool_track.is_forming)
     span = tool_track.rows[
         [max(int(forming_rows[0]) - 1, 0), min(int(forming_rows[-1]) + 1, len(tool_track.rows) - 1)]
@@ -601,23 +617,23 @@ def _outside_issues(
 def _check_clamp_level(
     findings: Findings, claim: SinksHolder, tool_track: ToolTrack, pulses: list[float]
 ) -> None:
-    """Check the distance [m] of the clamp from the tip's lowest level, which may be at most a step."""
+    """Check that the clamp is within one step of the lowest level of the tip; ``pulses`` are times [s]."""
     rows = np.flatnonzero(tool_track.is_forming)
     tip = claim.side * (claim.start - tool_track.centre[: rows[-1] + 1, 0][:, 2]) + claim.radius
-    sunk = np.maximum(np.maximum.accumulate(tip), 0.0)[rows]
+    tip_depth = np.maximum(np.maximum.accumulate(tip), 0.0)[rows]
     time = findings.context.motion.time[tool_track.rows[rows]]
     pulse_times = np.array(pulses)
     # at the instant of a pulse the clamp moves: both levels count
     level_before = claim.step * np.searchsorted(pulse_times, time - PULSE_TOLERANCE_S, side="left")
     level_after = claim.step * np.searchsorted(pulse_times, time + PULSE_TOLERANCE_S, side="right")
-    distance = np.maximum(np.abs(sunk - level_before), np.abs(sunk - level_after))
+    distance = np.maximum(np.abs(tip_depth - level_before), np.abs(tip_depth - level_after))
     findings.note_excess(distance, claim.step, claim.segment)
-    bad = np.flatnonzero(distance > claim.step + REPLAY_TOLERANCE_M)
-    for k in bad[np.diff(bad, prepend=-2) > 1][:MAX_SHOWN_PULSES]:
-        what = (
+    bad_indices = np.flatnonzero(distance > claim.step + REPLAY_TOLERANCE_M)
+    for k in bad_indices[np.diff(bad_indices, prepend=-2) > 1][:MAX_SHOWN_PULSES]:
+        message = (
             f"the clamp is {mm(distance[k]):.3f} mm off the level that the tool has reached in "
             f"{claim.segment}, allowed is one step, {mm(claim.step):g} mm"
         )
         findings.add_at_sample(
-            what, claim.arm, tool_track.rows[rows[k]], measure_in_mm(distance[k], claim.step)
+            message, claim.arm, tool_track.rows[rows[k]], measure_in_mm(distance[k], claim.step)
         )

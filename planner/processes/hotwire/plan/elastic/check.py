@@ -32,9 +32,8 @@ from planner.targets import FEED_FRACTION
 
 _MAX_WEIGHT_SAMPLES = 24  # shapes per job for which the deviation by weight is computed
 _NO_LIMIT = 1e6  # represents a shape that end errors or weight move without limit
-_MAX_CHORD_FRACTION = (
-    0.99985  # maximum distance of the ends over the length: the wire needs a bow to yield with
-)
+_MAX_CHORD_FRACTION = 0.99985
+"""Maximum distance of the wire's ends over its length. A straighter wire cannot yield to end errors."""
 _MIN_STABILITY_MARGIN = 0.05  # stability margin below which a warning is issued
 
 
@@ -57,17 +56,17 @@ class ElasticCut:
 
 @dataclasses.dataclass(frozen=True)
 class TargetFigures:
-    """Figures of N targets.
+    """Computed properties of the wire at N targets.
 
     Attributes:
         in_plane: Stability margins in the plane (N,).
         out_of_plane: Stability margins out of the plane (N,).
         curvature: Largest curvature (N,) [1/m].
-        sensitivity: Change of shape in the block per end error (N,) [m/m].
+        sensitivity: Largest displacement of the wire in the block per unit of end error (N,) [m/m].
         sag: Sag across the plane (N,) [m].
-        end_clearance: Distance of the wire's ends from the block (N,) [m].
-        weight: Deflection by weight in the plane [m], of the targets ``weight_at``.
-        weight_at: Indices of these targets.
+        end_clearance: Distance of the nearer end of the wire from the block (N,) [m].
+        weight: Largest deflection by weight in the plane at the S targets ``weight_at`` (S,) [m].
+        weight_at: Indices of these targets (S,).
     """
 
     in_plane: FloatArray
@@ -81,7 +80,7 @@ class TargetFigures:
 
 
 def measure_targets(route: WireRoute, wire: HeatedWire, box: FloatArray) -> TargetFigures:
-    """Return the figures of every target.
+    """Compute stability, curvature, sensitivity, sag and clearance of the wire at every target.
 
     Args:
         route: Wires of the job.
@@ -93,6 +92,8 @@ def measure_targets(route: WireRoute, wire: HeatedWire, box: FloatArray) -> Targ
     points = wires.points(shape)
     distance = box_distance(points, box)
     inside = distance < 0.0
+    # Sensitivity counts in the window from the first to the last point in the block, at least 6 % of the
+    # wire.
     arc_length = np.linspace(0.0, wires.length, points.shape[1])
     first = np.where(inside, arc_length, wires.length).min(axis=1)
     last = np.where(inside, arc_length, 0.0).max(axis=1)
@@ -130,7 +131,7 @@ def check_job(
         wire: The wire.
         route: Wires of the job.
         cuts: The faces.
-        figures: Figures of the targets.
+        figures: Computed properties of the wire at the targets.
         box: Lower and upper corner of the block (2, 3) [m].
     """
     issues = [
@@ -146,12 +147,14 @@ def check_job(
 
 
 def _target_label(route: WireRoute, index: int) -> str:
+    """Return the segment of a target, with its position along the sweep if it is in a cut, as text."""
     label = str(route.segment[index])
     p = route.sweep_position[index]
     return f"{label} at {p * 1e3:.0f} mm along the sweep" if np.isfinite(p) else label
 
 
 def _end_clearance_issues(op: ElasticWire, route: WireRoute, figures: TargetFigures) -> Iterator[Issue]:
+    """Yield ``wire.too_short`` if an end of the wire comes closer to the block than the margin."""
     worst = int(np.argmin(figures.end_clearance))
     shortfall = op.margin_mm * MM - float(figures.end_clearance[worst])
     if shortfall <= 1e-6:
@@ -170,25 +173,26 @@ def _end_clearance_issues(op: ElasticWire, route: WireRoute, figures: TargetFigu
 
 
 def _taut_issues(op: ElasticWire, route: WireRoute) -> Iterator[Issue]:
-    """Check that the wire is not almost straight.
+    """Yield ``wire.end_error`` if the wire is almost straight.
 
-    Otherwise the smallest error of the arms tears it or makes it slack.
+    The smallest error of the arms would then tear it or make it slack.
     """
     shape = route.wires.shapes(3)
     distance_fraction = np.linalg.norm(shape.end[:, :2] - shape.start[:, :2], axis=1) / route.wires.length
     worst = int(np.argmax(distance_fraction))
     if distance_fraction[worst] <= _MAX_CHORD_FRACTION:
         return
-    what = (
+    message = (
         f"{op.name}: the wire of {op.chosen_wire.length_mm:g} mm is almost straight "
         f"({_target_label(route, worst)}): "
     )
-    what += f"its ends are {distance_fraction[worst] * op.chosen_wire.length_mm:.3f} mm apart, "
-    what += f"allowed are {_MAX_CHORD_FRACTION * op.chosen_wire.length_mm:.2f} mm"
-    yield Issue("wire.end_error", what, index=worst)
+    message += f"its ends are {distance_fraction[worst] * op.chosen_wire.length_mm:.3f} mm apart, "
+    message += f"allowed are {_MAX_CHORD_FRACTION * op.chosen_wire.length_mm:.2f} mm"
+    yield Issue("wire.end_error", message, index=worst)
 
 
 def _curvature_issues(wire: HeatedWire, route: WireRoute, figures: TargetFigures) -> Iterator[Issue]:
+    """Yield ``wire.curvature`` for the most curved target if it exceeds the elastic limit."""
     worst = int(np.argmax(figures.curvature))
     if figures.curvature[worst] <= wire.max_curvature:
         return
@@ -211,6 +215,7 @@ def _curvature_issues(wire: HeatedWire, route: WireRoute, figures: TargetFigures
 
 
 def _stability_issues(route: WireRoute, figures: TargetFigures) -> Iterator[Issue]:
+    """Yield ``wire.unstable``, in and out of the plane: an error beyond buckling, a warning close to it."""
     for margin, where, remedy in (
         (
             figures.in_plane,
@@ -243,16 +248,17 @@ def _stability_issues(route: WireRoute, figures: TargetFigures) -> Iterator[Issu
 def face_tolerances(
     op: ElasticWire, route: WireRoute, cut: ElasticCut, figures: TargetFigures
 ) -> tuple[float, float, float]:
-    """Return the tolerances [m] within which the required fraction of a face is.
+    """Return the distances [m] within which the required fraction of a face is cut.
 
     Args:
         op: Operation with its wire and sweep.
         route: Wires of the job.
         cut: The face.
-        figures: Figures of the targets.
+        figures: Computed properties of the wire at the targets.
 
     Returns:
-        By the shape of the wire, with its weight across the planes, and with errors of its ends too.
+        Three distances, each with one more cause of deviation: the shape of the wire, its weight across the
+        planes, and errors of its ends.
     """
     segment = Segment("cut", cut.face.name)
     residual = np.abs(cut.fit.residual)
@@ -265,20 +271,22 @@ def face_tolerances(
     lean = normal_component(cut.mesh, cut.face.spine)
     with_sag = residual + lean * at_sections(figures.sag)
     with_end_errors = with_sag + op.end_error_mm * MM * at_sections(figures.sensitivity)
-    first, second, third = (
-        cut.sections.distance_at_fraction(off, op.share) for off in (residual, with_sag, with_end_errors)
+    by_shape, by_sag, by_end_errors = (
+        cut.sections.distance_at_fraction(deviation, op.share)
+        for deviation in (residual, with_sag, with_end_errors)
     )
-    return first, second, third
+    return by_shape, by_sag, by_end_errors
 
 
 def _tolerance_issues(
     op: ElasticWire, wire: HeatedWire, route: WireRoute, cut: ElasticCut, figures: TargetFigures
 ) -> Iterator[Issue]:
-    """Check the shape with weight, then with end errors too.
+    """Yield ``wire.weight`` if the sag exceeds the tolerance, else ``wire.end_error`` if the end errors do.
 
-    The first that exceeds the tolerance is reported.
+    `check_shape` has checked the shape alone.
     """
-    tol, within = op.shape_tol_mm * MM, face_tolerances(op, route, cut, figures)
+    tol = op.shape_tol_mm * MM
+    within = face_tolerances(op, route, cut, figures)
     rows = np.nonzero(np.array(route.segment) == Segment("cut", cut.face.name))[0]
     if within[1] > tol:
         worst = float(figures.sag[rows].max())
@@ -321,7 +329,7 @@ def _tolerance_issues(
 
 
 def check_shape(op: ElasticWire, cut: ElasticCut) -> Iterator[Issue]:
-    """Check whether the fitted wires meet the face, before the route is planned."""
+    """Yield ``wire.shape`` if the fitted wires do not meet the face. Called before the route is planned."""
     rows = np.nonzero(cut.sections.length > 0.0)[0]
     return misfit_issues(op, cut.face.name, cut.sections.select(rows), cut.fit.residual[rows])
 
@@ -335,7 +343,7 @@ def misfit_issues(
         op: Operation with its wire and sweep.
         name: Name of the face.
         sections: K sections.
-        residual: Residuals of the sections (K, m) [m].
+        residual: Signed distances of the sections' points from the wires (K, m) [m].
         factor: Allowed multiple of the tolerance.
     """
     within = sections.distance_at_fraction(np.abs(residual), op.share)
@@ -343,19 +351,19 @@ def misfit_issues(
         return
     worst = int(np.argmax(np.abs(residual).max(axis=1)))
     deviation = float(np.abs(residual[worst]).max())
-    what = (
+    message = (
         f"{op.name}: {op.chosen_wire} swept along {op.sweep_label} meets {op.share * 100:g} % of the {name} "
         "face "
     )
-    what += f"within {within * 1e3:.2f} mm, required are {op.shape_tol_mm:g} mm; the worst section is at "
-    what += f"{sections.p[worst] * 1e3:.0f} mm along the sweep and deviates by {deviation * 1e3:.2f} mm"
-    yield Issue("wire.shape", what, **measurement(within * 1e3, op.shape_tol_mm, "mm"))
+    message += f"within {within * 1e3:.2f} mm, required are {op.shape_tol_mm:g} mm; the worst section is at "
+    message += f"{sections.p[worst] * 1e3:.0f} mm along the sweep and deviates by {deviation * 1e3:.2f} mm"
+    yield Issue("wire.shape", message, **measurement(within * 1e3, op.shape_tol_mm, "mm"))
 
 
 def _air_clearance_issues(
     op: ElasticWire, wire: HeatedWire, route: WireRoute, box: FloatArray
 ) -> Iterator[Issue]:
-    """Check that the wire stays clear of the block in air."""
+    """Yield ``wire.touches`` if the wire comes closer to the block in air than half of the margin."""
     is_air = np.array([segment.kind != "cut" for segment in route.segment])
     wires = route.wires
     clearance = box_distance(wires.points(wires.shapes(65)), box).min(axis=1) - 0.5 * wire.thickness
@@ -383,9 +391,9 @@ SPEED_SAMPLES = 160
 
 
 MELTING_DISTANCE_M = 1e-3
-"""Distance [m] along the path, to each side, over which the slot is averaged.
+"""Distance [m] before and after a point of the path over which the speed of the wire is averaged there.
 
-Shorter stops are not reported.
+A stop that is too short to change this average is not reported.
 """
 HEAT_FACTORS = np.geomspace(1.0 / 8.0, 8.0, 61)
 """Factors on power and feed that are tried if a slot is too wide or too narrow."""
@@ -399,15 +407,16 @@ def is_constant(curve: KerfCurve) -> bool:
 
 
 def relative_speeds(face: FaceCut, box: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return points of a face's wires over its sweep and their relative speeds.
+    """Return points of a face's wires over its sweep, and how fast each moves relative to the fastest one.
 
     Args:
         face: The face.
         box: Lower and upper corner of the block (2, 3) [m].
 
     Returns:
-        Points (P, S, 3) [m], and their speeds across the wire (P, S) as a fraction of the fastest point
-        inside the block. If no point is inside, the fastest point of all counts.
+        S points on each of P wires (P, S, 3) [m], and their speeds across the wire (P, S) as a fraction of
+        that of the wire's fastest point inside the block. If no point is inside, the fastest point of all
+        counts.
     """
     p = np.linspace(face.family.lower, face.family.upper, SPEED_SAMPLES)
     wires = face.wires(p)
@@ -426,6 +435,8 @@ def relative_speeds(face: FaceCut, box: FloatArray) -> tuple[FloatArray, FloatAr
 
 def speeds(face: FaceCut, vertices: FloatArray, feed: float, box: FloatArray) -> FloatArray:
     """Return the speeds (V,) [m/s] of the wire where it passes the vertices of a face.
+
+    Each is the mean of the nearest 4 sampled points of the wire, weighted by inverse distance.
 
     Args:
         face: The face.
@@ -469,7 +480,9 @@ class FaceSpeeds:
 
 
 def check_heat(op: ElasticWire, passed: list[FaceSpeeds], curve: KerfCurve) -> Iterator[Issue]:
-    """Yield ``kerf.too_hot`` and ``kerf.too_cold`` if the slot leaves the allowed range. Needs a power.
+    """Yield ``kerf.too_hot`` and ``kerf.too_cold`` for faces whose slot leaves the allowed range.
+
+    Nothing is checked for an operation without a stated power.
 
     Args:
         op: Operation with its wire and sweep.
@@ -481,19 +494,19 @@ def check_heat(op: ElasticWire, passed: list[FaceSpeeds], curve: KerfCurve) -> I
     low, high = op.kerf_range_mm
     for face in passed:
         width = curve.at(face.speed) / MM
-        for code, k, limit, effect in (
+        for code, worst, limit, effect in (
             ("kerf.too_hot", int(np.argmax(width)), high, "burns the foam"),
             ("kerf.too_cold", int(np.argmin(width)), low, "drags: it is too cold"),
         ):
-            if (width[k] > limit) if code == "kerf.too_hot" else (width[k] < limit):
-                position = ", ".join(f"{value:.1f}" for value in face.vertices[k] / MM)
-                what = (
-                    f"{op.name}: on cut/{face.name} the wire moves at {face.speed[k] / MM:.2f} mm/s at "
+            if (width[worst] > limit) if code == "kerf.too_hot" else (width[worst] < limit):
+                position = ", ".join(f"{value:.1f}" for value in face.vertices[worst] / MM)
+                message = (
+                    f"{op.name}: on cut/{face.name} the wire moves at {face.speed[worst] / MM:.2f} mm/s at "
                     f"[{position}] mm while its fastest point moves at {FEED_FRACTION * op.feed_mm_s:.3g} "
-                    f"mm/s; it melts {width[k]:.2f} mm and {effect}; allowed are {low:g} to {high:g} mm"
+                    f"mm/s; it melts {width[worst]:.2f} mm and {effect}; allowed are {low:g} to {high:g} mm"
                 )
-                value = float(width[k])
-                yield Issue(code, what, field="operations.power_w", value=value, limit=limit, unit="mm")
+                value = float(width[worst])
+                yield Issue(code, message, field="operations.power_w", value=value, limit=limit, unit="mm")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -501,9 +514,10 @@ class FaceMotion:
     """Motion of the wire over one face, as the arms drive it.
 
     Attributes:
-        edge: Wires from the target before the face to its last one (N, P, 3) [m].
-        path: Distance of the fastest point at these targets (N,) [m].
-        clock: Time [s] and distance [m] at K samples (2, K).
+        edge: P points of each wire, from the target before the face to the last one of the face (N, P, 3)
+            [m].
+        path: Distance that the fastest point has travelled at these targets (N,) [m].
+        clock: Distance [m] that the fastest point has travelled, and the time [s], at K samples (2, K).
     """
 
     edge: FloatArray
@@ -527,12 +541,13 @@ def check_driven(
         allowed_deviation: Allowed deviation of the face [m].
     """
     edge, path, clock = motion.edge, motion.path, motion.clock
+    # fraction of the feed that the arms reach at each target, averaged over the melting distance
     ends = np.clip(np.stack([path - MELTING_DISTANCE_M, path + MELTING_DISTANCE_M]), path[0], path[-1])
     duration = np.interp(ends[1], *clock) - np.interp(ends[0], *clock)
     feed_fraction = np.clip(
         (ends[1] - ends[0]) / np.maximum(duration, 1e-9) / (FEED_FRACTION * op.feed_mm_s * MM), 1e-3, 1.0
     )
-    # slow: fraction of the feed that the arms reach, averaged over the melting distance
+    # each vertex gets the fraction of the feed at the target whose wire passes nearest to it
     vertices = face_speeds.vertices
     feed_fraction = feed_fraction[cKDTree(edge.reshape(-1, 3)).query(vertices)[1] // edge.shape[1]]
     width = curve.at(feed_fraction * face_speeds.speed)
@@ -541,8 +556,8 @@ def check_driven(
     limit = np.minimum(high, width - 2.0 * (extra_offset - allowed_deviation))
     if width.max() <= high and (extra_offset > allowed_deviation).mean() <= 1.0 - op.share:
         return
-    k = int(np.argmax(width - limit))
-    position = ", ".join(f"{value:.1f}" for value in vertices[k] / MM)
+    worst = int(np.argmax(width - limit))
+    position = ", ".join(f"{value:.1f}" for value in vertices[worst] / MM)
     reachable_feed = np.floor(100.0 * FEED_FRACTION * op.feed_mm_s * feed_fraction.min()) / 100.0
     hint = (
         f"set feed_mm_s: {reachable_feed:g}, which the arms reach everywhere; check then states a suitable "
@@ -554,12 +569,12 @@ def check_driven(
         "kerf.too_hot",
         operation=op.name,
         face=face_speeds.name,
-        feed_percent=100.0 * feed_fraction[k],
+        feed_percent=100.0 * feed_fraction[worst],
         position_mm=position,
-        kerf_mm=width[k] / MM,
-        max_kerf_mm=limit[k] / MM,
+        kerf_mm=width[worst] / MM,
+        max_kerf_mm=limit[worst] / MM,
     )
-    measure = measurement(float(width[k] / MM), float(limit[k] / MM), "mm")
+    measure = measurement(float(width[worst] / MM), float(limit[worst] / MM), "mm")
     yield Issue("kerf.too_hot", what, field="operations.feed_mm_s", hint=hint, **measure)
 
 
@@ -569,7 +584,9 @@ def suggest_heat(
     curve_of: Callable[[ElasticWire], KerfCurve],
     check_changed: Callable[[ElasticWire], list[Issue]],
 ) -> str:
-    """Return a power and a feed at which all slots are within the range, or a text that there is none.
+    """Return a hint with a power or a feed at which all slots are within the range, or that none was found.
+
+    Of all values that work, the one in the middle of the range (geometric mean) is suggested.
 
     Args:
         op: Operation with its wire and sweep.
@@ -604,13 +621,16 @@ def _with_value(op: ElasticWire, key: str, value: float) -> ElasticWire:
 
 def _is_unusable(
     changed: ElasticWire,
-    op: ElasticWire,
+    current: ElasticWire,
     passed: list[FaceSpeeds],
     curve_of: Callable[[ElasticWire], KerfCurve],
 ) -> bool:
-    """Return whether another power or feed fails at the present speeds, or is out of range."""
-    speed_ratio = changed.feed_mm_s / op.feed_mm_s
-    if not op.feed_min_mm_s <= changed.feed_mm_s <= MAX_SUGGESTED_FEED_MM_S:
+    """Return whether a changed power or feed is out of range, or gives a slot outside its range.
+
+    The wires are not fitted again: their speeds only scale with the feed.
+    """
+    speed_ratio = changed.feed_mm_s / current.feed_mm_s
+    if not current.feed_min_mm_s <= changed.feed_mm_s <= MAX_SUGGESTED_FEED_MM_S:
         return True
     try:
         curve = curve_of(changed)

@@ -1,4 +1,4 @@
-"""Sections of a face across the sweep, and the smooth family of heavy elasticas that meets them.
+"""Sections of a face across the sweep, and the smooth family of elasticas with weight that meets them.
 
 **Planes.** All planes across the sweep contain the wire's direction, which is level in the block. Plane
 frame: x along the wire from the first arm to the second, y up in the plane, z = x cross y, which is opposite
@@ -8,8 +8,8 @@ to the sweep. Everything is in the stock frame.
 Fx, Fy) is a cubic B-spline of the sweep position p. The shapes, including the free ends of the wire,
 therefore change smoothly, and sections that cover the face only in part are completed by their neighbours.
 The coefficients minimise squared normal distances (as in ``fit``) by Gauss-Newton. Each section is weighted
-by the area of the face that it represents, with small penalties on bent free ends and on unsteady
-coefficients. Lengths are in wire lengths inside.
+by the area of the face that it represents. Small penalties discourage bent free ends and differences between
+neighbouring coefficients. Inside this module the unit of length is the length of the wire.
 
 **Ends.** A face can be slanted at an end, as that of a panel whose block is tilted towards it. Its sections
 become shorter towards the corner, over a distance that may be less than the section spacing. The spacing
@@ -39,10 +39,7 @@ SECTION_POINTS = 41
 _END_HALVINGS = 4
 """Number of halved spacings at both ends of a face: sections at 1/2, 1/4, ... of a step from the end."""
 _POSITION_ITERATIONS = 12
-"""Number of fixed-point steps to the plane through a point if planes are tilted.
-
-Each leaves a small part of the error.
-"""
+"""Number of fixed-point iterations that find the tilted plane through a point. Each reduces the error."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,7 +48,7 @@ class Spine:
 
     Attributes:
         direction: Direction of the sweep (3,). The parameter p [m] is the position along it.
-        across: Position of the origin of the planes along the wire's direction [m].
+        across: Position of the planes' origins along the direction of the wire [m].
         height: Spline of the spine's height over p on [lower, upper], extrapolated linearly. None for upright
             parallel planes.
         lower: Lower end of the spline [m].
@@ -70,7 +67,7 @@ class Spine:
         return np.array([self.direction[1], -self.direction[0], 0.0])
 
     def frames(self, p: FloatArray) -> FloatArray:
-        """Return plane frames (K, 4, 4) at p (K,)."""
+        """Return the frames (K, 4, 4) of the planes at sweep positions p (K,) [m]."""
         up = np.array([0.0, 0.0, 1.0])
         level, slope = self._height(p)
         size = np.hypot(1.0, slope)[:, None]
@@ -81,6 +78,7 @@ class Spine:
         return from_parts(rotation, origin)
 
     def _height(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the height (K,) [m] of the spine at p (K,), and its slope (K,)."""
         if self.height is None:
             return np.zeros_like(p), np.zeros_like(p)
         inside = np.clip(p, self.lower, self.upper)
@@ -105,7 +103,7 @@ class SectionSet:
         p: Sweep positions (K,) [m].
         points: Points in plane coordinates, along increasing x (K, m, 2) [m].
         length: Length (K,) [m], 0 where the plane misses the face. The points are meaningless then.
-        polyline_count: Number of polylines (K,).
+        polyline_count: Number of separate polylines of each section (K,).
     """
 
     p: FloatArray
@@ -127,7 +125,7 @@ class SectionSet:
         return self.length * np.diff(bounds)
 
     def distance_at_fraction(self, distance: FloatArray, fraction: float) -> float:
-        """Return the distance [m] within which a fraction of the face is.
+        """Return the distance [m] that a fraction of the face's area does not exceed.
 
         Args:
             distance: Distances of the points of the sections (K, m) [m].
@@ -146,9 +144,9 @@ def sweep_direction(degrees: float) -> FloatArray:
 
 
 def make_spine(face: TriangleMesh, direction: FloatArray, normal: bool) -> Spine:
-    """Return upright planes, or planes normal to the face's spine.
+    """Return planes across the sweep over a face: upright, or normal to the face's spine.
 
-    The spine is the smoothed line of the mean points of the face's sections.
+    The spine is a smoothing spline through the mean heights of the face's upright sections.
 
     Args:
         face: Surface of the face.
@@ -175,16 +173,16 @@ def make_spine(face: TriangleMesh, direction: FloatArray, normal: bool) -> Spine
 
 
 def section_positions(lower: float, upper: float, step: float, min_count: int, max_count: int) -> FloatArray:
-    """Return positions (K,) [m] for the sections of a face.
+    """Return sweep positions (K,) [m] for the sections of a face.
 
-    The spacing is halved repeatedly towards both ends.
+    The spacing is halved repeatedly towards both ends. No section lies at the ends themselves.
 
     Args:
         lower: Start of the face [m].
         upper: End of the face [m].
         step: Approximate spacing [m].
-        min_count: Minimum number of steps.
-        max_count: Maximum number of steps.
+        min_count: Minimum number of spacings over the face.
+        max_count: Maximum number of spacings over the face.
     """
     count = int(np.clip(np.ceil((upper - lower) / step), min_count, max_count))
     end_steps = 0.5 ** np.arange(_END_HALVINGS, -1, -1)
@@ -193,9 +191,9 @@ def section_positions(lower: float, upper: float, step: float, min_count: int, m
 
 
 def cut_sections(face: TriangleMesh, spine: Spine, p: FloatArray) -> SectionSet:
-    """Return sections of a face in the planes at p (K,), sampled evenly over their length.
+    """Return the sections of a face in the planes at p (K,) [m], sampled evenly over their length.
 
-    Several pieces of one section count as one curve.
+    If a plane meets the face in several polylines, they are joined to one curve in the order of x.
     """
     frames = spine.frames(p)
     cut = slice_mesh(face, frames[:, :3, 3], frames[:, :3, 2])
@@ -215,6 +213,10 @@ def cut_sections(face: TriangleMesh, spine: Spine, p: FloatArray) -> SectionSet:
 
 
 def _resample(lines: list[FloatArray]) -> tuple[float, FloatArray]:
+    """Return the total length of polylines, and points (`SECTION_POINTS`, 2) evenly spaced along them.
+
+    Gaps between polylines have no length.
+    """
     steps = [np.concatenate([[0.0], np.hypot(*np.diff(line, axis=0).T)]) for line in lines]
     arc_length = np.cumsum(np.concatenate(steps))
     line = np.concatenate(lines)
@@ -246,7 +248,7 @@ class WireFamily:
     """Wires over a range of sweep positions.
 
     Attributes:
-        spline: State of the middle in wire lengths, over p.
+        spline: State of the wire's middle over p, with the length of the wire as the unit of length.
         length: Length of the wires [m].
         lower: Lower end of the range of p [m].
         upper: Upper end of the range of p [m].
@@ -258,9 +260,9 @@ class WireFamily:
     upper: float
 
     def state(self, p: FloatArray) -> FloatArray:
-        """Return middle states (K, 6) [m, rad, 1/m, 1/m^2] in the planes at p (K,).
+        """Return states at the wire's middle (K, 6) [m, rad, 1/m, 1/m^2] in the planes at p (K,) [m].
 
-        Outside the range they stay constant, except for the positions, which continue linearly.
+        Outside the range the shape stays constant, and the position in the plane is extrapolated linearly.
         """
         inside = np.clip(p, self.lower, self.upper)
         value = self.spline(inside)
@@ -286,15 +288,17 @@ class FamilyFit:
 
 @dataclasses.dataclass(frozen=True)
 class _FamilyProblem:
+    """Least-squares problem of a family with c spline coefficients, in wire lengths."""
+
     table: FloatArray  # (K, c) basis of the spline at the sections
-    points: FloatArray  # (K, m, 2)
-    weight: FloatArray  # (K,) weight of a section, sum 1
-    load: FloatArray  # (K, 2) weight of the wire
+    points: FloatArray  # (K, m, 2) points of the sections
+    weight: FloatArray  # (K,) weight of a section in the cost, sum 1
+    load: FloatArray  # (K, 2) weight of the wire, q L^3
     tail_penalty: FloatArray  # (K,) penalty on bent ends
-    covered: FloatArray  # (K, 2) arc lengths from the middle that the section covers
-    centre: float
-    end_weight: float  # weight of the ends of a section
-    smoothness_penalty: FloatArray  # (c 6, c 6) penalty on unsteady coefficients
+    covered: FloatArray  # (K, 2) arc lengths from the middle between which the wire is fitted to the section
+    centre: float  # preferred x of the wire's middle
+    end_weight: float  # weight of the first and last point of a section relative to the others
+    smoothness_penalty: FloatArray  # (6 c, 6 c) penalty on differences of coefficients
 
 
 @dataclasses.dataclass(frozen=True)
@@ -302,8 +306,8 @@ class FirstFit:
     """Single fits to some sections. They show early whether a wire meets the face at all.
 
     Attributes:
-        rows: Indices of the planes (R,).
-        fit: The fits.
+        rows: Indices of the fitted sections (R,).
+        fit: Their fits.
     """
 
     rows: IndexArray
@@ -324,7 +328,9 @@ class SectionWire:
 
 
 def fit_single_sections(sections: SectionSet, wire: SectionWire, count: int = 9) -> FirstFit:
-    """Fit some of the sections that cover the face well, each separately.
+    """Fit the wire separately to some of the sections, evenly distributed over the sweep.
+
+    Sections shorter than 60 % of the median length are left out, because they determine the wire poorly.
 
     Args:
         sections: K sections.
@@ -332,11 +338,16 @@ def fit_single_sections(sections: SectionSet, wire: SectionWire, count: int = 9)
         count: Maximum number of fits.
     """
     covering = np.nonzero(sections.length > 0.6 * np.median(sections.length[sections.length > 0.0]))[0]
-    rows = covering[np.unique(np.linspace(0, len(covering) - 1, count).astype(np.intp))]
+    selected = covering[np.unique(np.linspace(0, len(covering) - 1, count).astype(np.intp))]
     fit = fit_curves(
-        sections.points[rows], np.full(len(rows), wire.length), wire.load[rows], None, 0.5, TAIL_WEIGHT
+        sections.points[selected],
+        np.full(len(selected), wire.length),
+        wire.load[selected],
+        None,
+        0.5,
+        TAIL_WEIGHT,
     )
-    return FirstFit(rows, fit)
+    return FirstFit(selected, fit)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -394,7 +405,7 @@ def fit_family(
         weight,
         wire.load * length**3,
         _TAIL_WEIGHT**2 * (np.maximum(sections.length, 0.3 * median_length) / length) ** 3 * weight,
-        np.zeros((len(sections.p), 2)),
+        np.zeros((len(sections.p), 2)),  # _gauss_newton replaces it
         extent.centre / length,
         end_weight,
         _smoothness_matrix(knots, float(sections.p[covered[0]]), float(sections.p[covered[-1]])),
@@ -406,6 +417,7 @@ def fit_family(
 
 
 def _state_units(length: float) -> FloatArray:
+    """Return the factors (6,) from a state in wire lengths to one in metres."""
     return np.array([length, length, 1.0, 1.0 / length, length**-2, length**-2])
 
 
@@ -418,9 +430,15 @@ def _smoothing_coefficients(table: FloatArray, values: FloatArray) -> FloatArray
 
 
 def _smoothness_matrix(knots: FloatArray, first: float, last: float) -> FloatArray:
-    """Return the quadratic penalty (6 c, 6 c) on differences of coefficients.
+    """Return the matrix (6 c, 6 c) of the quadratic penalty on differences of the c spline coefficients.
 
-    Second differences count everywhere, first differences of the shape where there is no face.
+    Second differences are penalised everywhere. First differences of angle, curvature and force are penalised
+    where there is no face.
+
+    Args:
+        knots: Knots of the spline [m].
+        first: Sweep position of the first section that meets the face [m].
+        last: Sweep position of the last one [m].
     """
     count = len(knots) - 4
     second_difference = np.diff(np.eye(count), 2, axis=0)
@@ -430,16 +448,21 @@ def _smoothness_matrix(knots: FloatArray, first: float, last: float) -> FloatArr
     is_uncovered = ((positions[1:] < first - 2.0 * cell) | (positions[:-1] > last + 2.0 * cell)).astype(
         np.float64
     )
-    total = np.zeros((count, 6, count, 6))
+    penalty = np.zeros((count, 6, count, 6))
     for j in range(6):
-        total[:, j, :, j] = (
+        penalty[:, j, :, j] = (
             _SECOND_DIFFERENCE_WEIGHT[j] ** 2 * second_difference.T @ second_difference
             + _FIRST_DIFFERENCE_WEIGHT[j] ** 2 * (first_difference.T * is_uncovered) @ first_difference
         )
-    return total.reshape(count * 6, count * 6)
+    return penalty.reshape(count * 6, count * 6)
 
 
 def _gauss_newton(job: _FamilyProblem, coefficient: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Minimise the cost from a first guess of the coefficients (c, 6).
+
+    Returns:
+        Coefficients (c, 6), signed distances (K, m) and arc lengths of nearest points from the middle (K, m).
+    """
     # Levenberg-Marquardt: (H + damp diag H) step = -gradient
     damping = 1e-6
     foot = _coarse_nearest_points(job, job.table @ coefficient)
@@ -490,10 +513,12 @@ def _evaluate(
     )
     foot, distance, at_foot, table = _nearest_points(job.points, wire, foot)
     cos, sin = np.cos(at_foot[..., 2]), np.sin(at_foot[..., 2])
-    d = table @ (grid.to_coefficients @ np.concatenate([wire.d_x, wire.d_y], axis=-1))
+    position_derivatives = table @ (grid.to_coefficients @ np.concatenate([wire.d_x, wire.d_y], axis=-1))
     slope = np.empty((*distance.shape, 6))
     slope[..., 0], slope[..., 1] = sin, -cos
-    slope[..., 2:] = sin[..., None] * d[..., :4] - cos[..., None] * d[..., 4:]
+    slope[..., 2:] = (
+        sin[..., None] * position_derivatives[..., :4] - cos[..., None] * position_derivatives[..., 4:]
+    )
     weight = np.ones(distance.shape[1])
     weight[[0, -1]] = job.end_weight
     point_weight = job.weight[:, None] * (weight / weight.sum())
@@ -528,11 +553,11 @@ def _evaluate(
 def _nearest_points(
     points: FloatArray, wire: WireSolution, foot: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the nearest points of points (K, m, 2) on the wires, starting from given ones.
+    """Find the points of the wires nearest to points (K, m, 2), by two Newton steps from arc lengths (K, m).
 
     Returns:
-        Arc lengths (K, m), distances along the normal (K, m), x, y, theta, k there (K, m, 4), and the table
-        (K, m, n) that interpolates to them.
+        Arc lengths from the middle (K, m), distances along the normal (K, m), x, y, theta, k there (K, m, 4),
+        and the values of the Legendre polynomials there (K, m, n), which interpolate coefficients.
     """
     series = gauss_nodes(wire.count).to_coefficients @ np.stack(
         [wire.x, wire.y, wire.theta, wire.curvature], axis=-1

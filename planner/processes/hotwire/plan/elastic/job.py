@@ -1,11 +1,11 @@
 """The process `elastic_wire`: from a part in a block to poses of two arms that hold a bent wire.
 
-The poses are synchronised. At every target the wire is a heavy elastica of exactly its hot length. See
-`family` (sections and fit), `path` (route of the job), `sweep` and `wire_choice` (choice of sweep and wire),
-`check_job`.
+The poses are synchronised. At every target the wire is an elastica with weight of exactly its hot length. See
+`family` (sections and fit), `path` (route of the job), `sweep_screening` and `wire_choice` (choice of sweep
+and wire), and `check` (checks of the planned wires).
 
-**Exhibits** for the report: sections and shapes, figures along the job, the setup sheet, the sweeps that were
-tried.
+**Exhibits** for the report: sections and shapes, properties of the wire along the job, the setup sheet, and
+the sweeps that were tried.
 """
 
 import dataclasses
@@ -85,18 +85,18 @@ def exhibits(
         wire: The wire.
         route: Wires of the job.
         cuts: The faces.
-        figures: Figures of the targets.
-        tried: Sweeps that were tried.
+        figures: Computed properties of the wire at the targets.
+        tried: Candidates that were screened, or none if wire and sweep are stated.
     """
     out: dict[str, Any] = {"setup": _setup_exhibit(op, wire, route)}
     for cut in cuts:
         out[f"sections_{cut.face.name}"] = _sections_exhibit(cut)
         out[f"residual_{cut.face.name}"] = _residual_exhibit(cut)
-    step = np.arange(len(route.wires), dtype=np.float64)
+    target_number = np.arange(len(route.wires), dtype=np.float64)
     out["stability"] = {
         "kind": "curve",
         "title": "Stability of the wire (1 free, 0 snaps)",
-        "x": step,
+        "x": target_number,
         "x_label": "target",
         "y_label": "margin",
         "series": [
@@ -108,7 +108,7 @@ def exhibits(
     out["bending"] = {
         "kind": "curve",
         "title": "Largest curvature of the wire",
-        "x": step,
+        "x": target_number,
         "x_label": "target",
         "y_label": "1/m",
         "series": [{"name": "curvature", "y": figures.curvature}],
@@ -119,13 +119,13 @@ def exhibits(
         "title": "Deflections of the wire in the foam",
         "note": "Weight in the plane is part of the planned shape; the line shows how far it deflects "
         "the wire there.",
-        "x": step,
+        "x": target_number,
         "x_label": "target",
         "y_label": "mm",
         "series": [
             {"name": "by 0.1 mm at the ends", "y": 0.1 * figures.sensitivity},
             {"name": "sag across its plane", "y": 1e3 * figures.sag},
-            {"name": "weight in its plane", "x": step[figures.weight_at], "y": 1e3 * figures.weight},
+            {"name": "weight in its plane", "x": target_number[figures.weight_at], "y": 1e3 * figures.weight},
         ],
     }
     if tried:
@@ -156,7 +156,7 @@ def exhibits(
 
 
 def section_points(cut: ElasticCut) -> tuple[FloatArray, FloatArray]:
-    """Return nominal sections (S, m, 3) and the nearest points of the wires (S, m, 3) in the stock frame.
+    """Return nominal sections and the wires' nearest points, each (S, m, 3) [m] in the stock frame.
 
     Only planes that meet the face are included.
     """
@@ -173,21 +173,23 @@ def section_points(cut: ElasticCut) -> tuple[FloatArray, FloatArray]:
 
 
 def _sections_exhibit(cut: ElasticCut) -> dict[str, Any]:
+    """Return a drawing of some sections with the wire's shapes, coloured by their largest deviation."""
     nominal, wires = section_points(cut)
-    rows = np.nonzero(cut.sections.length > 0.0)[0]
-    drawn = np.unique(np.linspace(0, len(rows) - 1, _MAX_DRAWN_SECTIONS).astype(np.intp))
+    covering = np.nonzero(cut.sections.length > 0.0)[0]
+    drawn = np.unique(np.linspace(0, len(covering) - 1, _MAX_DRAWN_SECTIONS).astype(np.intp))
     return {
         "kind": "sections",
         "title": f"Sections of the {cut.face.name} face and the wire's shapes",
         "curves": wires[drawn],
         "wanted": nominal[drawn],
-        "value": 1e3 * np.abs(cut.fit.residual[rows[drawn]]).max(axis=1),
+        "value": 1e3 * np.abs(cut.fit.residual[covering[drawn]]).max(axis=1),
         "value_name": "off by",
         "unit": "mm",
     }
 
 
 def _residual_exhibit(cut: ElasticCut) -> dict[str, Any]:
+    """Return a map of the signed distances of the planned wire from the face."""
     has_section = cut.sections.length > 0.0
     nominal, _ = section_points(cut)
     return {
@@ -201,6 +203,7 @@ def _residual_exhibit(cut: ElasticCut) -> dict[str, Any]:
 
 
 def _setup_exhibit(op: ElasticWire, wire: HeatedWire, route: WireRoute) -> dict[str, Any]:
+    """Return the items of the setup sheet about the wire."""
     chord, angles = mount_figures(route)
     size = (
         f"{wire.thickness * 1e3:g} mm round"
@@ -228,9 +231,10 @@ def _setup_exhibit(op: ElasticWire, wire: HeatedWire, route: WireRoute) -> dict[
 
 
 def mount_figures(route: WireRoute) -> tuple[float, tuple[float, float]]:
-    """Return the distance of the clamps [m] and the angles [deg] of the wire to the chord at start and end.
+    """Return how the wire is mounted, which is its shape at the first target.
 
-    They hold where the wire is mounted.
+    Returns:
+        Distance of the clamps [m], and the angles [deg] from the chord to the wire at its start and end.
     """
     wire = route.wires[:1]
     shape = wire.shapes(3)
@@ -254,7 +258,7 @@ _MAX_DRIVE_DEVIATION_FRACTION = (
 
 
 class ElasticJob(Job[ElasticWire]):
-    """An operation with a bent wire on the block as it finds it."""
+    """Job of an operation with a bent wire, on the block in the state that the operation finds."""
 
     def targets(self) -> Targets:
         """Return the targets of the operation.
@@ -265,9 +269,11 @@ class ElasticJob(Job[ElasticWire]):
         operation, setup, part = self.operation, self.setup, self.part
         stock = setup.stock
         if stock.held_by is not None:
-            what = f"{operation.name}: the block is held by arm {stock.held_by}, but an elastic wire needs "
-            what += "both arms; put the block on its support: setup: {held_by: nobody, place: auto}"
-            raise issue_error("wire.held", what, field="stock.held_by", arm=stock.held_by)
+            message = (
+                f"{operation.name}: the block is held by arm {stock.held_by}, but an elastic wire needs "
+            )
+            message += "both arms; put the block on its support: setup: {held_by: nobody, place: auto}"
+            raise issue_error("wire.held", message, field="stock.held_by", arm=stock.held_by)
         if self.is_brief and (unchecked := self._unchecked_targets()) is not None:
             return unchecked
         screen, attempt, tried = self._chosen
@@ -281,14 +287,15 @@ class ElasticJob(Job[ElasticWire]):
         )
 
     def _unchecked_targets(self) -> Targets | None:
-        """Return the same targets without checks, if wire and sweep are stated and fit the faces.
+        """Return the same targets as `targets` without most checks, claims and exhibits.
 
-        Otherwise None.
+        None if the problem leaves wire or sweep open, or if the wire does not fit the faces.
         """
-        setup, wires = self.setup, self.operation.candidate_wires(self.setup.cell.wires)
-        if len(wires) != 1 or self.operation.sweep_degrees is None:
+        setup = self.setup
+        candidates = self.operation.candidate_wires(setup.cell.wires)
+        if len(candidates) != 1 or self.operation.sweep_degrees is None:
             return None
-        op = self.operation.with_wire(wires[0], self.operation.sweep_degrees)
+        op = self.operation.with_wire(candidates[0], self.operation.sweep_degrees)
         try:
             cuts = _fit_cuts(op, _nominal_faces(self.operation, self.part), setup)
         except TandemError:
@@ -313,13 +320,13 @@ class ElasticJob(Job[ElasticWire]):
     def check_timing(
         self, targets: Targets, time: FloatArray, program_clock: FloatArray | None = None
     ) -> tuple[Issue, ...]:
-        """Return ``motion.feed_min`` and ``kerf.too_hot`` if the arms cannot move the wire at its feed.
+        """Return ``motion.feed_min`` and ``kerf.too_hot`` if the planned timing moves the wire too slowly.
 
         Args:
             targets: Targets of this job.
             time: Time (N,) [s] at which each target is reached.
-            program_clock: Indices between targets, 3.5 being halfway from target 3 to 4, and times [s] (2,
-                K). None: ``time``.
+            program_clock: Positions along the targets as fractional indices (3.5 is halfway from target 3 to
+                4), and times [s] at them (2, K). None: the targets at ``time``.
         """
         screen, attempt, _ = self._chosen
         op, edge = attempt.op, targets.flexible_tool
@@ -330,13 +337,15 @@ class ElasticJob(Job[ElasticWire]):
         kinds = np.array([segment.key for segment in targets.segment])
         allowed_deviation = max(op.shape_tol_mm * MM - attempt.within, 0.1 * op.shape_tol_mm * MM)
         for face_speeds in _face_speeds(op, attempt.cuts, screen.nominal_faces, self.setup):
-            rows = np.flatnonzero(kinds == Segment("cut", face_speeds.name).key)
-            rows = np.append(rows[0] - 1, rows)
-            travelled = np.cumsum(np.append(0.0, targets.travel[rows[1:]]))
-            is_in_face = (samples[0] >= rows[0]) & (samples[0] <= rows[-1])
-            clock = np.stack([np.interp(samples[0, is_in_face], rows, travelled), samples[1, is_in_face]])
+            cut_targets = np.flatnonzero(kinds == Segment("cut", face_speeds.name).key)
+            cut_targets = np.append(cut_targets[0] - 1, cut_targets)  # the first move starts a target earlier
+            travelled = np.cumsum(np.append(0.0, targets.travel[cut_targets[1:]]))
+            is_in_face = (samples[0] >= cut_targets[0]) & (samples[0] <= cut_targets[-1])
+            clock = np.stack(
+                [np.interp(samples[0, is_in_face], cut_targets, travelled), samples[1, is_in_face]]
+            )
             curve = _kerf_curve(op, self.setup)
-            motion = checks.FaceMotion(edge=edge.points[rows], path=travelled, clock=clock)
+            motion = checks.FaceMotion(edge=edge.points[cut_targets], path=travelled, clock=clock)
             out += checks.check_driven(op, face_speeds, curve, motion, allowed_deviation)
         return aggregate(out)
 
@@ -351,7 +360,8 @@ def _attempt(op: ElasticWire, nominal_faces: Mapping[str, Mesh], setup: Setup) -
     Raises:
         TandemError: If the wire cannot cut the faces.
     """
-    stock, wire = setup.stock, _make_wire(op)
+    stock = setup.stock
+    wire = _make_wire(op)
     cuts = _fit_cuts(op, nominal_faces, setup)
     misfits = [issue for cut in cuts for issue in check_shape(op, cut)]
     if misfits:
@@ -374,21 +384,28 @@ def _attempt(op: ElasticWire, nominal_faces: Mapping[str, Mesh], setup: Setup) -
 
 
 def _plan_route(op: ElasticWire, cuts: list[ElasticCut], setup: Setup) -> WireRoute:
-    """Plan the path through all cuts, before targets are added."""
-    margin, radius = op.margin_mm * MM, 0.5 * _make_wire(op).width
+    """Plan the path through all cuts, before `refine` adds targets."""
+    margin = op.margin_mm * MM
+    radius = 0.5 * _make_wire(op).width
     faces = [cut.face for cut in cuts]
     return plan_route(faces, setup.stock.box, margin, radius, op.step_mm * MM, op.runs == "two")
 
 
 def _drive_limits(op: ElasticWire, setup: Setup) -> tuple[FloatArray, float]:
-    """Return the block and the allowed deviation [m] of the wire between targets in it."""
+    """Return the block's corners (2, 3) [m], and the allowed deviation [m] of the wire between targets."""
     return setup.stock.box, _MAX_DRIVE_DEVIATION_FRACTION * op.shape_tol_mm * MM
 
 
 def _fit_cuts(op: ElasticWire, nominal_faces: Mapping[str, Mesh], setup: Setup) -> list[ElasticCut]:
-    """Fit wires to all faces, offset by half of the local slot."""
-    stock, curve, feed = setup.stock, _kerf_curve(op, setup), FEED_FRACTION * op.feed_mm_s * MM
-    degrees, gravity = float(op.sweep_degrees or 0.0), _make_wire(op).load_over_stiffness * stock.gravity
+    """Fit wires to all faces, offset by half of the local slot.
+
+    The first fit assumes the slot at the feed. Iterations then use the slot at the speeds of the fitted
+    wires.
+    """
+    stock, curve = setup.stock, _kerf_curve(op, setup)
+    feed = FEED_FRACTION * op.feed_mm_s * MM
+    degrees = float(op.sweep_degrees or 0.0)
+    gravity = _make_wire(op).load_over_stiffness * stock.gravity
     offset_meshes = {
         n: offset_mesh(_triangle_mesh(face), 0.5 * _slot_width(op, setup))
         for n, face in nominal_faces.items()
@@ -405,11 +422,16 @@ def _fit_cuts(op: ElasticWire, nominal_faces: Mapping[str, Mesh], setup: Setup) 
 def _raise_heat_issues(
     op: ElasticWire, cuts: list[ElasticCut], nominal_faces: Mapping[str, Mesh], setup: Setup
 ) -> None:
-    """Raise ``kerf.too_hot`` and ``kerf.too_cold``, with a power or feed that was tried."""
+    """Check the slots at the stated power.
+
+    Raises:
+        TandemError: ``kerf.too_hot`` and ``kerf.too_cold``, with a hint on a power or feed that was tried.
+    """
     if op.power_w is None:
         return
 
     def check_changed(changed: ElasticWire) -> list[Issue]:
+        """Fit the wires for a changed power or feed, and return the issues of fit and slots."""
         try:
             passed = _face_speeds(changed, _fit_cuts(changed, nominal_faces, setup), nominal_faces, setup)
             return list(checks.check_heat(changed, passed, _kerf_curve(changed, setup)))
@@ -419,7 +441,9 @@ def _raise_heat_issues(
     face_speeds = _face_speeds(op, cuts, nominal_faces, setup)
     issues = list(checks.check_heat(op, face_speeds, _kerf_curve(op, setup)))
     if issues:
-        hint = checks.suggest_heat(op, face_speeds, lambda own: _kerf_curve(own, setup), check_changed)
+        hint = checks.suggest_heat(
+            op, face_speeds, lambda changed: _kerf_curve(changed, setup), check_changed
+        )
         raise TandemError([dataclasses.replace(issue, hint=hint) for issue in issues])
 
 
@@ -435,7 +459,7 @@ def _face_speeds(
 
 
 def _kerf_curve(op: ElasticWire, setup: Setup) -> KerfCurve:
-    """Return the kerf over the local speed.
+    """Return the kerf as a function of the local speed.
 
     The foam's thickness along the wire is taken as the block's shorter side.
     """
@@ -465,16 +489,16 @@ def _nominal_faces(op: ElasticWire, part: Part | None) -> dict[str, Mesh]:
     """Return the faces to cut, in order.
 
     Raises:
-        TandemError: part.missing_face.
+        TandemError: ``part.missing_face``.
     """
     out: dict[str, Mesh] = {}
     for name in op.faces:
         face = None if part is None else part.front if name == "front" else part.back
         if face is None:
-            what = "the problem has no part" if part is None else "the part has no back face"
+            cause = "the problem has no part" if part is None else "the part has no back face"
             raise issue_error(
                 "part.missing_face",
-                f"{op.name}: the {name} face is to be cut, but {what}; add it or remove it from faces",
+                f"{op.name}: the {name} face is to be cut, but {cause}; add it or remove it from faces",
                 field="part",
             )
         out[name] = face
@@ -488,7 +512,19 @@ def _triangle_mesh(face: Mesh) -> TriangleMesh:
 def _fit_cut(
     op: ElasticWire, name: str, mesh: TriangleMesh, degrees: float, gravity: FloatArray, box: FloatArray
 ) -> ElasticCut:
-    """Return the sections of one face and the family of wires that meets them."""
+    """Fit a family of wires to one face.
+
+    Args:
+        op: Operation with its wire and sweep.
+        name: Name of the face.
+        mesh: Surface of the face, offset by half the kerf.
+        degrees: Direction of the sweep [deg].
+        gravity: Weight of the wire per length over EI in the stock frame (3,) [1/m^3].
+        box: Lower and upper corner of the block (2, 3) [m].
+
+    Raises:
+        TandemError: ``wire.too_short``, or ``wire.shape`` if single sections already miss by far.
+    """
     spine = make_spine(mesh, sweep_direction(degrees), op.has_normal_sections)
     positions = spine.positions(mesh.vertices)
     p = section_positions(
@@ -513,6 +549,7 @@ def _fit_cut(
     for cells in _SPLINE_CELLS:
         fit = fit_family(sections, single_fits, wire, extent, cells)
         within = sections.distance_at_fraction(np.abs(fit.residual), op.share)
+        # a finer spline replaces a coarser one only if it is clearly better
         if best is None or within < 0.8 * best_within:
             best, best_within = fit, within
         if np.abs(best.residual).max() < 0.3 * op.shape_tol_mm * MM:
@@ -523,6 +560,7 @@ def _fit_cut(
 
 
 def _check_length(op: ElasticWire, name: str, length: FloatArray) -> None:
+    """Raise ``wire.too_short`` if the longest section of lengths (K,) [m] does not leave both margins."""
     required_length = float(length.max()) / MM + 2.0 * op.margin_mm
     if required_length > op.chosen_wire.length_mm:
         raise issue_error(
@@ -538,7 +576,14 @@ def _check_length(op: ElasticWire, name: str, length: FloatArray) -> None:
 def _drive_issues(
     op: ElasticWire, route: WireRoute, deviation: FloatArray, end_error: FloatArray
 ) -> Iterator[Issue]:
-    """Check the wire halfway between targets, as its ends drive it."""
+    """Yield ``wire.between_targets`` for the first move on which the wire deviates or cannot be computed.
+
+    Args:
+        op: Operation with its wire and sweep.
+        route: The route with N targets.
+        deviation: Deviation halfway along the move to each target (N,) [m].
+        end_error: Error of the solver there over the wire's length (N,).
+    """
     has_failed = np.array([not m < 1e-6 for m in end_error], dtype=np.bool_)
     cutting = np.array([segment.kind == "cut" for segment in route.segment], dtype=np.bool_)
     is_too_far = cutting & (deviation > 0.5 * op.shape_tol_mm * MM)
@@ -569,11 +614,13 @@ def _make_targets(
     issues: list[Issue],
     exhibits: dict[str, object],
 ) -> Targets:
+    """Return the targets of a route, with feeds, freedoms and the actions of mounting and unmounting."""
     stock, wire, shapes = setup.stock, _make_wire(op), route.wires.shapes()
     start, end = route.wires.ends(shapes)
     points = route.wires.points(shapes)
     in_foam = np.asarray(np.any(box_distance(points, stock.box) < 0.0, axis=1))
     cutting = np.array([segment.kind == "cut" for segment in route.segment], dtype=np.bool_)
+    # the minimum feed holds for moves that are inside the foam from start to end
     is_burning = cutting & in_foam & np.concatenate([[False], in_foam[:-1]])
     feed = np.where(cutting, op.feed_mm_s * MM, MAX_AIR_FEED_M_S)
     return Targets(
@@ -597,6 +644,7 @@ def _make_targets(
 
 
 def _freedoms(op: ElasticWire, wire: HeatedWire, stock: Stock, route: WireRoute) -> tuple[Freedom, ...]:
+    """Return the freedoms of the targets: slack between the ends, and spin about a round wire."""
     out: list[Freedom] = []
     margin = op.margin_mm * MM
     slack = slack_freedom(route.wires, op.arms, op.slack_mm * MM, stock.box, margin, wire)
@@ -605,12 +653,13 @@ def _freedoms(op: ElasticWire, wire: HeatedWire, stock: Stock, route: WireRoute)
     if op.chosen_wire.is_round:
         count = len(route.wires)
         spin = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-        turn = np.full(count, np.pi)
-        out.append(ScrewFreedom("spin", dict.fromkeys(op.arms, spin), -turn, turn, periodic=True))
+        half_turn = np.full(count, np.pi)
+        out.append(ScrewFreedom("spin", dict.fromkeys(op.arms, spin), -half_turn, half_turn, periodic=True))
     return tuple(out)
 
 
 def _actions(op: ElasticWire, wire: HeatedWire, route: WireRoute) -> tuple[TargetAction, ...]:
+    """Return the actions: mounting and heating at the first target, cooling and removal at the last."""
     chord, angles = mount_figures(route)
     last = len(route.segment) - 1
     return (

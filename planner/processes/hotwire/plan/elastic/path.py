@@ -1,12 +1,11 @@
 """Path of a bent wire: mount, approach, cut, link in air, cut back, retreat.
 
-Targets are dense enough for the wire between them. Each target's wire is an equilibrium of exactly the wire's
-length. Cuts start and end a margin outside the block.
+Targets are so dense that the wire between them stays within a tolerance of the nominal one. At each target
+the wire is an equilibrium of exactly its length. Cuts start and end a margin outside the block.
 
-**Wires in space** (`WireSet`), as the rest of the elastic process uses them: N planar heavy elasticas, each
-in its own plane. A wire is given by the frame of its middle (x along the tangent, y in the plane, z the
-plane's normal) and by curvature and force there. Its weight follows from the orientation of the plane.
-Everything is in the stock frame.
+**Wires in space** (`WireSet`): N planar elasticas with weight, each in its own plane. A wire is given by the
+frame of its middle (x along the tangent, y in the plane, z the plane's normal) and by curvature and force
+there. Its weight follows from the orientation of the plane. Everything is in the stock frame.
 
 `slack_freedom` is the freedom to distribute the slack between the wire's ends: the wire slides along its own
 curve.
@@ -37,8 +36,9 @@ class WireSet:
     """N wires of one length.
 
     Attributes:
-        frame: Frames of the middle in the stock frame (N, 4, 4).
-        curvature_and_force: k, Fx, Fy of the middle in its axes (N, 3).
+        frame: Frames of the wires' middles in the stock frame (N, 4, 4).
+        curvature_and_force: Curvature k [1/m] and force Fx, Fy over EI [1/m^2] at the middle, in its axes
+            (N, 3).
         length: Length [m].
         gravity: Weight per length over EI as a vector in the stock frame (3,) [1/m^3].
     """
@@ -64,18 +64,18 @@ class WireSet:
         return np.asarray(np.swapaxes(self.frame[:, :3, :3], 1, 2) @ self.gravity)
 
     def shapes(self, n: int = WIRE_POINTS) -> HeavyShape:
-        """Return the planar shapes with n points, with the middle at the origin along x."""
+        """Return the planar shapes with n points. Each has its middle at the origin, tangent to x."""
         count = len(self)
         middle = np.concatenate([np.zeros((count, 3)), self.curvature_and_force], axis=1)
         return heavy.from_middle(middle, np.full(count, self.length), self.load()[:, :2], n)
 
     def points(self, shape: HeavyShape) -> FloatArray:
-        """Return points (N, n, 3) [m] of the wires for their ``shapes()``."""
+        """Return the points (N, n, 3) [m] of planar ``shapes()`` in the stock frame."""
         axes = np.swapaxes(self.frame[:, :3, :2], 1, 2)
         return np.asarray(shape.points @ axes + self.frame[:, None, :3, 3])
 
     def ends(self, shape: HeavyShape) -> tuple[FloatArray, FloatArray]:
-        """Return poses (N, 4, 4) of start and end.
+        """Return the poses (N, 4, 4) of start and end of planar ``shapes()`` in the stock frame.
 
         x is along the wire from start to end, z is normal to the plane.
         """
@@ -123,10 +123,10 @@ def concatenate_wires(parts: list[WireSet]) -> WireSet:
 
 
 def interpolate_wires(a: WireSet, b: WireSet, t: FloatArray) -> WireSet:
-    """Interpolate wires at t (N,) between a and b.
+    """Interpolate between wires a (t = 0) and b (t = 1), at t (N,).
 
-    Frames move along a straight line with constant rotation rate; curvature and force are linear. Each result
-    is an equilibrium of the same length under its own weight.
+    The middle's frame moves along a straight line and rotates at a constant rate. Its curvature and force are
+    interpolated linearly. Each result is an equilibrium of the same length under its own weight.
     """
     bend = (1.0 - t[:, None]) * a.curvature_and_force + t[:, None] * b.curvature_and_force
     return dataclasses.replace(a, frame=interpolate(a.frame, b.frame, t), curvature_and_force=bend)
@@ -141,10 +141,9 @@ def drive_wires(a: WireSet, b: WireSet, t: float) -> tuple[WireSet, FloatArray, 
         t: Fraction of the move, at constant rotation rate.
 
     Returns:
-        The wires, on the branch next to ``interpolate_wires``.
-        The deviation of the solver's ends over the length (N,), inf if it fails.
-        The angle (N,) [rad] by which the ends' tangents leave the common plane, which the planar shape
-        neglects.
+        The equilibria (N) next to ``interpolate_wires``; the largest deviation of their ends from the driven
+        poses over the length (N,), infinite if the solver fails; and the angle (N,) [rad] by which the ends'
+        tangents leave the common plane, which the planar shape neglects.
     """
     # end poses of the straight move, and the plane through both ends that is closest to both normals
     start_a, end_a = a.ends(a.shapes(3))
@@ -154,8 +153,8 @@ def drive_wires(a: WireSet, b: WireSet, t: float) -> tuple[WireSet, FloatArray, 
     guess = interpolate_wires(a, b, fraction)
     chord = end[:, :3, 3] - start[:, :3, 3]
     z = start[:, :3, 2] + end[:, :3, 2]
-    size = np.sum(chord * chord, axis=1, keepdims=True)
-    z = z - chord * np.sum(chord * z, axis=1, keepdims=True) / size
+    chord_squared = np.sum(chord * chord, axis=1, keepdims=True)
+    z = z - chord * np.sum(chord * z, axis=1, keepdims=True) / chord_squared
     z = z / np.linalg.norm(z, axis=1, keepdims=True)
     x = guess.frame[:, :3, 0] - z * np.sum(z * guess.frame[:, :3, 0], axis=1, keepdims=True)
     x = x / np.linalg.norm(x, axis=1, keepdims=True)
@@ -166,10 +165,8 @@ def drive_wires(a: WireSet, b: WireSet, t: float) -> tuple[WireSet, FloatArray, 
     # planar equilibrium between the end poses, from the interpolated wire
     local_start, local_end = inverse(plane) @ start, inverse(plane) @ end
     shape = dataclasses.replace(guess, frame=plane).shapes(3)
-    required_start, required_end = (
-        _to_planar(local_start, shape.start[:, 2]),
-        _to_planar(local_end, shape.end[:, 2]),
-    )
+    required_start = _to_planar(local_start, shape.start[:, 2])
+    required_end = _to_planar(local_end, shape.end[:, 2])
     middle, end_error = refine_state(shape.middle, required_start, required_end, shape.length, shape.weight)
     out_of_plane_angle = np.maximum(np.abs(local_start[:, 2, 0]), np.abs(local_end[:, 2, 0]))
     end_error = np.where(np.isfinite(middle).all(axis=1), end_error, np.inf)
@@ -206,8 +203,8 @@ class FaceCut:
 
     Attributes:
         name: Name of the face.
-        spine: Planes across the sweep.
-        family: Wires in these planes.
+        spine: Planes across the sweep, one for each sweep position p.
+        family: Wire in each of these planes.
         gravity: Weight per length over EI in the stock frame (3,) [1/m^3].
     """
 
@@ -217,13 +214,13 @@ class FaceCut:
     gravity: FloatArray
 
     def wires(self, p: FloatArray) -> WireSet:
-        """Return the wires at the positions p (K,) along the sweep."""
+        """Return the wires at the positions p (K,) [m] along the sweep."""
         return wires_from_states(self.spine.frames(p), self.family.state(p), self.family.length, self.gravity)
 
 
 @dataclasses.dataclass(frozen=True)
 class WireRoute:
-    """All N wires of the job in order.
+    """Wires at the N targets of the job in order.
 
     Attributes:
         wires: The wires.
@@ -239,9 +236,10 @@ class WireRoute:
 
 
 def cut_range(face: FaceCut, box: FloatArray, margin: float, radius: float) -> tuple[float, float]:
-    """Return the positions p between which the wire passes the block.
+    """Return the first and the last sweep position p [m] of the cut of a face.
 
-    At both it is just ``margin`` clear of it.
+    Between them the wire passes the block. At both it is outside the block by ``margin`` or slightly more. If
+    the wire never comes closer, the range of the wire family is returned.
 
     Args:
         face: The face.
@@ -250,7 +248,9 @@ def cut_range(face: FaceCut, box: FloatArray, margin: float, radius: float) -> t
         radius: Radius of the wire [m].
     """
     reach = float(np.abs(face.spine.direction[:2]) @ np.abs(box[:, :2]).max(axis=0)) + margin + 2.0 * radius
-    tilt_allowance = float(np.ptp(box[:, 2])) + 0.3  # planes may be tilted: search far enough
+    tilt_allowance = (
+        float(np.ptp(box[:, 2])) + 0.3
+    )  # m: tilted planes meet the block before and after its sides
     p = np.arange(-reach - tilt_allowance, reach + tilt_allowance, 0.002)
     wires = face.wires(p)
     is_clear = box_distance(wires.points(wires.shapes()), box).min(axis=1) - radius >= margin
@@ -278,22 +278,24 @@ def cut_positions(face: FaceCut, lower: float, upper: float, box: FloatArray, st
 
 
 def max_travel(wires: WireSet, box: FloatArray) -> FloatArray:
-    """Return the distance (N,) [m] that the fastest point in the block moves to each wire.
+    """Return the distance (N,) [m] of the fastest point in the block from the previous wire to each one.
 
-    The fastest point of all counts if none is in the block.
+    If no point is in the block, it is the distance of the fastest point of the wire. The first value is 0.
     """
     points = wires.points(wires.shapes())
     inside = box_distance(points, box) < 0.0
     distance = np.linalg.norm(np.diff(points, axis=0), axis=2)
-    counts = inside[1:] | inside[:-1]
-    counts |= ~counts.any(axis=1, keepdims=True)
-    return np.concatenate([[0.0], np.max(distance * counts, axis=1)])
+    is_relevant = inside[1:] | inside[:-1]
+    is_relevant |= ~is_relevant.any(axis=1, keepdims=True)
+    return np.concatenate([[0.0], np.max(distance * is_relevant, axis=1)])
 
 
 def plan_route(
     faces: list[FaceCut], box: FloatArray, margin: float, radius: float, step: float, two_runs: bool
 ) -> WireRoute:
-    """Plan the route through all faces. The first cut sweeps along increasing p, the next one returns.
+    """Plan the route through all faces.
+
+    The first cut sweeps along increasing p. The cuts alternate in direction unless ``two_runs`` is set.
 
     Args:
         faces: The faces, in order.
@@ -301,7 +303,7 @@ def plan_route(
         margin: Distance to the block in air [m].
         radius: Radius of the wire [m].
         step: Maximum travel between targets in the cut [m].
-        two_runs: Whether every cut sweeps along increasing p.
+        two_runs: Whether every cut sweeps along increasing p. The wire then returns over the block.
     """
     parts: list[WireSet] = []
     segments: list[Segment] = []
@@ -309,6 +311,7 @@ def plan_route(
     stops: list[int] = []
 
     def add(segment: Segment, wires: WireSet, p: FloatArray | None = None) -> None:
+        """Append wires to the route, with their sweep positions if they are in a cut."""
         parts.append(wires)
         segments.extend([segment] * len(wires))
         positions.append(np.full(len(wires), np.nan) if p is None else p)
@@ -322,6 +325,7 @@ def plan_route(
         wires = face.wires(p)
         signed_direction = face.spine.direction * (1.0 if is_forward else -1.0)
         if index == 0:
+            # lead-in: the first wire of the cut, shifted back along the sweep
             count = 2 * max(1, int(np.ceil(0.5 * LEAD_LENGTH_M / MAX_AIR_STEP_M)))
             shift = -LEAD_LENGTH_M * (1.0 - np.arange(count + 1) / count)
             lead = wires[np.zeros(count + 1, dtype=np.intp)].shifted(shift[:, None] * signed_direction)
@@ -336,6 +340,7 @@ def plan_route(
                 stops.append(len(segments) - 1)
         add(Segment("cut", face.name), wires[1:], p[1:])
         stops.append(len(segments) - 1)
+    # retreat: the last wire of the last cut, shifted on along the sweep
     count = max(2, int(np.ceil(LEAD_LENGTH_M / MAX_AIR_STEP_M)))
     shift = LEAD_LENGTH_M * (1.0 + np.arange(count)) / count
     retreat = parts[-1][np.full(count, len(parts[-1]) - 1)].shifted(shift[:, None] * signed_direction)
@@ -350,7 +355,11 @@ def plan_route(
 def _link_legs(
     a: WireSet, b: WireSet, box: FloatArray, margin: float, radius: float, over_block: bool
 ) -> list[WireSet]:
-    """Return the legs from wire a to wire b in air, ``over_block`` if b starts at its other side."""
+    """Return the wires on each straight leg in air from wire a to wire b, without a and the starts of legs.
+
+    With ``over_block`` the wire is raised above the block, moved across and lowered, because a and b are on
+    opposite sides of it.
+    """
     waypoints = [a, b]
     if over_block:
         high = max(_lift_height(a, box, margin + radius), _lift_height(b, box, margin + radius))
@@ -370,7 +379,7 @@ def _link_legs(
 
 
 def _lift_height(wire: WireSet, box: FloatArray, margin: float) -> float:
-    """Return the height [m] by which to raise a wire so that all of it above the block has ``margin``."""
+    """Return by how much [m] to raise a wire so that its part over the block is ``margin`` above it."""
     points = wire.points(wire.shapes(65))[0]
     half_extent = np.abs(box[:, :2]).max(axis=0) + margin
     axis = wire.frame[0, :2, 0] / np.linalg.norm(wire.frame[0, :2, 0])
@@ -384,7 +393,8 @@ def refine(
 ) -> tuple[WireRoute, FloatArray, FloatArray]:
     """Insert targets until the wire halfway along every move is within a tolerance of the nominal one.
 
-    The wire is computed as its ends drive it.
+    Halfway, the wire is the equilibrium between ends that have moved halfway along straight moves. Moves are
+    halved at most 4 times.
 
     Args:
         route: Route through all faces.
@@ -393,8 +403,8 @@ def refine(
         tolerance: Allowed deviation [m].
 
     Returns:
-        The route, the deviation (N,) [m] on the way to each target, and the solver's largest error over the
-        length (N,).
+        The route with N targets, the deviation (N,) [m] halfway along the move to each target, and the
+        largest error of the solver there over the length (N,). Both are 0 for the first target.
     """
     by_name = {Segment("cut", face.name): face for face in faces}
     for iteration in range(5):
@@ -409,26 +419,26 @@ def refine(
 
 
 def _halfway_wires(route: WireRoute, by_name: dict[Segment, FaceCut]) -> tuple[WireSet, FloatArray]:
-    """Return the nominal wires halfway along every move, and their positions in the cut."""
+    """Return the nominal wires halfway along all M moves, and their sweep positions (M,) [m], NaN in air."""
     count = len(route.wires) - 1
     middle = interpolate_wires(route.wires[:-1], route.wires[1:], np.full(count, 0.5))
     frame, bend, p = middle.frame.copy(), middle.curvature_and_force.copy(), np.full(count, np.nan)
     label = np.array(route.segment)
     for name, face in by_name.items():
-        rows = np.nonzero(
+        moves = np.nonzero(
             (label[1:] == name) & np.isfinite(route.sweep_position[:-1]) & (label[:-1] == name)
         )[0]
-        if rows.size:
-            p[rows] = 0.5 * (route.sweep_position[rows] + route.sweep_position[rows + 1])
-            exact = face.wires(p[rows])
-            frame[rows], bend[rows] = exact.frame, exact.curvature_and_force
+        if moves.size:
+            p[moves] = 0.5 * (route.sweep_position[moves] + route.sweep_position[moves + 1])
+            exact = face.wires(p[moves])
+            frame[moves], bend[moves] = exact.frame, exact.curvature_and_force
     return dataclasses.replace(middle, frame=frame, curvature_and_force=bend), p
 
 
 def _deviation(actual: WireSet, nominal: WireSet, box: FloatArray, in_cut: BoolArray) -> FloatArray:
-    """Return the largest distance (N,) [m] from the nominal wires, across the wire.
+    """Return the largest distance (N,) [m] between points of actual and nominal wires, across the wire.
 
-    In a cut only points in the block count, in air all points.
+    In a cut (``in_cut``) only points in the block count, in air all points.
     """
     shape = nominal.shapes()
     a, b = actual.points(actual.shapes()), nominal.points(shape)
@@ -436,26 +446,33 @@ def _deviation(actual: WireSet, nominal: WireSet, box: FloatArray, in_cut: BoolA
     tangent = tangent / np.linalg.norm(tangent, axis=2, keepdims=True)
     offset = a - b
     offset = offset - tangent * np.sum(offset * tangent, axis=2, keepdims=True)
-    counts = (box_distance(b, box) < 0.0) | ~in_cut[:, None]
-    return np.asarray(np.max(np.linalg.norm(offset, axis=2) * counts, axis=1))
+    is_relevant = (box_distance(b, box) < 0.0) | ~in_cut[:, None]
+    return np.asarray(np.max(np.linalg.norm(offset, axis=2) * is_relevant, axis=1))
 
 
-def _insert_targets(route: WireRoute, rows: IndexArray, wires: WireSet, p: FloatArray) -> WireRoute:
-    """Return the route with the halfway wires of the moves ``rows`` as additional targets."""
-    at = rows + 1
-    frame = np.insert(route.wires.frame, at, wires.frame[rows], axis=0)
-    bend = np.insert(route.wires.curvature_and_force, at, wires.curvature_and_force[rows], axis=0)
+def _insert_targets(route: WireRoute, moves: IndexArray, wires: WireSet, p: FloatArray) -> WireRoute:
+    """Return the route with additional targets halfway along some moves.
+
+    Args:
+        route: The route.
+        moves: Indices of the moves, each between a target and the next one.
+        wires: Wires halfway along all M moves.
+        p: Their sweep positions (M,) [m], NaN in air.
+    """
+    at = moves + 1
+    frame = np.insert(route.wires.frame, at, wires.frame[moves], axis=0)
+    bend = np.insert(route.wires.curvature_and_force, at, wires.curvature_and_force[moves], axis=0)
     source = np.insert(np.arange(len(route.segment)), at, at)
     return WireRoute(
         dataclasses.replace(route.wires, frame=frame, curvature_and_force=bend),
         tuple(route.segment[i] for i in source),
-        np.insert(route.sweep_position, at, p[rows]),
+        np.insert(route.sweep_position, at, p[moves]),
         np.insert(route.stop, at, False),
     )
 
 
 SLACK_NODES: Final = 7
-"""Number of slides of the wire through its section between the bounds, as nodes of a table."""
+"""Number of slides of the wire along itself for which the freedom tabulates the poses of the ends."""
 _STABILITY_STRIDE = 6  # stability is checked at every 6th target
 
 
@@ -467,16 +484,17 @@ def slack_freedom(
     end_clearance: float,
     wire: HeatedWire,
 ) -> TableFreedom | None:
-    """Return the freedom of each wire to slide along itself, or None if nothing is left.
+    """Return the freedom of each wire to slide along itself, or None if no reach is possible.
 
-    The reach is halved until the shifted wires are stable and within the curvature limit.
+    The reach is halved at most 3 times until the wires are stable and within the curvature limit at both ends
+    of their slides.
 
     Args:
         wires: N wires.
         arms: Arms at the start and end of the wire.
         reach: Maximum slide in each direction [m].
         box: Lower and upper corner of the block (2, 3) [m].
-        end_clearance: Distance of the wire's ends to the block [m].
+        end_clearance: Required distance of the wire's ends from the block [m].
         wire: The wire, for its stiffness ratios and its curvature limit.
     """
     section, max_curvature = wire.stiffness_ratios, wire.max_curvature
@@ -503,7 +521,14 @@ def slack_freedom(
 
 
 def _free_range(nodes: FloatArray, free: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return bounds (N,) of the contiguous free nodes around 0."""
+    """Return the first and the last node (N,) of the contiguous free nodes around the middle node, 0.
+
+    Both are 0 if the middle node is not free.
+
+    Args:
+        nodes: Slides (n,) [m], with 0 in the middle.
+        free: Whether each wire is free at each node (N, n).
+    """
     middle = len(nodes) // 2
     up = np.cumprod(free[:, middle:], axis=1).sum(axis=1)
     down = np.cumprod(free[:, middle::-1], axis=1).sum(axis=1)
@@ -511,7 +536,8 @@ def _free_range(nodes: FloatArray, free: BoolArray) -> tuple[FloatArray, FloatAr
 
 
 def _is_stable(wires: WireSet, slide: FloatArray, section: StiffnessRatios, max_curvature: float) -> bool:
+    """Return whether wires that slid along themselves by (N,) [m] are stable and not bent too sharply."""
     sampled = wires[slice(0, None, _STABILITY_STRIDE)]
     shifted = heavy.slide(sampled.shapes(3), slide[::_STABILITY_STRIDE], 33)
-    stable = min(float(shifted.margin_in_plane.min()), float(shifted.margin_out_of_plane(section).min()))
-    return stable > 10.0 * MIN_STABLE_MARGIN and float(np.abs(shifted.curvature).max()) <= max_curvature
+    min_margin = min(float(shifted.margin_in_plane.min()), float(shifted.margin_out_of_plane(section).min()))
+    return min_margin > 10.0 * MIN_STABLE_MARGIN and float(np.abs(shifted.curvature).max()) <= max_curvature

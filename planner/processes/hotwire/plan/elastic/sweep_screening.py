@@ -1,4 +1,4 @@
-"""Screening of sweeps: how well elasticas meet a few sections of the faces, for wires and directions.
+"""Screening of candidates (wire and sweep direction): how well elasticas meet a few sections of the faces.
 
 Weight and errors of the ends are included. Screening is fast, so that many candidates can be compared before
 one is fitted to whole faces.
@@ -33,11 +33,11 @@ from planner.processes.hotwire.plan.operation import ElasticWire
 from planner.reading.materials import WireFile
 
 SWEEP_ANGLES: Final = (90.0, 0.0, 45.0, 135.0, 67.5, 112.5, 22.5, 157.5)
-"""Directions [deg] of the sweep over a face that are tried, in this order."""
+"""Directions of the sweep over a face [deg from the block's x] that are tried, in this order."""
 EDGE_ANGLES: Final = (0.0, 90.0)
-"""Directions [deg] of the sweep along an edge of the block."""
+"""Those of `SWEEP_ANGLES` that are along an edge of the block [deg]."""
 BENT_TOO_SHARPLY: Final = "bent too sharply"
-"""Reason why a wire is impossible: a thinner one is possible."""
+"""Reason why a wire is impossible. A thinner one may be possible."""
 WOULD_SNAP: Final = "it would snap"
 """Reason why a wire is impossible: its shape is not stable."""
 _UNSTABLE_INFLECTIONS = 3
@@ -50,7 +50,7 @@ _NO_SHAPE_M = 1.0  # m: represents a shape that cannot be held at all
 
 @dataclasses.dataclass(frozen=True)
 class SweepCandidate:
-    """One direction tried with one wire.
+    """Result of screening one wire along one direction.
 
     Attributes:
         degrees: Direction from the block's x [deg].
@@ -139,7 +139,7 @@ class SweepScreen:
         return SweepScreen(op, self.setup, self.nominal_faces, self.half_slot)
 
     def split_side(self, axis: int, position: float, side: float) -> "SweepScreen | None":
-        """Return a part of the panel, centred in its own part of the block, as a separate job.
+        """Return the screen of one part of the panel, which is centred in its own part of the block.
 
         Args:
             axis: Axis of the block, 0 for x or 1 for y.
@@ -147,7 +147,7 @@ class SweepScreen:
             side: 1 for the part beyond the line, -1 for the part before it.
 
         Returns:
-            None if a face has nothing there.
+            None if a face does not reach to this side of the line.
         """
         stock = self.setup.stock
         low, high = stock.box[:, axis]
@@ -172,7 +172,10 @@ class SweepScreen:
         return SweepScreen(self.op, setup, faces, self.half_slot)
 
     def screen(self, wire_file: WireFile, degrees: float) -> SweepCandidate:
-        """Screen one wire along one direction [deg]."""
+        """Screen one wire along one direction [deg].
+
+        The screening ends early if the wire is too short, would snap, or cannot take the shape of the face.
+        """
         op = self.op.with_wire(wire_file)
         wire = wires.make_wire(
             wire_file.material,
@@ -182,7 +185,8 @@ class SweepScreen:
             wire_file.temperature_c,
         )
         length, margin = wire_file.length_mm * MM, op.margin_mm * MM
-        shape, end_error_motion, total_distance, reason = 0.0, 0.0, 0.0, ""
+        shape = end_error_motion = total_distance = 0.0
+        reason = ""
         cuts = self._sections(self.half_slot(op), degrees, op.has_normal_sections)
         longest = max(float(sections.length.max()) for _, sections, _ in cuts)
         if longest + 2.0 * margin > length:
@@ -219,24 +223,29 @@ class SweepScreen:
             end_error_motion = max(end_error_motion, float(end_motion.max()))
             total_distance = max(total_distance, float(np.quantile(distance, op.share)))
             ends = np.stack([shapes.start, shapes.end], axis=1)
-            clear = box_distance((frames[:, None] @ planar_pose(ends))[..., :3, 3], self.setup.stock.box)
-            stable = min(
+            end_clearance = box_distance(
+                (frames[:, None] @ planar_pose(ends))[..., :3, 3], self.setup.stock.box
+            )
+            min_margin = min(
                 float(shapes.margin_in_plane.min()),
                 float(shapes.margin_out_of_plane(wire.stiffness_ratios).min()),
             )
-            if float(clear.min()) < margin:
+            if float(end_clearance.min()) < margin:
                 reason = reason or "its ends come too close to the block"
             if float(np.abs(shapes.curvature).max()) > wire.max_curvature:
                 reason = reason or BENT_TOO_SHARPLY
-            if stable <= MIN_STABLE_MARGIN:
+            if min_margin <= MIN_STABLE_MARGIN:
                 reason = reason or WOULD_SNAP
         return SweepCandidate(degrees, shape, end_error_motion, longest, wire_file, total_distance, reason)
 
     def shape_only(self, wire_file: WireFile, degrees: float) -> tuple[float, float]:
-        """Screen the shape alone, with elasticas of any length. No wire does better along this direction.
+        """Screen the shape alone, with weightless elasticas that end with the sections.
+
+        A wire with free ends and weight does not do better along this direction.
 
         Returns:
-            Distance within which the required fraction of the sections is [m], and the longest section [m].
+            Distance within which the required fraction of the sections is [m], and the length of the longest
+            section [m].
         """
         op = self.op.with_wire(wire_file)
         half = self.half_slot(op)
@@ -253,6 +262,7 @@ class SweepScreen:
         return self._shape_by_key[key]
 
     def _sections(self, half: float, degrees: float, normal: bool) -> list[tuple[Spine, SectionSet, float]]:
+        """Return planes, probe sections and normal component of each face, offset by ``half`` a slot [m]."""
         if half not in self._faces_by_offset:
             self._faces_by_offset[half] = [
                 offset_mesh(TriangleMesh(face.vertices, face.faces), half)
@@ -279,14 +289,18 @@ def _count_inflections(fitted: CurveFit) -> IntArray:
 
 
 def _remove_slivers(mesh: TriangleMesh, axis: int, position: float) -> TriangleMesh:
-    """Return a mesh that ends at a cut, with vertices near the cut moved onto it along the surface."""
+    """Remove the thin triangles along a cut: vertices close to the cut are merged into vertices on it.
+
+    Args:
+        mesh: Mesh that ends at the cut.
+        axis: Axis normal to the cut.
+        position: Position of the cut along the axis [m].
+    """
     edges = np.linalg.norm(mesh.vertices[mesh.faces[:, 0]] - mesh.vertices[mesh.faces[:, 1]], axis=1)
     max_distance = 0.25 * float(np.median(edges))
     cut_distance = np.abs(mesh.vertices[:, axis] - position)
-    rim, inner = (
-        np.flatnonzero(cut_distance < 1e-9),
-        np.flatnonzero((cut_distance >= 1e-9) & (cut_distance < max_distance)),
-    )
+    rim = np.flatnonzero(cut_distance < 1e-9)
+    inner = np.flatnonzero((cut_distance >= 1e-9) & (cut_distance < max_distance))
     target_vertex = np.arange(len(mesh.vertices))
     if len(rim) and len(inner):
         distance, nearest = cKDTree(mesh.vertices[rim]).query(mesh.vertices[inner])
@@ -298,6 +312,7 @@ def _remove_slivers(mesh: TriangleMesh, axis: int, position: float) -> TriangleM
 
 
 def _cut_probe_sections(face: TriangleMesh, degrees: float, normal: bool) -> tuple[Spine, SectionSet, float]:
+    """Return planes across a sweep, a few sections of the face in them, and its `normal_component`."""
     spine = make_spine(face, sweep_direction(degrees), normal)
     projected = face.vertices @ spine.direction
     p = np.linspace(projected.min(), projected.max(), _PROBE_SECTIONS + 2)[1:-1]
@@ -305,9 +320,9 @@ def _cut_probe_sections(face: TriangleMesh, degrees: float, normal: bool) -> tup
 
 
 def normal_component(mesh: TriangleMesh, spine: Spine) -> float:
-    """Return how much of a displacement across the planes is a distance from the surface.
+    """Return which fraction of a displacement across the planes is normal to the surface.
 
-    95 % of the face are below the returned value.
+    It is the 95 % quantile over the area of the face.
     """
     centre = mesh.vertices[mesh.faces].mean(axis=1)
     planes = spine.frames(centre @ spine.direction)

@@ -1,7 +1,8 @@
 """Choice of the wire and sweep for a panel.
 
-The candidates that look best are fitted to the whole faces, one after another, until one succeeds. If none
-does, the refusal names what would succeed, and only what was tried.
+The candidates that screen best are fitted to the whole faces, one after another, until one succeeds. If none
+does, the refusal suggests changes of the wire, the panel or the tolerance. Each suggested change was tried
+and succeeded.
 """
 
 import dataclasses
@@ -31,12 +32,12 @@ from planner.processes.hotwire.plan.wire import HeatedWire
 from planner.reading.materials import WireFile
 
 _MAX_FULL_FITS: Final = 3
-"""Maximum number of candidates fitted to whole faces before a refusal.
-
-Fewer are fitted for each kind of hint.
-"""
+"""Maximum number of candidates fitted to whole faces before a refusal. The search for hints fits more."""
 _MAX_FIT_FACTOR: Final = 1.3
-"""Candidates beyond this multiple of the tolerance are not fitted to whole faces, except the nearest one."""
+"""Candidates that miss by more than this multiple of the tolerance are not fitted to whole faces.
+
+If all of them do, the one that misses least is fitted.
+"""
 LENGTH_FACTORS: Final = (1.04, 1.12, 1.2, 1.35, 1.55, 1.8, 2.2)
 """Wire lengths that are tried besides those available, as multiples of the shortest possible."""
 MAX_LENGTH_MM: Final = 2000.0
@@ -44,7 +45,7 @@ MAX_LENGTH_MM: Final = 2000.0
 THINNER_FACTORS: Final = (0.98, 0.8)
 """Diameters that are tried if a wire is bent too far, as multiples of the largest diameter that is not."""
 THICKER_FACTORS: Final = (1.25, 1.6)
-"""Diameters that are tried if a wire is too weak, as multiples."""
+"""Diameters that are tried if a wire sags too far, as multiples of the diameter of the best one."""
 _THINNER_FACTOR: Final = 0.75
 """Factor on the diameter that is tried if another length would only be bent too far."""
 _MARGIN_FRACTION: Final = 0.95
@@ -62,10 +63,10 @@ class WireAttempt:
         wire: The wire.
         cuts: The faces.
         route: Wires of the job.
-        figures: Figures of the targets.
-        issues: Issues that do not refuse the attempt.
-        within: Distance within which the required fraction of each face is, with weight and errors of the
-            ends [m].
+        figures: Values of the targets, such as stability and sag.
+        issues: Warnings and notes. An attempt with errors raises instead.
+        within: Distance [m] within which the required fraction of each face is cut, including weight and
+            errors of the ends.
     """
 
     op: ElasticWire
@@ -84,15 +85,18 @@ FitCandidate = Callable[[ElasticWire, Mapping[str, Mesh], Setup], WireAttempt]
 def choose_wire(
     screen: SweepScreen, fit: FitCandidate, advise: bool = True
 ) -> tuple[WireAttempt, list[SweepCandidate]]:
-    """Return the first wire and sweep that succeed, and all candidates that were screened.
+    """Return the first wire and sweep that succeed, and the candidates that were screened.
 
     Args:
         screen: Screen of the candidates.
         fit: Fits a candidate to whole faces.
-        advise: Whether a refusal includes what would help. This takes up to half a minute.
+        advise: Whether a refusal includes hints on what would help. This takes up to half a minute.
+
+    Returns:
+        The attempt, and all screened candidates in order of preference, or none if there was no choice.
 
     Raises:
-        TandemError: What the nearest candidates lack.
+        TandemError: If no candidate succeeds, with the issues of the first one that was fitted.
     """
     op, tol = screen.op, screen.op.shape_tol_mm * MM
     wires = op.candidate_wires(screen.setup.cell.wires)
@@ -113,11 +117,11 @@ def choose_wire(
 
 
 def sweep_notes(screen: SweepScreen, attempt: WireAttempt, tried: list[SweepCandidate]) -> list[Issue]:
-    """Return the note on the chosen wire if the problem leaves the wire open."""
+    """Return a note that names the chosen wire and sweep, or nothing if the problem states the wire."""
     if screen.op.wire is not None:
         return []
     count = len(screen.op.candidate_wires(screen.setup.cell.wires))
-    what = format_message(
+    message = format_message(
         "wire.chosen",
         operation=screen.op.name,
         wire_count=count,
@@ -129,7 +133,7 @@ def sweep_notes(screen: SweepScreen, attempt: WireAttempt, tried: list[SweepCand
     )
     del tried
     hint = "to use another one, state wire and sweep in the operation"
-    return [Issue("wire.chosen", what, Severity.NOTE, field="wire", hint=hint)]
+    return [Issue("wire.chosen", message, Severity.NOTE, field="wire", hint=hint)]
 
 
 def _try_candidate(
@@ -138,6 +142,7 @@ def _try_candidate(
     sweep: SweepCandidate,
     refused: list[tuple[Issue, ...]] | None = None,
 ) -> WireAttempt | None:
+    """Fit a candidate to whole faces. If it fails, append its issues to ``refused`` and return None."""
     if sweep.wire is None:
         return None
     try:
@@ -155,7 +160,7 @@ def _refusal_issues(
     refused: list[tuple[Issue, ...]],
     advise: bool,
 ) -> list[Issue]:
-    """Return what the nearest wire and sweep lack, with what helps as the hint of the first issue."""
+    """Return the issues of the first candidate that was fitted, all with one hint on what would help."""
     issues = list(refused[0])
     hint = "; or ".join(_hints(screen, fit, tried, issues)) if advise else ""
     if len(tried) > 1:
@@ -169,7 +174,10 @@ def _refusal_issues(
 def _hints(
     screen: SweepScreen, fit: FitCandidate, tried: list[SweepCandidate], issues: list[Issue]
 ) -> list[str]:
-    """Return what helps: a wire or sweep, else a cut line, and a tolerance."""
+    """Return changes that were tried and help: another wire or sweep, else a cut line, then a tolerance.
+
+    Nothing is returned if an issue has another cause than the wire.
+    """
     codes = {issue.code for issue in issues}
     best = min(tried, key=lambda s: s.score)
     if codes - _WIRE_CODES:
@@ -177,7 +185,8 @@ def _hints(
     hints = [
         next(itertools.chain(_wire_hints(screen, fit, tried, issues), _split_hints(screen, fit, tried)), "")
     ]
-    hints += [_tolerance_hint(screen, fit, best, issues)] if codes <= _TOLERANCE_CODES else []
+    if codes <= _TOLERANCE_CODES:
+        hints.append(_tolerance_hint(screen, fit, best, issues))
     return [h for h in hints if h] or [
         "no wire, sweep, cut line or tolerance that was tried works; make the panel smoother or smaller"
     ]
@@ -186,8 +195,12 @@ def _hints(
 def _wire_hints(
     screen: SweepScreen, fit: FitCandidate, tried: list[SweepCandidate], issues: list[Issue]
 ) -> Iterator[str]:
-    """Yield another wire or sweep, the smallest change first."""
+    """Yield hints on other wires and sweeps that were tried and work, the smallest change first.
+
+    Each ``yield`` is reached only if the caller asks for a further hint, because each one costs fits.
+    """
     op = screen.op
+    # available wires along all directions
     screened = {(s.wire, s.degrees) for s in tried}
     wires = list(dict.fromkeys(s.wire for s in tried if s.wire is not None))
     available = map(WireFile.from_wire, screen.setup.cell.wires)
@@ -204,6 +217,7 @@ def _wire_hints(
             attempt,
             f"{subject} works, swept along {attempt.op.sweep_label} (sweep: {_sweep_value(attempt.op)})",
         )
+    # the best wire in other lengths, along the edges of the block
     best = min(tried, key=lambda s: s.score)
     base = best.wire or wires[0]
     sweeps = [
@@ -227,11 +241,12 @@ def _wire_hints(
     attempt = _best_attempt(screen, fit, candidates, base)
     if attempt is not None:
         length = attempt.op.chosen_wire.length_mm
-        what = (
+        text = (
             f"a wire of {length:g} mm works, swept along {attempt.op.sweep_label} (length_mm: {length:g}, "
             "sweep: "
         )
-        yield _success_text(attempt, f"{what}{_sweep_value(attempt.op)}; tried were {span})")
+        yield _success_text(attempt, f"{text}{_sweep_value(attempt.op)}; tried were {span})")
+    # the best wire with other diameters: thinner if it is bent too sharply, thicker if it sags too far
     curvature_ratios = [
         i.value / i.limit for i in issues if i.code == "wire.curvature" and i.value and i.limit
     ]
@@ -252,14 +267,14 @@ def _wire_hints(
         attempt = _best_attempt(screen, fit, candidates, base)
         if attempt is not None:
             chosen = attempt.op.chosen_wire
-            what = (
+            text = (
                 f"a wire of {chosen.diameter_mm:g} mm and {chosen.length_mm:g} mm length works, swept along "
             )
-            what += (
+            text += (
                 f"{attempt.op.sweep_label} (diameter_mm: {chosen.diameter_mm:g}, length_mm: "
                 f"{chosen.length_mm:g}, sweep: "
             )
-            yield _success_text(attempt, f"{what}{_sweep_value(attempt.op)})")
+            yield _success_text(attempt, f"{text}{_sweep_value(attempt.op)})")
 
 
 def _split_hints(screen: SweepScreen, fit: FitCandidate, tried: list[SweepCandidate]) -> Iterator[str]:
@@ -284,32 +299,32 @@ def _split_hints(screen: SweepScreen, fit: FitCandidate, tried: list[SweepCandid
             score = max((_screen_side(side, base, degrees) for side in sides), default=np.inf)
             if len(sides) == 2 and score < 2.0 * tol:
                 lines.append((score, f"{'xy'[axis]} = {position / MM:g}", degrees, sides))
-    for _, where, degrees, sides in sorted(lines, key=lambda line: line[0])[:3]:
+    for _, line_label, degrees, sides in sorted(lines, key=lambda line: line[0])[:3]:
         attempts = [_attempt_side(side, fit, base, degrees) for side in sides]
-        a, b = (
+        below, above = (
             ""
-            if m is None
-            else f"{m.within / MM:.2f} mm with a wire of {_size_text(m.op.chosen_wire)} swept along "
-            f"{m.op.sweep_label}"
-            for m in attempts
+            if attempt is None
+            else f"{attempt.within / MM:.2f} mm with a wire of {_size_text(attempt.op.chosen_wire)} swept "
+            f"along {attempt.op.sweep_label}"
+            for attempt in attempts
         )
-        if a and b:
+        if below and above:
             yield (
-                f"split the panel at {where} mm of the block, and cut each side in its own part of it: "
-                f"below within {a}, above within {b}"
+                f"split the panel at {line_label} mm of the block, and cut each side in its own part of it: "
+                f"below within {below}, above within {above}"
             )
 
 
 _SPLIT_FRACTIONS: Final = (0.3, 0.4, 0.5, 0.6, 0.7)
 """Positions of tried cut lines as fractions of the block's size."""
 _MAX_SPLIT_FACTOR: Final = 12.0
-"""Panels that miss the tolerance by more than this multiple are not split."""
+"""Panels whose best candidate misses by more than this multiple of the tolerance are not split."""
 _SCREENED_LENGTHS: Final = 3
-"""Number of lengths that are considered when a side is screened first. The last of them is used."""
+"""Number of wire lengths among which the first screening of a side takes the longest."""
 
 
 def _screen_side(side: SweepScreen, base: WireFile, degrees: float) -> float:
-    """Return how well [m] one wire fits a side of a cut line, infinite if none does."""
+    """Return the score [m] of a sufficiently long wire on a side of a cut line, infinite if none fits."""
     try:
         wires = _long_enough_wires(side, base, degrees)[:_SCREENED_LENGTHS]
         if not wires or side.shape_only(base, degrees)[0] > side.op.shape_tol_mm * MM:
@@ -324,17 +339,18 @@ def _size_text(wire: WireFile) -> str:
 
 
 def _attempt_side(side: SweepScreen, fit: FitCandidate, base: WireFile, degrees: float) -> WireAttempt | None:
-    """Return an attempt on one side of a cut line, with an available wire or another length.
+    """Return an attempt that succeeds on one side of a cut line, or None.
 
-    The wire is made thinner if it is bent too far.
+    Available wires and other lengths of ``base`` are tried, then thinner ones if the wire is bent too
+    sharply.
     """
     tol = side.op.shape_tol_mm * MM
     thinner = (1.0, 0.7, 0.45, 0.25) if base.diameter_mm is not None else (1.0,)
     for factor in thinner:
         size = {} if factor == 1.0 else {"diameter_mm": round(factor * (base.diameter_mm or 0.0), 1)}
-        known = [*side.op.candidate_wires(side.setup.cell.wires)] if factor == 1.0 else []
+        available = [*side.op.candidate_wires(side.setup.cell.wires)] if factor == 1.0 else []
         max_length = 2.5 * (side.shape_only(base, degrees)[1] / MM + 2.0 * side.op.margin_mm)
-        wires = [w for w in known if w.length_mm < max_length] + _long_enough_wires(
+        wires = [w for w in available if w.length_mm < max_length] + _long_enough_wires(
             side, base.model_copy(update=size | {"length_mm": 50.0}), degrees
         )
         candidates = [side.screen(w, degrees) for w in wires]
@@ -351,6 +367,7 @@ def _attempt_side(side: SweepScreen, fit: FitCandidate, base: WireFile, degrees:
 def _tolerance_hint(
     screen: SweepScreen, fit: FitCandidate, sweep: SweepCandidate, issues: list[Issue]
 ) -> str:
+    """Return a hint with a larger tolerance at which a candidate succeeds, or an empty text."""
     largest_deviation = max((issue.value for issue in issues if issue.value is not None), default=np.inf)
     for factor in (1.01, 1.25, 1.6):  # meeting the first bound may reveal further ones
         tol = float(np.ceil(100.0 * factor * largest_deviation) / 100.0)
@@ -386,28 +403,36 @@ _WIRE_CODES: Final = {
 def _long_enough_wires(
     screen: SweepScreen, base: WireFile, degrees: float, stride: int = 1
 ) -> list[WireFile]:
-    """Return wires of one section that are long enough for a sweep, the stated length first."""
+    """Return wires with the cross-section of ``base`` that are long enough for a sweep, its length first.
+
+    Every ``stride``-th one of `LENGTH_FACTORS` is tried.
+    """
     _, longest = screen.shape_only(base, degrees)
     min_length = longest / MM + 2.0 * screen.op.margin_mm
     lengths = [
         base.length_mm,
         *(float(np.ceil(min_length * f / 10.0) * 10.0) for f in LENGTH_FACTORS[::stride]),
     ]
-    known = [n for n in dict.fromkeys(lengths) if max(50.0, min_length) <= n <= MAX_LENGTH_MM]
-    return [base.model_copy(update={"length_mm": n}) for n in known]
+    valid_lengths = [
+        length for length in dict.fromkeys(lengths) if max(50.0, min_length) <= length <= MAX_LENGTH_MM
+    ]
+    return [base.model_copy(update={"length_mm": length}) for length in valid_lengths]
 
 
 def _best_attempt(
     screen: SweepScreen, fit: FitCandidate, candidates: list[SweepCandidate], base: WireFile | None = None
 ) -> WireAttempt | None:
-    """Return the best candidate that succeeds when it is fitted to whole faces."""
+    """Return the attempt of the best candidate that succeeds on whole faces, or None. At most two are fitted.
+
+    Candidates with a margin to the tolerance are better, then those closest to ``base``, then by score.
+    """
     tol = screen.op.shape_tol_mm * MM
     valid = [s for s in candidates if not s.reason and s.score < tol]
 
     def sort_key(sweep: SweepCandidate) -> tuple[float, ...]:
         change = 0.0 if base is None else abs(sweep.wire_length_mm - base.length_mm)
-        thick = 0.0 if base is None or sweep.wire is None else _thickness_change(base, sweep.wire)
-        return (float(sweep.score > _MARGIN_FRACTION * tol), thick, change, sweep.score)
+        thickness_change = 0.0 if base is None or sweep.wire is None else _thickness_change(base, sweep.wire)
+        return (float(sweep.score > _MARGIN_FRACTION * tol), thickness_change, change, sweep.score)
 
     for sweep in sorted(valid, key=sort_key)[:2]:
         attempt = _try_candidate(screen, fit, sweep)
@@ -420,8 +445,8 @@ def _thickness_change(a: WireFile, b: WireFile) -> float:
     return abs((a.diameter_mm or 0.0) - (b.diameter_mm or 0.0))
 
 
-def _success_text(attempt: WireAttempt, what: str) -> str:
-    return f"{what}: within {attempt.within * 1e3:.2f} mm, including weight and end errors"
+def _success_text(attempt: WireAttempt, text: str) -> str:
+    return f"{text}: within {attempt.within * 1e3:.2f} mm, including weight and end errors"
 
 
 def _sweep_value(op: ElasticWire) -> str:

@@ -103,14 +103,14 @@ def quadrature_nodes() -> FloatArray:
 
 
 def min_constrained_eigenvalue(form: FloatArray, constraints: FloatArray, barrier: float = 2.0) -> FloatArray:
-    """Return the smallest eigenvalue (B,) of forms on the space orthogonal to constraints.
+    """Return the smallest eigenvalue (B,) of each quadratic form on the space orthogonal to its constraints.
 
     A constraint that vanishes (the second one of a straight wire) is left out. Forms that are not finite
     belong to wires that do not exist and give -inf.
 
     Args:
-        form: Symmetric forms (B, n, n).
-        constraints: Constraints (B, c, n), c <= 2.
+        form: Symmetric matrices of the quadratic forms (B, n, n).
+        constraints: Vectors to which the space is orthogonal (B, c, n), c <= 2.
         barrier: Eigenvalue given to the constrained directions, so that they are never the smallest.
     """
     is_finite = np.isfinite(form).all(axis=(1, 2)) & np.isfinite(constraints).all(axis=(1, 2))
@@ -122,11 +122,11 @@ def min_constrained_eigenvalue(form: FloatArray, constraints: FloatArray, barrie
 
 
 def project_form(form: FloatArray, constraints: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Project forms on the space orthogonal to the constraints.
+    """Project quadratic forms H on the spaces orthogonal to their constraints, by the projector P.
 
     Args:
-        form: Symmetric forms (B, n, n).
-        constraints: Constraints (B, c, n).
+        form: Symmetric matrices H of the quadratic forms (B, n, n).
+        constraints: Vectors to which the spaces are orthogonal (B, c, n).
 
     Returns:
         P H P (B, n, n), and an orthonormal basis U (B, c, n) of the constraints with zero rows for those that
@@ -137,10 +137,10 @@ def project_form(form: FloatArray, constraints: FloatArray) -> tuple[FloatArray,
     keep = value > 1e-18 * np.maximum(value[:, -1:], 1.0)
     scale = np.where(keep, 1.0 / np.sqrt(np.where(keep, value, 1.0)), 0.0)
     basis = scale[:, :, None] * (np.swapaxes(vector, 1, 2) @ constraints)
-    # P = 1 - U^T U
-    half = form - (form @ np.swapaxes(basis, 1, 2)) @ basis
-    full = half - np.swapaxes(basis, 1, 2) @ (basis @ half)
-    return full, basis
+    # P = 1 - U^T U: first H P, then P (H P)
+    right_projected = form - (form @ np.swapaxes(basis, 1, 2)) @ basis
+    projected = right_projected - np.swapaxes(basis, 1, 2) @ (basis @ right_projected)
+    return projected, basis
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ class QuadratureShape:
 
 
 def in_plane_margin(shape: QuadratureShape) -> FloatArray:
-    """Return the stability margin (B,) of shapes in their plane."""
+    """Return the stability margin (B,) of shapes in their plane, as the module docstring defines it."""
     theta, force, length = shape.theta, shape.force, shape.length
     base = bump_basis(_IN_PLANE_MODES, _QUADRATURE_POINTS)
     sin, cos = np.sin(theta), np.cos(theta)
@@ -172,7 +172,10 @@ def in_plane_margin(shape: QuadratureShape) -> FloatArray:
 
 
 def out_of_plane_form(shape: QuadratureShape, section: StiffnessRatios) -> FloatArray:
-    """Return the form (B, 2m, 2m) of shapes in units of 1/L over bumps for wt, then wn."""
+    """Return the second variation of the energy out of the plane as matrices (B, 2m, 2m), in units of EI/L.
+
+    The module docstring has the formula. The unknowns are the m bump amplitudes of wt, then those of wn.
+    """
     theta, force, length = shape.theta, shape.force, shape.length
     base = bump_basis(_OUT_OF_PLANE_MODES, _QUADRATURE_POINTS)
     k = shape.curvature * length[:, None]
@@ -205,7 +208,7 @@ def out_of_plane_margin(shape: QuadratureShape, section: StiffnessRatios) -> Flo
 
 
 def out_of_plane_constraint(batch: int) -> FloatArray:
-    """Return the constraint int wn = 0 as (batch, 1, 2m)."""
+    """Return the constraint int wn = 0 on the bump amplitudes of wt and wn, as (batch, 1, 2m)."""
     base = bump_basis(_OUT_OF_PLANE_MODES, _QUADRATURE_POINTS)
     row = np.concatenate([np.zeros(_OUT_OF_PLANE_MODES), base.weight @ base.value])
     return np.tile(row, (batch, 1, 1))
@@ -214,7 +217,7 @@ def out_of_plane_constraint(batch: int) -> FloatArray:
 def out_of_plane_sag(
     shape: QuadratureShape, section: StiffnessRatios, load: FloatArray, sigma: FloatArray
 ) -> FloatArray:
-    """Return the linear response to a load across the plane: deflection (B, m) [m] along z = x cross y.
+    """Return the deflections (B, m) [m] along z = x cross y under a load across the plane, linearised.
 
     The energy of the load is int (L - s) load wn ds. The result is infinite if the shape is not stable out of
     its plane.
@@ -229,20 +232,20 @@ def out_of_plane_sag(
     length = shape.length
     batch = shape.theta.shape[0]
     form = out_of_plane_form(shape, section)
-    rows = out_of_plane_constraint(batch)
+    constraint = out_of_plane_constraint(batch)
     size = form.shape[1]
     # stationary w' form w / 2 + int load L^3 (1 - sigma) wn with int wn = 0, in units of the wire
     system = np.zeros((batch, size + 1, size + 1))
     system[:, :size, :size] = form
-    system[:, :size, size] = rows[:, 0]
-    system[:, size, :size] = rows[:, 0]
-    right = np.zeros((batch, size + 1))
+    system[:, :size, size] = constraint[:, 0]
+    system[:, size, :size] = constraint[:, 0]
+    right_side = np.zeros((batch, size + 1))
     arm = base.weight * (1.0 - base.sigma)
-    right[:, _OUT_OF_PLANE_MODES:size] = -(load * length**3)[:, None] * (arm @ base.value)
-    stable = min_constrained_eigenvalue(form, rows) > MIN_STABLE_MARGIN
+    right_side[:, _OUT_OF_PLANE_MODES:size] = -(load * length**3)[:, None] * (arm @ base.value)
+    stable = min_constrained_eigenvalue(form, constraint) > MIN_STABLE_MARGIN
     system[~stable] = np.eye(size + 1)
-    right[~stable] = 0.0
-    wn = np.linalg.solve(system, right[..., None])[:, _OUT_OF_PLANE_MODES:size, 0]
+    right_side[~stable] = 0.0
+    wn = np.linalg.solve(system, right_side[..., None])[:, _OUT_OF_PLANE_MODES:size, 0]
     # deflection z(s) = -int_0^s wn
     x, w = np.polynomial.legendre.leggauss(_OUT_OF_PLANE_MODES + 2)
     part = 0.5 * (x + 1.0) * sigma[:, None]
@@ -263,8 +266,8 @@ class ClampedWires:
 
     Attributes:
         length: Lengths (B,) [m].
-        start: Poses of the start clamps (B, 3).
-        end: Poses of the end clamps (B, 3).
+        start: Poses x, y, theta of the start clamps (B, 3) [m, rad].
+        end: Poses x, y, theta of the end clamps (B, 3) [m, rad].
         weight: Weight q (B, 2) [1/m^3].
     """
 
@@ -290,13 +293,13 @@ class ClampedWires:
 
 @dataclass(frozen=True)
 class ClampedSolution:
-    """Solutions in units of the wire.
+    """Equilibria of B wires between clamps. The unit of length is the length of each wire.
 
     Attributes:
         amplitude: Bump amplitudes (B, j).
         force: Force at the start times L^2 (B, 2).
         margin: Margin of in-plane stability (B,).
-        residual: Residual of force balance and chord (B,).
+        residual: Largest residual of force balance and chord (B,), infinite if the iteration diverged.
     """
 
     amplitude: FloatArray
@@ -320,16 +323,18 @@ def _bump_basis(modes: int) -> BumpBasis:
 
 @dataclass(frozen=True)
 class _LagrangianTerms:
-    gradient: FloatArray
-    chord: FloatArray
-    normal: FloatArray
-    form: FloatArray
+    """Lagrangian of the clamped wires, expanded at given amplitudes and forces."""
+
+    gradient: FloatArray  # (B, j) of the Lagrangian with respect to the amplitudes
+    chord: FloatArray  # (B, 2) vector from start to end over L
+    normal: FloatArray  # (B, 2, j) derivative of the chord with respect to the amplitudes
+    form: FloatArray  # (B, j, j) second derivative of the Lagrangian
 
 
 def _lagrangian_terms(
     first: FloatArray, last: FloatArray, weight: FloatArray, amplitude: FloatArray, force: FloatArray
 ) -> _LagrangianTerms:
-    # E = int theta'^2 / 2 - F.t with F = F0 - q sigma: gradient, constraint, second derivative in amplitudes
+    """Return the derivatives of E = int theta'^2 / 2 - F.t with F = F0 - q sigma, and the chord."""
     base = _bump_basis(amplitude.shape[1])
     theta = first[:, None] + (last - first)[:, None] * base.sigma + amplitude @ base.value.T
     sin, cos = np.sin(theta), np.cos(theta)
@@ -346,7 +351,14 @@ def _lagrangian_terms(
 def _saddle_step(
     form: FloatArray, normal: FloatArray, gradient: FloatArray, miss: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Solve the equality-constrained Newton step. Returns changes of amplitude and force."""
+    """Solve the equality-constrained Newton step for the changes of the amplitudes (B, j) and forces (B, 2).
+
+    Args:
+        form: Second derivative of the Lagrangian (B, j, j).
+        normal: Derivative of the chord with respect to the amplitudes (B, 2, j).
+        gradient: Gradient of the Lagrangian (B, j).
+        miss: Required chord minus current chord (B, 2).
+    """
     batch, size = gradient.shape
     # (form, -N^T; N, 0) (da, dF) = (-gradient, miss), N = int n phi
     system = np.zeros((batch, size + 2, size + 2))
@@ -354,18 +366,18 @@ def _saddle_step(
     system[:, :size, size:] = -np.swapaxes(normal, 1, 2)
     system[:, size:, :size] = normal
     # regularised, because a straight wire leaves one constraint without gradient
-    tiny = 1e-13 * np.maximum(1.0, np.sum(normal**2, axis=(1, 2)))
-    system[:, size, size] += tiny
-    system[:, size + 1, size + 1] += tiny
-    right = np.concatenate([-gradient, miss], axis=1)
-    step = np.linalg.solve(system, right[..., None])[..., 0]
+    regularisation = 1e-13 * np.maximum(1.0, np.sum(normal**2, axis=(1, 2)))
+    system[:, size, size] += regularisation
+    system[:, size + 1, size + 1] += regularisation
+    right_side = np.concatenate([-gradient, miss], axis=1)
+    step = np.linalg.solve(system, right_side[..., None])[..., 0]
     return step[:, :size], step[:, size:]
 
 
 def solve_newton(
     wires: ClampedWires, amplitude: FloatArray, force: FloatArray, rounds: int = 12
 ) -> ClampedSolution:
-    """Return the equilibrium next to a guess, stable or not, by plain Newton.
+    """Return the equilibrium next to a guess, stable or not, by Newton's method with bounded steps.
 
     Args:
         wires: Wires between their clamps.
@@ -396,7 +408,7 @@ def _make_solution(
     amplitudes: FloatArray,
     forces: FloatArray,
 ) -> ClampedSolution:
-    """Compute margins and residuals. Diverged rows get -inf and inf."""
+    """Add margins and residuals to amplitudes and forces. Wires that diverged get -inf and inf."""
     terms = _lagrangian_terms(first, last, weight, amplitudes, forces)
     residual = np.maximum(np.abs(terms.gradient).max(axis=1), np.abs(chord - terms.chord).max(axis=1))
     residual = np.where(np.isfinite(residual), residual, np.inf)
@@ -431,7 +443,7 @@ def amplitudes_of(
 
 
 def _extrapolation_row(count: int, sigma: FloatArray, weight: FloatArray, end: float) -> FloatArray:
-    """Return the row that extrapolates values at Gauss nodes to an end."""
+    """Return the factors (n,) with which values at Gauss nodes are extrapolated to sigma = ``end``."""
     p = legendre(sigma, count)
     series = (p * weight[:, None]).T * (2.0 * np.arange(count)[:, None] + 1.0)
     out: FloatArray = legendre(np.array([end]), count)[0] @ series
@@ -446,11 +458,11 @@ def middle_state(
     amplitude: FloatArray,
     force: FloatArray,
 ) -> FloatArray:
-    """Return the state (B, 6) at s = L/2.
+    """Return the state (B, 6) at s = L/2 of wires in the bump basis.
 
     Args:
-        start: Poses of the start (B, 3).
-        end: Poses of the end (B, 3).
+        start: Poses x, y, theta of the start (B, 3) [m, rad].
+        end: Poses x, y, theta of the end (B, 3) [m, rad].
         length: Lengths (B,) [m].
         weight: Weight q (B, 2) [1/m^3].
         amplitude: Bump amplitudes (B, j).
@@ -472,7 +484,7 @@ def middle_state(
 def refine_state(
     state: FloatArray, start: FloatArray, end: FloatArray, length: FloatArray, weight: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Refine middle states by Newton with both end poses as conditions.
+    """Refine the states at the middles of wires by Newton's method, so that both ends take given poses.
 
     Args:
         state: States at s = L/2 (B, 6).
@@ -494,15 +506,15 @@ def refine_state(
         wire = integrate_wire(state, length, weight, anchor=0.5, derivatives=iteration < 4)
         ends = wire.at(ends_at)[..., :3].reshape(-1, 6)
         miss = (required_ends - ends) / scale
-        size = np.abs(miss).max(axis=1)
-        improved = size < best_error
-        best_state[improved], best_error[improved] = state[improved], size[improved]
-        if iteration == 4 or not float(np.max(size, initial=0.0)) > 1e-13:
+        deviation = np.abs(miss).max(axis=1)
+        improved = deviation < best_error
+        best_state[improved], best_error[improved] = state[improved], deviation[improved]
+        if iteration == 4 or not float(np.max(deviation, initial=0.0)) > 1e-13:
             break
         # Newton, rows (x, y, theta) of both ends, all scaled by powers of L; dx/dx0 = dy/dy0 = 1
-        d = interpolate(np.concatenate([wire.d_x, wire.d_y, wire.d_theta], axis=-1), ends_at)
+        end_derivatives = interpolate(np.concatenate([wire.d_x, wire.d_y, wire.d_theta], axis=-1), ends_at)
         jacobian = np.zeros((length.size, 6, 6))
-        jacobian[:, :, 2:] = d.reshape(-1, 6, 4)
+        jacobian[:, :, 2:] = end_derivatives.reshape(-1, 6, 4)
         jacobian[:, (0, 3), 0] = 1.0
         jacobian[:, (1, 4), 1] = 1.0
         jacobian *= unit[:, None, :] / scale[:, :, None]

@@ -183,8 +183,8 @@ def node_counts(
 ) -> IntArray:
     """Return the number of nodes (B,) that resolves each wire.
 
-    The poles of an elastica lie 1/w or more from the real axis. The defaults give an error of about 1e-11 L;
-    base 14 and per_wave 3.6 give about 1e-8 L.
+    The poles of an elastica lie 1/w or more from the real axis, with the wave number w = sqrt(|F| + k^2 / 4).
+    The defaults give an error of about 1e-11 L. A base of 14 and per_wave of 3.6 give about 1e-8 L.
 
     Args:
         state: States at one point of each wire (B, 6).
@@ -207,9 +207,16 @@ def _solve_theta(
     force: tuple[FloatArray, FloatArray],
     double_integral: FloatArray,
 ) -> FloatArray:
-    """Solve for theta by Picard iteration, then by Newton for the rows that have not converged.
+    """Solve for theta by Picard iteration, then by Newton for the wires that have not converged.
 
-    The error of Picard's iteration falls like (w L)^(2j) / (2j)!, and it needs no linear solve.
+    After j Picard iterations the error is of the order of (w L)^(2j) / (2j)!, and none needs a linear solve.
+
+    Args:
+        theta: First guess of the angles at the nodes (B, n) [rad].
+        linear: Linear part theta_a + k_a s of the angles (B, n) [rad].
+        length_squared: L^2 of each wire (B, 1) [m^2].
+        force: Fx and Fy at the nodes, (B, n) each [1/m^2].
+        double_integral: Matrix (n, n) from values at the nodes to their double integrals from the anchor.
     """
     fx, fy = force
     change = np.zeros(theta.shape[0])
@@ -217,18 +224,13 @@ def _solve_theta(
         previous = theta
         theta = linear + length_squared * ((fx * np.sin(theta) - fy * np.cos(theta)) @ double_integral.T)
         change = np.max(np.abs(theta - previous), axis=1, initial=0.0)
-        if not (
-            change > _PICARD_TOLERANCE_RAD
-        ).any():  # rows that are NaN stay NaN and do not prevent convergence
+        # wires that are NaN stay NaN and do not prevent convergence
+        if not (change > _PICARD_TOLERANCE_RAD).any():
             return theta
     unconverged = change > _PICARD_TOLERANCE_RAD
-    fx, fy, linear, length_squared, theta_rest = (
-        fx[unconverged],
-        fy[unconverged],
-        linear[unconverged],
-        length_squared[unconverged],
-        theta[unconverged],
-    )
+    fx, fy = fx[unconverged], fy[unconverged]
+    linear, length_squared = linear[unconverged], length_squared[unconverged]
+    theta_rest = theta[unconverged]
     # Newton: (I - L^2 II diag(Fx cos + Fy sin)) step = residual of the fixed point
     for _ in range(10):
         sin, cos = np.sin(theta_rest), np.cos(theta_rest)

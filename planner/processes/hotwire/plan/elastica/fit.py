@@ -1,15 +1,15 @@
 """Least-squares fit of elasticas, with or without weight, to planar curves: all curves at once.
 
-The unknowns are the six numbers of the state level with the middle of the target. One condition there removes
-the freedom to slide along the curve. Residuals are distances along the curve's normal at the points nearest
-to the target's points (orthogonal distance regression), so only the shape counts and not the spacing of the
-points.
+The unknowns are the six numbers of the wire's state beside the middle of the target. An additional residual
+keeps this state beside the middle, because it could otherwise slide along the wire. Residuals are distances
+along the wire's normal from its points nearest to the target's points (orthogonal distance regression), so
+only the shape counts and not the spacing of the points.
 
 First guess: the curvature of an elastica is affine in position (Brander, Gravesen and Norbjerg, arXiv
-1509.00703), with a known term from weight. Integrated once, it is linear in the unknowns. Then
-Levenberg-Marquardt.
+1509.00703), with a known term from weight. Its integral, the angle, is linear in the unknowns, which a linear
+least-squares fit of the angle gives. Levenberg-Marquardt iterations improve it.
 
-Lengths are measured in target lengths inside this module.
+Inside this module the unit of length is the length of each target.
 """
 
 from dataclasses import dataclass, replace
@@ -35,7 +35,7 @@ _MAX_STEP_RATIO = 3.0  # largest ratio of neighbouring steps for which a spline 
 def first_guess(
     points: FloatArray, point_weight: FloatArray, weight: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return a first guess of the states, and the arc lengths of the points from there.
+    """Guess the state at the middle of each curve by a linear least-squares fit of its angle.
 
     Works in the units of the points. It is most accurate if the curves are about 1 long.
 
@@ -45,13 +45,14 @@ def first_guess(
         weight: Weight q of the wires (B, 2).
 
     Returns:
-        States (B, 6) level with the middles of the curves, and arc lengths (B, m) of the points from there.
+        States (B, 6) at the middles of the curves, and arc lengths (B, m) of the points from the middles,
+        negative before them.
     """
     fine = _refine(points)
     delta = np.diff(fine, axis=1)
     steps = np.hypot(delta[..., 0], delta[..., 1])
-    total = np.concatenate([np.zeros((steps.shape[0], 1)), np.cumsum(steps, axis=1)], axis=1)
-    arc_length = total - 0.5 * total[:, -1:]
+    cumulative = np.concatenate([np.zeros((steps.shape[0], 1)), np.cumsum(steps, axis=1)], axis=1)
+    arc_length = cumulative - 0.5 * cumulative[:, -1:]
     theta = np.unwrap(np.arctan2(delta[..., 1], delta[..., 0]), axis=1)
     centre = _interpolate_at_zero(arc_length, fine)
     from_centre = fine - centre[:, None, :]
@@ -75,39 +76,42 @@ def first_guess(
         np.minimum(point_weight[:, 1:], point_weight[:, :-1]), _REFINEMENT, axis=1
     ) / np.mean(point_weight)
     # weighted normal equations for (theta_c, kc, Fx, Fy), with a ridge for unknowns that are not determined
-    left = np.swapaxes(columns, 1, 2) * (steps * chord_weight)[:, None, :]
+    weighted_columns = np.swapaxes(columns, 1, 2) * (steps * chord_weight)[:, None, :]
     ridge = np.diag([1e-12, 1e-9, 1e-8, 1e-8])
-    coefficients = np.linalg.solve(left @ columns + ridge, left @ (theta + force[..., 2])[..., None])
+    coefficients = np.linalg.solve(
+        weighted_columns @ columns + ridge, weighted_columns @ (theta + force[..., 2])[..., None]
+    )
     return np.concatenate([centre, coefficients[..., 0]], axis=1), arc_length[:, ::_REFINEMENT]
 
 
 def _refine(points: FloatArray) -> FloatArray:
-    """Return curves with more points (B, n, 2).
+    """Return curves (B, n, 2) with `_REFINEMENT` steps between two given points (B, m, 2).
 
-    They follow a cubic spline over the index, or lines if the steps are uneven.
+    The new points lie on a cubic spline over the point index, or on the chords if the points are too unevenly
+    spaced for such a spline.
     """
     count = points.shape[1]
-    number = np.arange(count, dtype=np.float64)
+    index = np.arange(count, dtype=np.float64)
     fine = np.linspace(0.0, count - 1.0, (count - 1) * _REFINEMENT + 1)
-    smooth: FloatArray = np.asarray(CubicSpline(number, points, axis=1)(fine))
-    cell = np.minimum(fine.astype(np.int64), count - 2)
-    u = (fine - cell)[:, None]
-    lines = points[:, cell] * (1.0 - u) + points[:, cell + 1] * u
+    smooth: FloatArray = np.asarray(CubicSpline(index, points, axis=1)(fine))
+    interval = np.minimum(fine.astype(np.int64), count - 2)
+    u = (fine - interval)[:, None]
+    linear = points[:, interval] * (1.0 - u) + points[:, interval + 1] * u
     steps = np.hypot(*np.moveaxis(np.diff(points, axis=1), -1, 0))
     ratio = np.maximum(steps[:, 1:], steps[:, :-1]) / np.maximum(
         np.minimum(steps[:, 1:], steps[:, :-1]), 1e-300
     )
     even = ratio.max(axis=1) < _MAX_STEP_RATIO
-    return np.where(even[:, None, None], smooth, lines)
+    return np.where(even[:, None, None], smooth, linear)
 
 
 def _interpolate_at_zero(arc_length: FloatArray, values: FloatArray) -> FloatArray:
     """Interpolate values (B, m, c) at the increasing arc lengths (B, m) to arc length 0: (B, c)."""
-    rows = np.arange(arc_length.shape[0])
+    wires = np.arange(arc_length.shape[0])
     right = np.clip(np.sum(arc_length < 0.0, axis=1), 1, arc_length.shape[1] - 1)
-    a, b = arc_length[rows, right - 1], arc_length[rows, right]
+    a, b = arc_length[wires, right - 1], arc_length[wires, right]
     u = (-a / np.where(b > a, b - a, 1.0))[:, None]
-    out: FloatArray = values[rows, right - 1] * (1.0 - u) + values[rows, right] * u
+    out: FloatArray = values[wires, right - 1] * (1.0 - u) + values[wires, right] * u
     return out
 
 
@@ -136,8 +140,8 @@ class CurveFit:
         length: Lengths of the wires (B,) [m].
         residual: Signed distances of the points from the wire along its normal (B, m) [m].
         foot: Arc lengths of the nearest points from the start of the wire (B, m) [m].
-        rms: RMS distance over the points that count (B,) [m].
-        largest: Largest distance over the points that count (B,) [m].
+        rms: RMS distance over the points with positive weight (B,) [m].
+        largest: Largest distance over the points with positive weight (B,) [m].
         worst: Index of the farthest point (B,).
         rounds: Number of iterations (B,).
     """
@@ -154,6 +158,8 @@ class CurveFit:
 
 @dataclass(frozen=True)
 class _CurveFitTask:
+    """Targets and wires of a fit, in units of each target's length l."""
+
     points: FloatArray  # (B, m, 2) over the target's length l
     point_weight: FloatArray  # (B, m) weights of the squared distances, sum 1
     weight: FloatArray  # (B, 2) q l^3
@@ -161,6 +167,7 @@ class _CurveFitTask:
     tail: FloatArray  # (B,) penalty on bent ends
 
     def select(self, i: IntArray) -> "_CurveFitTask":
+        """Return the task of the wires with indices ``i``."""
         return _CurveFitTask(
             self.points[i], self.point_weight[i], self.weight[i], self.reach[i], self.tail[i]
         )
@@ -174,19 +181,24 @@ def fit_curves(
     split: FloatArray | float = 0.5,
     tail_weight: FloatArray | float = TAIL_WEIGHT,
 ) -> CurveFit:
-    """Fit elasticas to curves.
+    """Fit one elastica to each curve.
 
     Args:
         targets: Curves (B, m, 2) [m].
-        length: Lengths of the wires (B,) [m], at least those of the targets. None: wires end level with the
-            outer points.
-        weight: Weight q (B, 2) [1/m^3].
-        window: Weights >= 0 of the points (B, m).
-        split: Fraction of the free length that lies before the target.
-        tail_weight: Penalty on bent ends.
+        length: Lengths of the wires (B,) [m], at least those of the targets. None: each wire ends beside the
+            first and the last point of its target.
+        weight: Weight q (B, 2) [1/m^3]. None: no weight.
+        window: Weights >= 0 of the points (B, m). None: all 1.
+        split: Fraction of the wire's free length that lies before the target.
+        tail_weight: Penalty on curvature beyond the target (`TAIL_WEIGHT`). Not used without ``length``.
+
+    Returns:
+        The wires with the least cost that the search found. The caller judges the distances.
 
     Raises:
-        ValueError: For inputs that no wire can meet.
+        ValueError: If a curve has fewer than 4 points, points that are not finite, or length 0; if weights of
+            points are negative or all 0; if ``split`` is outside [0, 1]; or if a wire is shorter than its
+            target.
     """
     batch, count = targets.shape[:2]
     if count < 4 or not np.isfinite(targets).all():
@@ -231,7 +243,7 @@ def fit_curves(
     )
     state, foot = first_guess(task.points, task.point_weight, task.weight)
     state, foot, rounds = _search_all(task, state, foot, _MAX_ITERATIONS)
-    # Poor fits start again with the middle of their target.
+    # A poor fit is repeated from the middle part of its target outwards, and the better result is kept.
     poor = np.flatnonzero(~(_rms_distance(task, state, foot) < _MAX_FIRST_RMS))
     if poor.size:
         poor_task = task.select(poor)
@@ -247,17 +259,29 @@ def fit_curves(
 
 @dataclass(frozen=True)
 class _FitState:
-    theta: FloatArray  # on the flow's nodes
-    foot: FloatArray
+    """Residuals and their derivatives at one state of each wire, in target lengths."""
+
+    theta: FloatArray  # (B, n) at the wire's Gauss nodes
+    foot: FloatArray  # (B, m) arc lengths of the nearest points, from the state
     residual: FloatArray  # (B, r)
     jacobian: FloatArray  # (B, r, 6)
-    cost: FloatArray
+    cost: FloatArray  # (B,) sum of squared residuals
 
 
 def _nearest_points(
     wire: WireSolution, task: _CurveFitTask, foot: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the nearest points (B, m), x, y, theta, k there, and the table that interpolates to them."""
+    """Improve the points of each wire that are nearest to its target's points, by one Newton step.
+
+    Args:
+        wire: The wires.
+        task: The targets.
+        foot: Guess of the arc lengths of the nearest points from the wire's middle (B, m).
+
+    Returns:
+        Improved arc lengths (B, m), x, y, theta and k there (B, m, 4), and the values (B, m, n) of the
+        Legendre polynomials there, which interpolate coefficients to these points.
+    """
     values = np.stack([wire.x, wire.y, wire.theta, wire.curvature], axis=-1)
     reach = task.reach[:, None]
     series = gauss_nodes(wire.count).to_coefficients @ values
@@ -279,6 +303,18 @@ def _nearest_points(
 def _evaluate(
     task: _CurveFitTask, state: FloatArray, foot: FloatArray, theta: FloatArray | None, count: int
 ) -> _FitState:
+    """Compute the residuals at given states, and their derivatives with respect to the states.
+
+    The residuals of a wire are its distances from the m points, the displacement of its state along the wire
+    from the middle of the target, and its curvature at the Gauss nodes beyond the target.
+
+    Args:
+        task: Targets and wires.
+        state: States (B, 6).
+        foot: Guess of the arc lengths of the nearest points (B, m).
+        theta: Guess of the angles at the Gauss nodes (B, count), or None.
+        count: Number of Gauss nodes.
+    """
     wire = integrate_wire(
         state,
         2.0 * task.reach,
@@ -301,7 +337,7 @@ def _evaluate(
     slope[..., 1] = -root * cos
     slope[..., 2:] = root[..., None] * (sin[..., None] * d[..., :4] - cos[..., None] * d[..., 4:])
 
-    # the state stays level with the middle of the target, which fixes the freedom to slide along the curve
+    # the state stays beside the middle of the target and does not slide along the wire
     batch = state.shape[0]
     middle = 0.5 * (
         task.points[:, (task.points.shape[1] - 1) // 2] + task.points[:, task.points.shape[1] // 2]
@@ -340,6 +376,9 @@ def _fit_growing_part(task: _CurveFitTask) -> tuple[FloatArray, FloatArray, IntA
     """Fit the middle of the target first and then more and more of it.
 
     This is for curves with many waves, where the errors of the first guess have grown too large at the ends.
+
+    Returns:
+        States (B, 6), arc lengths of the nearest points (B, m), and numbers of iterations (B,).
     """
     _, arc_length = first_guess(task.points, task.point_weight, task.weight)
     state = foot = np.empty(0)
@@ -359,6 +398,7 @@ def _fit_growing_part(task: _CurveFitTask) -> tuple[FloatArray, FloatArray, IntA
 
 
 def _node_counts(task: _CurveFitTask, state: FloatArray) -> IntArray:
+    # base and per_wave: an error of about 1e-8 of the wire's length
     return node_counts(state, 2.0 * task.reach, task.weight, base=14.0, per_wave=3.6)
 
 
@@ -369,43 +409,55 @@ def _max_node_count(task: _CurveFitTask, state: FloatArray) -> int:
 def _search_all(
     task: _CurveFitTask, state: FloatArray, foot: FloatArray, limit: int
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Search with as many nodes as each wire needs.
+    """Run the Levenberg-Marquardt search with as many Gauss nodes as each wire needs.
 
-    Wires that develop more waves continue with more nodes.
+    Wires that develop more waves during the search continue with more nodes.
+
+    Args:
+        task: Targets and wires.
+        state: First guess of the states (B, 6).
+        foot: First guess of the arc lengths of the nearest points (B, m).
+        limit: Maximum number of iterations for each number of nodes.
+
+    Returns:
+        States (B, 6), arc lengths of the nearest points (B, m), and numbers of iterations (B,).
     """
     state, foot = state.copy(), foot.copy()
     used = np.zeros(state.shape[0], dtype=np.int64)
     rounds = np.zeros(state.shape[0], dtype=np.int64)
     while True:
         required = _node_counts(task, state)
-        open_rows = np.flatnonzero(required > used)
-        if open_rows.size == 0:
+        unresolved = np.flatnonzero(required > used)
+        if unresolved.size == 0:
             return state, foot, rounds
-        count = int(required[open_rows].min())
-        rows = open_rows[required[open_rows] == count]
-        state[rows], foot[rows], iterations = _levenberg_marquardt(
-            task.select(rows), state[rows], foot[rows], count, limit
+        count = int(required[unresolved].min())
+        selected = unresolved[required[unresolved] == count]
+        state[selected], foot[selected], iterations = _levenberg_marquardt(
+            task.select(selected), state[selected], foot[selected], count, limit
         )
-        used[rows] = count
-        rounds[rows] += iterations
+        used[selected] = count
+        rounds[selected] += iterations
 
 
 def _levenberg_marquardt(
     task: _CurveFitTask, state: FloatArray, foot: FloatArray, count: int, limit: int
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Run Levenberg-Marquardt on all rows that still move.
+    """Minimise the cost of all wires at once. A wire leaves the iteration when it has converged.
 
-    Returns states, nearest points and the rounds of each.
+    Args:
+        task: Targets and wires.
+        state: First guess of the states (B, 6).
+        foot: First guess of the arc lengths of the nearest points (B, m).
+        count: Number of Gauss nodes.
+        limit: Maximum number of iterations.
+
+    Returns:
+        States (B, 6), arc lengths of the nearest points (B, m), and numbers of iterations (B,).
     """
     state, foot = state.copy(), foot.copy()
-    state_values = _evaluate(task, state, foot, None, count)
-    theta, foot, residual, jacobian, cost = (
-        state_values.theta,
-        state_values.foot,
-        state_values.residual,
-        state_values.jacobian,
-        state_values.cost,
-    )
+    initial = _evaluate(task, state, foot, theta=None, count=count)
+    theta, foot = initial.theta, initial.foot
+    residual, jacobian, cost = initial.residual, initial.jacobian, initial.cost
     damp = np.full(state.shape[0], 1e-6)
     rounds = np.zeros(state.shape[0], dtype=np.int64)
     active = np.arange(state.shape[0])
@@ -425,10 +477,11 @@ def _levenberg_marquardt(
         improved = trial.cost <= cost[i]
         decrease = (cost[i] - trial.cost) / np.maximum(cost[i], 1e-300)
         small = np.abs(step).max(axis=1) < 1e-11
-        g = i[improved]
-        state[g] += step[improved]
-        theta[g], foot[g], residual[g] = trial.theta[improved], trial.foot[improved], trial.residual[improved]
-        jacobian[g], cost[g] = trial.jacobian[improved], trial.cost[improved]
+        accepted = i[improved]
+        state[accepted] += step[improved]
+        theta[accepted], foot[accepted] = trial.theta[improved], trial.foot[improved]
+        residual[accepted], jacobian[accepted] = trial.residual[improved], trial.jacobian[improved]
+        cost[accepted] = trial.cost[improved]
         damp[i] = np.where(improved, np.maximum(damp[i] * 0.1, 1e-12), np.maximum(damp[i] * 8.0, 1e-6))
         done = (improved & (decrease < _COST_TOLERANCE)) | small | (cost[i] < 1e-24) | (damp[i] > 1e8)
         active = i[~done]
@@ -440,7 +493,7 @@ class _WireLengths:
     """Lengths of B targets and of their wires."""
 
     target: FloatArray  # (B,) [m]
-    wire: FloatArray | None  # (B,) [m], None: the wires end level with the outer points of their targets
+    wire: FloatArray | None  # (B,) [m], None: each wire ends beside the outer points of its target
     split: FloatArray  # (B,) fraction of the wire's free length that lies before its target
 
 
@@ -449,10 +502,10 @@ def _make_fit(
     state: FloatArray,
     foot: FloatArray,
     lengths: _WireLengths,
-    counts: BoolArray,
+    has_weight: BoolArray,
     rounds: IntArray,
 ) -> CurveFit:
-    """Return the fit in metres. ``counts`` (B, m) are the points that count."""
+    """Return the fit in metres, with distances over the points that ``has_weight`` (B, m) selects."""
     size, length = lengths.target, lengths.wire
     start = PicardStart(count=_max_node_count(task, state))
     wire = integrate_wire(state, 2.0 * task.reach, task.weight, anchor=0.5, start=start)
@@ -467,8 +520,8 @@ def _make_fit(
     unit = np.stack([size, size, np.ones_like(size), 1.0 / size, size**-2, size**-2], axis=1)
     gap = task.points - at_foot[..., :2]
     residual = (gap[..., 1] * np.cos(at_foot[..., 2]) - gap[..., 0] * np.sin(at_foot[..., 2])) * size[:, None]
-    distance = np.hypot(gap[..., 0], gap[..., 1]) * size[:, None] * counts
-    rms = np.sqrt(np.sum(distance**2, axis=1) / counts.sum(axis=1))
+    distance = np.hypot(gap[..., 0], gap[..., 1]) * size[:, None] * has_weight
+    rms = np.sqrt(np.sum(distance**2, axis=1) / has_weight.sum(axis=1))
     return CurveFit(
         middle * unit,
         wire_length * size,

@@ -41,7 +41,7 @@ _HOMOTOPY_STEPS = 12  # steps from a guess to clamps that Newton does not reach 
 
 @dataclass(frozen=True)
 class HeavyShape:
-    """Wires sampled at n points, uniform in arc length.
+    """Shapes of B wires with weight, sampled at n points with equal steps of arc length.
 
     Attributes:
         points: Points (B, n, 2) [m].
@@ -50,8 +50,8 @@ class HeavyShape:
         params: States at s = 0 (B, 6).
         length: Lengths (B,) [m].
         weight: Weight q (B, 2) [1/m^3].
-        middle: States at s = L/2 (B, 6). All computations start from here because rounding grows least from
-            here.
+        middle: States at s = L/2 (B, 6). All computations start from the middle, because rounding errors grow
+            least from there.
     """
 
     points: FloatArray
@@ -121,8 +121,8 @@ class HeavyFit:
         shape: The placed wires.
         residual: Signed distances of the target's points from the wire along its normal (B, m) [m].
         foot: Arc lengths of the nearest points on the wire (B, m) [m].
-        rms: RMS distance over the points that count (B,) [m].
-        largest: Largest distance over the points that count (B,) [m].
+        rms: RMS distance over the points with positive weight (B,) [m].
+        largest: Largest distance over the points with positive weight (B,) [m].
         worst: Index of the farthest point (B,).
     """
 
@@ -198,10 +198,11 @@ def solve(wires: ClampedWires, guess_params: FloatArray, n: int = 101, strict: b
         wires: Wires between their clamps.
         guess_params: Guess of the states at s = 0 (B, 6).
         n: Number of points along each wire.
-        strict: Whether failure raises. Otherwise the rows that fail are NaN.
+        strict: Whether failure raises. Otherwise the shapes of the wires that fail are NaN.
 
     Raises:
-        TandemError: wire.no_equilibrium, if Newton fails.
+        TandemError: ``wire.no_equilibrium`` if Newton's method fails for a wire. Its ``partial`` has the
+            shapes of all wires.
     """
     middle = _solve_by_homotopy(wires, guess_params, steps=1)
     failed = np.flatnonzero(np.isnan(middle[:, 0]))
@@ -217,60 +218,70 @@ def solve(wires: ClampedWires, guess_params: FloatArray, n: int = 101, strict: b
 
 
 def _solve_by_homotopy(clamped_wires: ClampedWires, params: FloatArray, steps: int) -> FloatArray:
-    """Return middle states (B, 6) by homotopy from the guess's end poses to the required ones.
-
-    NaN if there is none.
+    """Solve for the states at the middles of wires, by homotopy from the guess's end poses.
 
     A guess that meets the required end better without weight is taken for a wire without weight, and its
     weight grows along the homotopy.
+
+    Args:
+        clamped_wires: Wires between their clamps.
+        params: Guess of the states at s = 0 (B, 6).
+        steps: Number of steps of the homotopy.
+
+    Returns:
+        States at s = L/2 (B, 6), NaN for wires without a solution.
     """
     length, start = clamped_wires.length, clamped_wires.start
     end, weight = clamped_wires.end, clamped_wires.weight
     # Guess as a clamped wire, with or without weight: amplitudes, force and end pose.
-    nothing = np.zeros_like(weight)
-    wires = [integrate_wire(params, length, load, anchor=0.0) for load in (weight, nothing)]
-    gaps = [np.hypot(*(wire.at(np.array([1.0]))[:, 0, :2] - end[:, :2]).T) for wire in wires]
-    is_weightless = gaps[1] < gaps[0]
-    pick = is_weightless[:, None]
+    zero_weight = np.zeros_like(weight)
+    wires = [integrate_wire(params, length, load, anchor=0.0) for load in (weight, zero_weight)]
+    end_errors = [np.hypot(*(wire.at(np.array([1.0]))[:, 0, :2] - end[:, :2]).T) for wire in wires]
+    is_weightless = end_errors[1] < end_errors[0]
+    pick_weightless = is_weightless[:, None]
     states = []
     for wire in wires:
         grid = gauss_nodes(wire.count)
         states.append(clamped.amplitudes_of(wire.theta, grid.sigma, grid.weight))
-    amplitude = np.where(pick, states[1], states[0])
+    amplitude = np.where(pick_weightless, states[1], states[0])
     force = params[:, 4:] * (length**2)[:, None]
-    guess_end = np.where(pick, *(wire.at(np.array([1.0]))[:, 0, :3] for wire in reversed(wires)))
-    initial_weight = np.where(pick, nothing, weight)
+    guess_end = np.where(pick_weightless, *(wire.at(np.array([1.0]))[:, 0, :3] for wire in reversed(wires)))
+    initial_weight = np.where(pick_weightless, zero_weight, weight)
     # Homotopy of clamps and weight. A step that fails keeps the previous shape.
     solution = None
     for i in range(1, steps + 1):
         t = i / steps
-        a, b = params[:, :3] + t * (start - params[:, :3]), guess_end + t * (end - guess_end)
+        current_start = params[:, :3] + t * (start - params[:, :3])
+        current_end = guess_end + t * (end - guess_end)
         current_weight = initial_weight + t * (weight - initial_weight)
-        current = ClampedWires(length=length, start=a, end=b, weight=current_weight)
+        current = ClampedWires(length=length, start=current_start, end=current_end, weight=current_weight)
         solution = clamped.solve_newton(current, amplitude, force)
         converged = solution.residual < 1e-6
         amplitude = np.where(converged[:, None], solution.amplitude, amplitude)
         force = np.where(converged[:, None], solution.force, force)
     # Exact state at the middle from the Galerkin solution, by Newton on both end poses.
     middle = np.full((length.size, 6), np.nan)
-    rows = np.flatnonzero(solution.residual < 1e-6) if solution is not None else np.empty(0, dtype=np.int64)
-    if rows.size:
-        state = middle_state(start[rows], end[rows], length[rows], weight[rows], amplitude[rows], force[rows])
-        state, miss = refine_state(state, start[rows], end[rows], length[rows], weight[rows])
-        middle[rows[miss < _POSE_TOLERANCE_FRACTION]] = state[miss < _POSE_TOLERANCE_FRACTION]
+    solved = np.flatnonzero(solution.residual < 1e-6) if solution is not None else np.empty(0, dtype=np.int64)
+    if solved.size:
+        state = middle_state(
+            start[solved], end[solved], length[solved], weight[solved], amplitude[solved], force[solved]
+        )
+        state, miss = refine_state(state, start[solved], end[solved], length[solved], weight[solved])
+        middle[solved[miss < _POSE_TOLERANCE_FRACTION]] = state[miss < _POSE_TOLERANCE_FRACTION]
     return middle
 
 
 def _with_nan_rows(
     middle: FloatArray, length: FloatArray, weight: FloatArray, n: int, ok: BoolArray
 ) -> HeavyShape:
+    """Create wires from their middle states where ``ok`` (B,) is set. The others are NaN."""
     solved = from_middle(middle[ok], length[ok], weight[ok], n)
-    whole = []
+    padded = []
     for values in (solved.points, solved.theta, solved.curvature, solved.params):
         full = np.full((length.size, *values.shape[1:]), np.nan)
         full[ok] = values
-        whole.append(full)
-    return HeavyShape(whole[0], whole[1], whole[2], whole[3], length, weight, middle)
+        padded.append(full)
+    return HeavyShape(padded[0], padded[1], padded[2], padded[3], length, weight, middle)
 
 
 def _no_equilibrium(index: int, length: float) -> Issue:
@@ -282,11 +293,11 @@ def _no_equilibrium(index: int, length: float) -> Issue:
 def slide_ends(shape: HeavyShape, start_arc_length: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Slide wires along their own curves.
 
-    This is the freedom to distribute the slack between the ends. The middle stays where it is.
+    This is the freedom to distribute the slack between the ends. The curve keeps its place.
 
     Args:
         shape: The wires.
-        start_arc_length: Arc lengths of the new start (B, K) [m]. The new end is at a + L.
+        start_arc_length: Arc lengths a of the new starts (B, K) [m]. The new ends are at a + L.
 
     Returns:
         Poses (B, K, 3) of both ends.
@@ -297,7 +308,13 @@ def slide_ends(shape: HeavyShape, start_arc_length: FloatArray) -> tuple[FloatAr
 
 
 def slide(shape: HeavyShape, start_arc_length: FloatArray, n: int = 101) -> HeavyShape:
-    """Return the wires that `slide_ends` describes, for one arc length a (B,) [m] each."""
+    """Return the wires after a slide along their own curves, as `slide_ends` describes it.
+
+    Args:
+        shape: The wires.
+        start_arc_length: Arc length of the new start of each wire (B,) [m].
+        n: Number of points along each wire.
+    """
     middle = shape.at((start_arc_length + 0.5 * shape.length)[:, None])[:, 0]
     return from_middle(middle, shape.length, shape.weight, n)
 
@@ -305,7 +322,7 @@ def slide(shape: HeavyShape, start_arc_length: FloatArray, n: int = 101) -> Heav
 def sag_out_of_plane(
     shape: HeavyShape, weight_normal: FloatArray, section: StiffnessRatios, n: int = 101
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the deflection by the weight across the plane, along z = x cross y.
+    """Return the deflections of wires along z = x cross y under the weight across their planes.
 
     The model is linear: it holds while the deflection is small compared with the shape. The result is
     infinite if the wire is not stable out of its plane.
@@ -356,15 +373,17 @@ class EndSensitivity:
 
 
 def end_sensitivity(shape: HeavyShape, window: FloatArray | None = None) -> EndSensitivity:
-    """Solve the linearised clamped problem at each wire.
+    """Compute how far wires move in their planes if clamps or length have unit errors, linearised.
 
-    All nodes inside the window count. For a window between two nodes the nearest node counts.
+    The result is the maximum over all nodes inside the window. For a window between two nodes it is the value
+    at the nearest node.
 
     Args:
         shape: The wires.
         window: Arc lengths (B, 2) [m] between which the wire counts, by default all of it.
     """
-    # stationary energy, form a = gradient + rows' f, and constant chord, rows a = chord, for 7 unit errors
+    # For each of 7 unit errors: stationary energy, form a = gradient + C' f, and required chord, C a = chord.
+    # C (chord_slope) is the derivative of the chord by the amplitudes a, and f the change of the force.
     base = bump_basis(_LINEAR_MODES, _QUADRATURE_POINTS)
     sigma, w = base.sigma, base.weight
     at = shape.flow().at(sigma)
@@ -374,7 +393,7 @@ def end_sensitivity(shape: HeavyShape, window: FloatArray | None = None) -> EndS
     normal = np.stack([-sin, cos], axis=1)
     batch = shape.length.size
     form = np.eye(_LINEAR_MODES) + base.value.T @ ((tangential_force * w)[:, :, None] * base.value)
-    rows = (normal * w) @ base.value
+    chord_slope = (normal * w) @ base.value
 
     # inputs: xA, yA, thetaA, xB, yB, thetaB, L; lift: change of theta that an end angle causes
     lift = np.zeros((7, sigma.size))
@@ -395,25 +414,25 @@ def end_sensitivity(shape: HeavyShape, window: FloatArray | None = None) -> EndS
     size = _LINEAR_MODES
     system = np.zeros((batch, size + 2, size + 2))
     system[:, :size, :size] = form
-    system[:, :size, size:] = -np.swapaxes(rows, 1, 2)
-    system[:, size:, :size] = rows
-    right = np.concatenate([gradient, chord], axis=1)
-    gram = rows @ np.swapaxes(rows, 1, 2)
+    system[:, :size, size:] = -np.swapaxes(chord_slope, 1, 2)
+    system[:, size:, :size] = chord_slope
+    right_side = np.concatenate([gradient, chord], axis=1)
+    gram = chord_slope @ np.swapaxes(chord_slope, 1, 2)
     determinant = gram[:, 0, 0] * gram[:, 1, 1] - gram[:, 0, 1] ** 2  # 0 for a straight wire
     singular = ~(determinant > 1e-16 * (gram[:, 0, 0] + gram[:, 1, 1]))
-    is_unstable = singular | (min_constrained_eigenvalue(form, rows) <= MIN_STABLE_MARGIN)
+    is_unstable = singular | (min_constrained_eigenvalue(form, chord_slope) <= MIN_STABLE_MARGIN)
     system[is_unstable] = np.eye(size + 2)
-    right[is_unstable] = 0.0
+    right_side[is_unstable] = 0.0
     # displacement of the points from the change of theta, projected on the normal
-    change = np.linalg.solve(system, right)[:, :size]
+    change = np.linalg.solve(system, right_side)[:, :size]
     d_theta = base.value @ change + lift.T
-    path = gauss_nodes(_QUADRATURE_POINTS).integral_from_start
-    dx = length[..., None] * (path @ (-sin[..., None] * d_theta))
-    dy = length[..., None] * (path @ (cos[..., None] * d_theta))
+    integral = gauss_nodes(_QUADRATURE_POINTS).integral_from_start
+    dx = length[..., None] * (integral @ (-sin[..., None] * d_theta))
+    dy = length[..., None] * (integral @ (cos[..., None] * d_theta))
     dx[..., 0] += 1.0
     dy[..., 1] += 1.0
-    dx[..., 6] += cos @ path.T
-    dy[..., 6] += sin @ path.T
+    dx[..., 6] += cos @ integral.T
+    dy[..., 6] += sin @ integral.T
     profile = -sin[..., None] * dx + cos[..., None] * dy
     profile[is_unstable] = np.inf
     s = sigma * length
@@ -434,7 +453,7 @@ def end_sensitivity(shape: HeavyShape, window: FloatArray | None = None) -> EndS
 
 
 def weight_deviation(shape: HeavyShape, n: int = 101, steps: int = 4) -> tuple[FloatArray, FloatArray]:
-    """Return how far weight moves the wire in its plane between the same clamps.
+    """Return how far its weight moves each wire in its plane between the same clamps.
 
     The weight is removed in steps, each solved from the previous one. The result is infinite if the wire
     without weight has no shape on this branch (it would snap).

@@ -24,13 +24,13 @@ from planner.processes.hotwire.plan.kerf.cut_measurements import CutMeasurements
 from planner.processes.hotwire.plan.kerf.width import USABLE_KERF_RANGE_M
 
 HUBER_THRESHOLD: Final = 1.345
-"""Number of standard deviations beyond which residuals count less.
+"""Number of standard deviations beyond which residuals get less weight.
 
-At this bound the efficiency is 95 % of least squares if no reading is wrong. Source: Huber, Robust
+With this value the efficiency is 95 % of least squares if no reading is wrong. Source: Huber, Robust
 Statistics, 1981.
 """
 TUKEY_THRESHOLD: Final = 4.685
-"""Number of standard deviations beyond which residuals do not count, at the same efficiency of 95 %.
+"""Number of standard deviations beyond which residuals get no weight, at the same efficiency of 95 %.
 
 Source: Beaton and Tukey, 1974.
 """
@@ -44,8 +44,8 @@ class FitReport:
 
     Attributes:
         fit: The fitted line.
-        hot: Cuts left out as too hot (N,).
-        cold: Cuts left out as too cold (N,).
+        hot: Whether a cut is left out as too hot (N,).
+        cold: Whether a cut is left out as too cold (N,).
         residuals: Measured minus fitted width of all cuts (N,) [m].
     """
 
@@ -56,14 +56,14 @@ class FitReport:
 
     @property
     def kept(self) -> BoolArray:
-        """The cuts that count (N,)."""
+        """Whether a cut is used by the fit (N,)."""
         return ~(self.hot | self.cold)
 
 
 def fit_least_squares(
     foam: FoamMaterial, cuts: CutMeasurements, thickness: float, diameter: float
 ) -> KerfFit:
-    """Fit a straight line through kerf over ideal width. Every cut counts.
+    """Fit a straight line through kerf over ideal width by least squares. All cuts have the same weight.
 
     Args:
         foam: Foam, for its density and heat.
@@ -84,9 +84,9 @@ class CutFile:
     Attributes:
         cuts: The N cuts.
         thickness: Thickness of the foam, one for all cuts [m].
-        burnt: Cuts stated to be burnt (N,).
-        dragging: Cuts stated to drag (N,).
-        good: Cuts stated to be good (N,).
+        burnt: Whether the file states that a cut is burnt (N,).
+        dragging: Whether the file states that the wire dragged in a cut (N,).
+        good: Whether the file states that a cut is good (N,).
     """
 
     cuts: CutMeasurements
@@ -97,7 +97,7 @@ class CutFile:
 
 
 def fit_robust(foam: FoamMaterial, cut_file: CutFile, diameter: float) -> FitReport:
-    """Fit a straight line that a few wrong readings do not rotate.
+    """Fit a straight line through kerf over ideal width, robust against a few wrong readings.
 
     Burnt and dragging cuts are left out. Cuts not known to be good are also left out if the line itself gives
     a kerf outside 0.8 to 3 mm, as too cold or too hot. The fit is repeated until no more cuts are left out.
@@ -127,13 +127,15 @@ def fit_robust(foam: FoamMaterial, cut_file: CutFile, diameter: float) -> FitRep
         if np.array_equal(next_hot, hot) and np.array_equal(next_cold, cold):
             break
         key = next_hot.tobytes() + next_cold.tobytes()
-        if key in seen:  # the selection cycles: a cut left out in either state stays left out
+        if key in seen:  # the selection cycles: a cut that either of both states leaves out stays left out
             next_hot, next_cold = next_hot | hot, (next_cold | cold) & ~(next_hot | hot)
             fixed_hot, fixed_cold, is_fixed = next_hot, next_cold, np.ones_like(is_fixed)
         seen.add(key)
         hot, cold = next_hot, next_cold
-    slowest = cuts.speed[burnt].max() if np.any(burnt) else -np.inf
-    burnt_speed = float(slowest) if np.any(burnt) and slowest < cuts.speed[kept].min() else None
+    # the fastest burnt cut bounds usable speeds if all cuts that the fit uses were faster
+    max_burnt_speed = cuts.speed[burnt].max() if np.any(burnt) else -np.inf
+    is_bound = np.any(burnt) and max_burnt_speed < cuts.speed[kept].min()
+    burnt_speed = float(max_burnt_speed) if is_bound else None
     fit = dataclasses.replace(fit, tests=dataclasses.replace(fit.tests, burnt_speed=burnt_speed))
     return FitReport(fit, hot, cold, cuts.width - expected)
 
@@ -143,8 +145,12 @@ def _fit_reweighted(
 ) -> KerfFit:
     """Fit by iteratively reweighted least squares, with residuals scaled by their median.
 
-    Huber's weights start from a plain line. Tukey's weights follow, under which distant readings do not count
-    at all.
+    Iterations with Huber's weights start from the least-squares line. Iterations with Tukey's weights follow,
+    which ignore distant readings. ``left_out`` are the numbers of cuts left out as too hot and too cold, for
+    messages.
+
+    Raises:
+        TandemError: ``kerf.few_cuts``, ``kerf.no_trend``.
     """
     if len(cuts) < MIN_CUTS:
         raise TandemError(_few_cuts_issue(len(cuts), left_out))
@@ -163,6 +169,7 @@ def _fit_reweighted(
     if fit.chi <= 0.0:
         text = format_message("kerf.no_trend", chi=fit.chi)
         raise issue_error("kerf.no_trend", text, hint="check the columns and units of the file")
+    # spread: standard deviation of residuals clipped at Huber's threshold, corrected for the clipping
     clipped = np.clip(
         cuts.width - (fit.chi * ideal - fit.offset), -HUBER_THRESHOLD * scale, HUBER_THRESHOLD * scale
     )
@@ -184,7 +191,7 @@ def _tukey_weights(scaled: FloatArray) -> FloatArray:
 
 
 def _clipped_variance(bound: float) -> float:
-    """Return the variance of a standard normal value that is clipped at both sides."""
+    """Return the variance of a standard normal variable that is clipped to [-bound, bound]."""
     inside = 2.0 * float(ndtr(bound)) - 1.0
     density = math.exp(-0.5 * bound**2) / math.sqrt(2.0 * math.pi)
     return inside - 2.0 * bound * density + bound**2 * (1.0 - inside)
@@ -198,13 +205,18 @@ def _fit_line(
     diameter: float,
     left_out: tuple[int, int] = (0, 0),
 ) -> KerfFit:
+    """Fit kerf = chi * ideal width - offset by weighted least squares.
+
+    Raises:
+        TandemError: ``kerf.few_cuts`` for fewer than 3 cuts, or ideal widths that are almost equal.
+    """
     if len(cuts) < 3:
         raise TandemError(_few_cuts_issue(len(cuts), left_out))
     ideal = models.ideal_width(foam, cuts.power_per_length, cuts.speed)
-    total = float(weights.sum())
-    mean, mean_width = float(weights @ ideal) / total, float(weights @ cuts.width) / total
+    total_weight = float(weights.sum())
+    mean, mean_width = float(weights @ ideal) / total_weight, float(weights @ cuts.width) / total_weight
     scatter = float(weights @ (ideal - mean) ** 2)
-    if scatter <= 1e-6 * total * mean**2:
+    if scatter <= 1e-6 * total_weight * mean**2:
         raise TandemError(_few_cuts_issue(len(cuts), left_out))
     chi = float(weights @ ((ideal - mean) * (cuts.width - mean_width))) / scatter
     residuals = cuts.width - mean_width - chi * (ideal - mean)
@@ -225,6 +237,7 @@ def _fit_line(
 
 
 def _few_cuts_issue(count: int, left_out: tuple[int, int]) -> Issue:
+    """Return ``kerf.few_cuts`` for a number of usable cuts and those left out as too hot and too cold."""
     hot, cold = left_out
     text = format_message(
         "kerf.few_cuts", usable_count=count, hot_count=hot, cold_count=cold, min_count=MIN_CUTS
@@ -272,7 +285,7 @@ def read_cuts(path: Path, diameter: float, wire_length: float | None, thickness:
         thickness: Thickness of the foam [m], or None if a column states it.
 
     Raises:
-        TandemError: kerf.file, kerf.impossible, with every error and its line.
+        TandemError: ``kerf.file``, ``kerf.impossible``. Each issue has its line.
     """
     name = str(path)
     header, rows = _read_rows(path)
@@ -294,12 +307,16 @@ def read_cuts(path: Path, diameter: float, wire_length: float | None, thickness:
     if length is None or thickness is None:
         raise ValueError("the headings were checked")
     cuts = CutMeasurements(columns["power_w"] / length, columns["speed_mm_s"] * MM, kerf * MM)
-    good, burnt, dragging = (np.array([face == wanted for face in face_values]) for wanted in FACE_VALUES)
+    good, burnt, dragging = (np.array([face == value for face in face_values]) for value in FACE_VALUES)
     return CutFile(cuts, thickness, burnt, dragging, good)
 
 
 def _columns(name: str, header: list[str], rows: list[CsvRow]) -> tuple[dict[str, FloatArray], list[str]]:
-    """Return the numeric columns and the column of faces. Refuses every value that is out of range."""
+    """Return the numeric columns by heading, and the column ``face``.
+
+    Raises:
+        TandemError: ``kerf.file`` for each value that is not allowed.
+    """
     issues = []
     numbers: dict[str, list[float]] = {key: [] for key in header if key in NUMBER_COLUMNS}
     faces: list[str] = []
@@ -321,7 +338,7 @@ def _columns(name: str, header: list[str], rows: list[CsvRow]) -> tuple[dict[str
 
 
 def _narrow_cut_issues(name: str, rows: list[CsvRow], kerf: FloatArray, diameter: float) -> list[Issue]:
-    """Return issues on cuts that are narrower than the wire [mm]."""
+    """Return ``kerf.impossible`` for each cut that is not wider than the wire. Both are in mm."""
     hint = (
         "kerf is nominal minus measured side: measure the piece, not the hole, or state the wire's diameter"
     )
@@ -339,7 +356,7 @@ def _narrow_cut_issues(name: str, rows: list[CsvRow], kerf: FloatArray, diameter
 
 
 def _thickness_issues(name: str, rows: list[CsvRow], thickness: FloatArray) -> list[Issue]:
-    """Return issues on cuts in foam of another thickness [mm] than the first."""
+    """Return ``kerf.file`` for each cut in foam of another thickness [mm] than the first one."""
     first = thickness[0]
     return [
         Issue(
@@ -357,6 +374,7 @@ def _thickness_issues(name: str, rows: list[CsvRow], thickness: FloatArray) -> l
 def _heading_issues(
     name: str, header: list[str], wire_length: float | None, thickness: float | None
 ) -> list[Issue]:
+    """Return ``kerf.file`` for unknown, repeated, missing and conflicting columns."""
     issues = []
 
     def add_issue(text: str, field: str, hint: str) -> None:
@@ -377,8 +395,8 @@ def _heading_issues(
         )
         text += ", allowed kerf_mm alone, or measured_side_mm with nominal_side_mm"
         add_issue(text, "kerf_mm", "give one of the two")
-    for key, given in (("wire_length_mm", wire_length), ("thickness_mm", thickness)):
-        if key not in header and given is None:
+    for key, common_value in (("wire_length_mm", wire_length), ("thickness_mm", thickness)):
+        if key not in header and common_value is None:
             add_issue(
                 f"{key}: got neither a column nor a value, allowed one of them",
                 key,
@@ -388,6 +406,11 @@ def _heading_issues(
 
 
 def _read_rows(path: Path) -> tuple[list[str], list[CsvRow]]:
+    """Return the headings and rows of a CSV file of test cuts, without empty lines and comments.
+
+    Raises:
+        TandemError: ``kerf.file``.
+    """
     name = str(path)
     if not is_file(path):
         raise issue_error(
@@ -395,14 +418,14 @@ def _read_rows(path: Path) -> tuple[list[str], list[CsvRow]]:
         )
     try:
         if path.stat().st_size > MAX_TEST_CUT_BYTES:
-            what = f"{name}: larger than {MAX_TEST_CUT_BYTES / 1e6:g} MB"
+            message = f"{name}: larger than {MAX_TEST_CUT_BYTES / 1e6:g} MB"
             hint = "split the file"
-            raise issue_error("kerf.file", what, file=name, hint=hint)
+            raise issue_error("kerf.file", message, file=name, hint=hint)
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        what = f"{name}: cannot be read as text: {error}"
+        message = f"{name}: cannot be read as text: {error}"
         hint = "save it as CSV, UTF-8"
-        raise issue_error("kerf.file", what, file=name, hint=hint) from error
+        raise issue_error("kerf.file", message, file=name, hint=hint) from error
     lines = [
         (k + 1, line) for k, line in enumerate(text.splitlines()) if line.strip() and not line.startswith("#")
     ]
@@ -427,6 +450,7 @@ def _read_rows(path: Path) -> tuple[list[str], list[CsvRow]]:
 
 
 def _number(text: str) -> float:
+    """Return the number in a cell, or NaN, which no range of a column includes."""
     try:
         return float(text)
     except ValueError:

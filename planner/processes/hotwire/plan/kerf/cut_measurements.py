@@ -1,4 +1,4 @@
-"""Measured test cuts as arrays, the tables of the dissertation, and the wire that they were cut with."""
+"""Measured test cuts as arrays, the tables of the dissertation (docs/kerf.md), and the wire of its tests."""
 
 import csv
 import dataclasses
@@ -53,8 +53,8 @@ class CutTable:
         power: Power (N,) [W].
         voltage: Voltage (N,) [V].
         calculated: Width as the dissertation calculates it (N,) [m].
-        burnt: Cells that are shaded as burnt (N,).
-        dragging: Cells that are shaded as dragging (N,).
+        burnt: Whether a cell is shaded as burnt (N,).
+        dragging: Whether a cell is shaded as dragging (N,).
     """
 
     cuts: CutMeasurements
@@ -66,7 +66,7 @@ class CutTable:
 
     @property
     def valid(self) -> BoolArray:
-        """Cells that were measured and are not burnt (N,)."""
+        """Whether a cell was measured and is not burnt (N,)."""
         return np.isfinite(self.cuts.width) & ~self.burnt
 
 
@@ -82,7 +82,7 @@ def dissertation_tables() -> dict[str, CutTable]:
 
 @functools.lru_cache(maxsize=1)
 def air_table() -> dict[str, FloatArray]:
-    """Return properties of dry air, (18,) each.
+    """Return properties of dry air at 18 temperatures, as arrays (18,) by name.
 
     Returns:
         ``temperature`` [C], ``density`` [kg/m^3], ``heat`` [J/(kg K)], ``conductivity`` [W/(m K)] and
@@ -103,6 +103,8 @@ def air_table() -> dict[str, FloatArray]:
 
 
 def _make_cut_table(rows: list[dict[str, str]]) -> CutTable:
+    """Return the table of one foam from the rows of the file. Empty cells become NaN."""
+
     def column(name: str) -> FloatArray:
         return np.array([float(row[name]) if row[name] else np.nan for row in rows])
 
@@ -120,6 +122,7 @@ def _make_cut_table(rows: list[dict[str, str]]) -> CutTable:
 
 
 def _read_csv(name: str) -> list[dict[str, str]]:
+    """Return the rows of a data file as values by heading, without comment lines."""
     with (_DATA_FOLDER / name).open(encoding="utf-8", newline="") as stream:
         return list(csv.DictReader(line for line in stream if not line.startswith("#")))
 

@@ -73,14 +73,14 @@ def energy_width(
     """
     fit, melted = _required_fit(foam), ideal_width(foam, power / wire.length, speed)
     middle, half = fit.chi * melted - fit.offset, interval_half_width(fit, melted)
-    low, middle, high = (np.maximum(middle + s * half, wire.diameter) for s in (-1.0, 0.0, 1.0))
+    low, middle, high = (np.maximum(middle + sign * half, wire.diameter) for sign in (-1.0, 0.0, 1.0))
     return middle, low, high
 
 
 def energy_speed(
     foam: FoamMaterial, wire: HotWire, power: FloatArray, required: FloatArray, thickness: FloatArray
 ) -> FloatArray:
-    """Return the speed [m/s] of a kerf. It is not positive if no speed gives this kerf.
+    """Return the speed [m/s] at which the energy balance gives a kerf. It is not positive if there is none.
 
     Args:
         foam: Foam with test cuts.
@@ -95,7 +95,7 @@ def energy_speed(
 def energy_power(
     foam: FoamMaterial, wire: HotWire, speed: FloatArray, required: FloatArray, thickness: FloatArray
 ) -> FloatArray:
-    """Return the power [W] of a kerf. It is not positive if no power gives this kerf.
+    """Return the power [W] at which the energy balance gives a kerf. It is not positive if there is none.
 
     Args:
         foam: Foam with test cuts.
@@ -123,7 +123,7 @@ def ideal_width(foam: FoamMaterial, power_per_length: FloatArray, speed: FloatAr
 
 
 def interval_half_width(fit: KerfFit, ideal_width: FloatArray | float) -> FloatArray:
-    """Return half the interval [m] for one new cut of an ideal width [m].
+    """Return half the length of the interval [m] that contains the kerf of one new cut of an ideal width [m].
 
     t s sqrt(1 + 1/n + (x - mean)^2 / scatter), with Student's t for n - 2 degrees of freedom.
     """
@@ -133,6 +133,7 @@ def interval_half_width(fit: KerfFit, ideal_width: FloatArray | float) -> FloatA
 
 
 def _ideal_width_for(foam: FoamMaterial, required: FloatArray) -> FloatArray:
+    """Return the ideal width [m] at which the fitted line gives a required kerf [m]."""
     fit = _required_fit(foam)
     return (required + fit.offset) / fit.chi
 
@@ -148,8 +149,8 @@ class GeneralModelConstants:
     """Constants of the general model.
 
     Attributes:
-        chi: Efficiency.
-        chi_lambda: Product of chi and lambda.
+        chi: Efficiency: factor from the ideal width to the kerf.
+        chi_lambda: Product of chi and lambda, the factor on the heat that is lost into the foam.
         spread: Root mean square error [m] in the foams that were left out.
         count: Number of cells.
     """
@@ -177,14 +178,14 @@ def general_width(
         foam, speed
     )
     half = float(stdtrit(fitted.count - 2, 0.5 + 0.5 * CONFIDENCE)) * fitted.spread
-    low, middle, high = (np.maximum(middle + s * half, wire.diameter) for s in (-1.0, 0.0, 1.0))
+    low, middle, high = (np.maximum(middle + sign * half, wire.diameter) for sign in (-1.0, 0.0, 1.0))
     return middle, low, high
 
 
 def general_speed(
     foam: FoamMaterial, wire: HotWire, power: FloatArray, required: FloatArray, thickness: FloatArray
 ) -> FloatArray:
-    """Return the speed [m/s] of a kerf. It is not positive if no speed gives this kerf.
+    """Return the speed [m/s] at which the general model gives a kerf. It is not positive if there is none.
 
     Args:
         foam: Foam with its properties.
@@ -203,7 +204,7 @@ def general_speed(
 def general_power(
     foam: FoamMaterial, wire: HotWire, speed: FloatArray, required: FloatArray, thickness: FloatArray
 ) -> FloatArray:
-    """Return the power [W] of a kerf.
+    """Return the power [W] at which the general model gives a kerf.
 
     Args:
         foam: Foam with its properties.
@@ -228,7 +229,10 @@ def conducted_width(foam: FoamMaterial, speed: FloatArray) -> FloatArray:
 
 @functools.lru_cache(maxsize=1)
 def general_constants() -> GeneralModelConstants:
-    """Return the constants fitted to the tables that Tandem contains."""
+    """Return the constants fitted to all valid cells of the dissertation's tables.
+
+    The spread is the error in each foam of a fit to the other foams.
+    """
     cells = {name: table.valid for name, table in cut_measurements.dissertation_tables().items()}
     all_cells = fit_general(cells)
     errors = np.concatenate(
@@ -251,18 +255,21 @@ def fit_general(cells: dict[str, BoolArray]) -> tuple[float, float]:
         cells: Mask of the cells of the dissertation's tables to use, by foam.
     """
     rows, widths = zip(*(_regression_rows(name, mask) for name, mask in cells.items()), strict=True)
-    chi, minus = np.linalg.lstsq(np.concatenate(rows), np.concatenate(widths))[0]
-    return float(chi), -float(minus)
+    chi, minus_chi_lambda = np.linalg.lstsq(np.concatenate(rows), np.concatenate(widths))[0]
+    return float(chi), -float(minus_chi_lambda)
 
 
 def _regression_rows(name: str, mask: BoolArray) -> tuple[FloatArray, FloatArray]:
-    table, foam = cut_measurements.dissertation_tables()[name], materials.foam(name)
+    """Return ideal and conducted widths (N, 2) [m] of a foam's cells, and measured widths (N,) [m]."""
+    table = cut_measurements.dissertation_tables()[name]
+    foam = materials.foam(name)
     cuts = table.cuts.select(mask)
     columns = (ideal_width(foam, cuts.power_per_length, cuts.speed), conducted_width(foam, cuts.speed))
     return np.stack(columns, axis=1), cuts.width
 
 
 def _held_out_error(fitted: tuple[float, float], name: str, mask: BoolArray) -> FloatArray:
+    """Return model minus measured width (N,) [m] of a foam's cells, for chi and chi * lambda of others."""
     rows, widths = _regression_rows(name, mask)
     return np.asarray(rows @ np.array([fitted[0], -fitted[1]]) - widths)
 
@@ -311,10 +318,10 @@ class ResidualProcess:
     inverse: FloatArray
 
     def at(self, power_per_length: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the expected residual [m] and its standard deviation for one new cut [m].
+        """Return the expected residual [m] of one new cut and its standard deviation [m].
 
-        The deviation includes the noise of the cut. mean = K* C^-1 r, variance = a^2 - K* C^-1 K*^T +
-        noise^2.
+        The inputs broadcast. The deviation includes the noise of the cut. mean = K* C^-1 r, variance = a^2 -
+        K* C^-1 K*^T + noise^2.
         """
         power, speed = np.broadcast_arrays(power_per_length, speed)
         query = _log_inputs(power.ravel(), speed.ravel())
@@ -347,7 +354,7 @@ def measured_width(
     law = foam.kerf.chi * ideal_width(foam, power / wire.length, speed) - foam.kerf.offset
     residual, deviation = residual_process(foam.name).at(power / wire.length, speed)
     half = float(ndtri(0.5 + 0.5 * CONFIDENCE)) * deviation
-    low, middle, high = (np.maximum(law + residual + s * half, wire.diameter) for s in (-1.0, 0.0, 1.0))
+    low, middle, high = (np.maximum(law + residual + sign * half, wire.diameter) for sign in (-1.0, 0.0, 1.0))
     return middle, low, high
 
 
@@ -359,26 +366,31 @@ def residual_process(name: str) -> ResidualProcess:
 
 @functools.lru_cache(maxsize=1)
 def prior() -> GaussianProcessPrior:
-    """Return the prior of maximum likelihood for all valid cells of the tables that Tandem contains."""
+    """Return the prior of maximum likelihood for all valid cells of the dissertation's tables."""
     names = cut_measurements.dissertation_tables()
     return max_likelihood_prior([(_valid_cuts(name), _residuals(name)) for name in names])
 
 
 def fit_process(cuts: CutMeasurements, residuals: FloatArray, prior: GaussianProcessPrior) -> ResidualProcess:
-    """Return the process of the residuals (N,) [m] of cuts (N,)."""
+    """Return the Gaussian process that is conditioned on the residuals (N,) [m] of N cuts."""
     inputs = _log_inputs(cuts.power_per_length, cuts.speed)
-    total = _covariance(prior, inputs, inputs) + prior.noise**2 * np.eye(len(inputs))
-    factor = cho_factor(total, lower=True)
+    covariance = _covariance(prior, inputs, inputs) + prior.noise**2 * np.eye(len(inputs))
+    factor = cho_factor(covariance, lower=True)
     return ResidualProcess(
         prior, inputs, cho_solve(factor, residuals), cho_solve(factor, np.eye(len(inputs)))
     )
 
 
 def max_likelihood_prior(sets: list[tuple[CutMeasurements, FloatArray]]) -> GaussianProcessPrior:
-    """Return the prior of the grid that maximises the likelihood of the residuals of all foams."""
+    """Return the combination of candidate parameters that maximises the likelihood of all residuals.
+
+    Args:
+        sets: Cuts and their residuals (N,) [m], for each foam.
+    """
     best, best_score = None, np.inf
     for power_length in CANDIDATE_POWER_LENGTHS:
         for speed_length in CANDIDATE_SPEED_LENGTHS:
+            # eigenvalues of the unit covariance, so that amplitude and noise need no new decomposition
             spectra = []
             for cuts, residuals in sets:
                 inputs = _log_inputs(cuts.power_per_length, cuts.speed)
@@ -389,22 +401,22 @@ def max_likelihood_prior(sets: list[tuple[CutMeasurements, FloatArray]]) -> Gaus
                 for noise in CANDIDATE_NOISES_M:
                     score = sum(_negative_log_likelihood(v * amplitude**2 + noise**2, r) for v, r in spectra)
                     if score < best_score:
-                        best, best_score = (
-                            GaussianProcessPrior(amplitude, noise, power_length, speed_length),
-                            score,
-                        )
+                        best = GaussianProcessPrior(amplitude, noise, power_length, speed_length)
+                        best_score = score
     if best is None:
         raise ValueError("no residuals to choose a prior by")
     return best
 
 
 def _negative_log_likelihood(variances: FloatArray, squares: FloatArray) -> float:
+    """Return twice the negative log likelihood, up to a constant, of squared independent values."""
     return float(np.sum(np.log(variances) + squares / variances))
 
 
 def _covariance(prior: GaussianProcessPrior, first: FloatArray, second: FloatArray) -> FloatArray:
-    power, speed = (first[:, None, k] - second[None, :, k] for k in (0, 1))
-    squared_distance = (power / prior.power_length) ** 2 + (speed / prior.speed_length) ** 2
+    """Return the covariance (N, M) [m^2] of the model error, without noise, for inputs (N, 2) and (M, 2)."""
+    power_gap, speed_gap = (first[:, None, k] - second[None, :, k] for k in (0, 1))
+    squared_distance = (power_gap / prior.power_length) ** 2 + (speed_gap / prior.speed_length) ** 2
     return np.asarray(prior.amplitude**2 * np.exp(-0.5 * squared_distance))
 
 
@@ -418,7 +430,9 @@ def _valid_cuts(name: str) -> CutMeasurements:
 
 
 def _residuals(name: str) -> FloatArray:
-    foam, cuts = materials.foam(name), _valid_cuts(name)
+    """Return measured width minus energy balance (N,) [m] of a foam's valid cells."""
+    foam = materials.foam(name)
+    cuts = _valid_cuts(name)
     if foam.kerf is None:
         raise ValueError(f"foam {name} has no test cuts")
     melted = ideal_width(foam, cuts.power_per_length, cuts.speed)
@@ -440,7 +454,7 @@ def convection_estimate(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the kerf of the convection model: expected, low and high [m].
 
-    The interval is the error in the valid cells of the foam itself.
+    The interval follows from the RMS error of the model in the valid cells of the foam.
 
     Args:
         foam: Foam of the dissertation's tables.
@@ -465,7 +479,7 @@ def convection_width(
         wire: The wire.
         power: Power over the heated length [W].
         speed: Speed of the wire [m/s].
-        thickness: Thickness of the foam along the wire [m]. The last three broadcast.
+        thickness: Thickness of the foam along the wire [m]. It broadcasts with power and speed.
     """
     heat_at_rest, heat_per_root_speed = _heat_flows(foam, wire, power)
     return (heat_at_rest / speed + heat_per_root_speed / np.sqrt(speed)) / (
@@ -476,7 +490,7 @@ def convection_width(
 def convection_speed(
     foam: FoamMaterial, wire: HotWire, power: FloatArray, required: FloatArray, thickness: FloatArray
 ) -> FloatArray:
-    """Return the speed [m/s] of a required kerf. The model is quadratic in 1 / sqrt(speed).
+    """Return the speed [m/s] at which the convection model gives a kerf. It is quadratic in 1 / sqrt(speed).
 
     Args:
         foam: Foam of the dissertation's tables.
@@ -496,9 +510,9 @@ def convection_speed(
 def convection_power(
     foam: FoamMaterial, wire: HotWire, speed: FloatArray, required: FloatArray, thickness: FloatArray
 ) -> FloatArray:
-    """Return the power [W] of a required kerf, or NaN if no power up to `MAX_POWER_PER_LENGTH_W_M` gives it.
+    """Return the power [W] at which the convection model gives a kerf, by bisection.
 
-    The model has no closed inverse in power but grows with it. The power is found by bisection.
+    It is NaN if no power per length up to `MAX_POWER_PER_LENGTH_W_M` gives this kerf.
 
     Args:
         foam: Foam of the dissertation's tables.
@@ -529,20 +543,20 @@ def calculated_width_rms(foam: str) -> tuple[float, int]:
 def wire_rise(table: Table, power_per_length: FloatArray) -> FloatArray:
     """Return the temperature of the wire above room temperature [K].
 
-    It is linear between the four powers of the tests and continues along the outermost pieces.
+    It is interpolated linearly between the powers of the tests, and extrapolated linearly beyond them.
 
     Args:
         table: Power per length [W/m] and temperature rise [K] of the tests.
         power_per_length: Power per length [W/m].
     """
-    places, values = (np.array(column) for column in zip(*table, strict=True))
-    piece = np.clip(np.searchsorted(places, power_per_length) - 1, 0, len(places) - 2)
-    slope = np.diff(values) / np.diff(places)
-    return np.asarray(values[piece] + slope[piece] * (power_per_length - places[piece]))
+    powers, rises = (np.array(column) for column in zip(*table, strict=True))
+    piece = np.clip(np.searchsorted(powers, power_per_length) - 1, 0, len(powers) - 2)
+    slope = np.diff(rises) / np.diff(powers)
+    return np.asarray(rises[piece] + slope[piece] * (power_per_length - powers[piece]))
 
 
 def _heat_flows(foam: FoamMaterial, wire: HotWire, power: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the heat into the foam at any speed [W] and its increase per sqrt(speed) [W sqrt(s/m)]."""
+    """Return the heat into the foam at any speed [W], and its increase with sqrt(speed) [W sqrt(s/m)]."""
     if foam.wire_rise is None or foam.radiation is None:
         raise ValueError(f"foam {foam.name} has no data of the dissertation's form")
     # air at the film temperature, the mean of room and wire
@@ -581,14 +595,14 @@ def max_power(wire: HotWire) -> float:
 
 def most_heat_resistant_wire() -> materials.WireMaterial:
     """Return the wire material with the highest limit temperature."""
-    return max(materials.wire_materials().values(), key=lambda one: one.limit_temperature)
+    return max(materials.wire_materials().values(), key=lambda wire: wire.limit_temperature)
 
 
 def refuse_melting(foam: FoamMaterial, wire: HotWire, power: float) -> None:
-    """Raise ``kerf.melts`` if the power [W] is above :func:`max_power`.
+    """Refuse a power [W] over the heated length that is above :func:`max_power`.
 
     Raises:
-        TandemError: kerf.melts.
+        TandemError: ``kerf.melts``.
     """
     limit = max_power(wire)
     if power <= limit:

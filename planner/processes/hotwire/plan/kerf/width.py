@@ -2,7 +2,7 @@
 
 Models (`models`): ``energy`` (the default), ``general`` for foams without test cuts, ``measured`` for cuts
 like those of the tests, ``dissertation`` for traceability. `KERF_MODELS` lists them with the foam data that
-they need. `KerfFlag` states doubts about a kerf. All functions take arrays that broadcast, so every point
+they need. `KerfFlag` lists reasons to doubt a kerf. All functions take arrays that broadcast, so every point
 along a wire has its own speed. `docs/kerf.md` states where the data come from and how reliable they are.
 """
 
@@ -28,8 +28,9 @@ Model = Literal["energy", "general", "measured", "dissertation"]
 
 
 def _no_inverse(
-    foam: FoamMaterial, wire: HotWire, given: FloatArray, required: FloatArray, thickness: FloatArray
+    foam: FoamMaterial, wire: HotWire, power_or_speed: FloatArray, required: FloatArray, thickness: FloatArray
 ) -> FloatArray:
+    """Stand for the inverse of a model that has none. `choose_model` refuses such a model before."""
     raise ValueError("this model has no inverse")
 
 
@@ -38,9 +39,10 @@ class KerfModel:
     """A kerf model.
 
     Attributes:
-        width: Function for the kerf: expected, low and high [m].
-        speed_for: Function for the speed [m/s] of a kerf.
-        power_for: Function for the power [W] of a kerf.
+        width: Function of foam, wire, power [W], speed [m/s] and thickness [m]. It returns the kerf:
+            expected, low and high [m].
+        speed_for: Function of foam, wire, power, required kerf [m] and thickness. It returns the speed.
+        power_for: Function of foam, wire, speed, required kerf and thickness. It returns the power.
         required_fields: Fields of `FoamMaterial` that the model needs.
         needs_dissertation_tables: Whether the foam must be one of the dissertation's.
     """
@@ -55,7 +57,7 @@ class KerfModel:
 
 
 _HEAT_FIELDS: Final = ("specific_heat", "melt_temperature")
-"""Foam data that the heat balance needs."""
+"""Fields of `FoamMaterial` that the heat balance needs."""
 FIELD_LABELS: Final = {
     "specific_heat": "specific heat",
     "melt_temperature": "melting temperature",
@@ -63,7 +65,7 @@ FIELD_LABELS: Final = {
     "radiation": "fraction of radiation",
     "wire_rise": "wire temperatures",
 }
-"""Foam data in words."""
+"""Fields of `FoamMaterial` as messages name them."""
 KERF_MODELS: Final[dict[str, KerfModel]] = {
     "energy": KerfModel(
         models.energy_width, models.energy_speed, models.energy_power, ("kerf", *_HEAT_FIELDS)
@@ -105,15 +107,19 @@ def choose_model(
     if model not in KERF_MODELS:
         text = f"kerf model: got {model!r}, allowed {', '.join(KERF_MODELS)}"
         raise issue_error("kerf.model", text, field="model", hint="use energy")
-    data, functions = materials.foam(foam) if isinstance(foam, str) else foam, KERF_MODELS[model]
+    data = materials.foam(foam) if isinstance(foam, str) else foam
+    functions = KERF_MODELS[model]
     missing = [name for name in functions.required_fields if getattr(data, name) is None]
     if functions.needs_dissertation_tables and data.name not in cut_measurements.dissertation_tables():
         missing.append("cells in the tables of the dissertation")
     if missing:
-        known = ", ".join(sorted(name for name, one in materials.foams().items() if one.kerf is not None))
+        tested_foams = ", ".join(
+            sorted(name for name, item in materials.foams().items() if item.kerf is not None)
+        )
         missing_labels = " and ".join(FIELD_LABELS.get(name, name) for name in missing)
         text = (
-            f"kerf in {data.name} by model {model}: got no {missing_labels}, allowed {known} or your own foam"
+            f"kerf in {data.name} by model {model}: got no {missing_labels}, allowed {tested_foams} or your "
+            "own foam"
         )
         hint = "cut the four squares of problems/kerf_test and run: tandem kerf fit tests.csv"
         raise issue_error("kerf.no_data", text, field="foam", hint=hint)
@@ -131,7 +137,7 @@ Source: dissertation, chapter 3.
 
 
 class KerfFlag(enum.IntFlag):
-    """Doubts about one estimate, 0 for none. Arrays of flags are uint8."""
+    """Reasons to doubt an estimate of a kerf, 0 for none. Arrays of flags are uint8."""
 
     OK = 0
     TOO_HOT = 1
@@ -152,7 +158,7 @@ FLAG_TEXTS: Final[dict[KerfFlag, str]] = {
 
 
 def explain(flag: int) -> tuple[str, ...]:
-    """Return the texts of the doubts in ``flag``, empty for 0."""
+    """Return the text of each reason to doubt that is set in ``flag``, none for 0."""
     return tuple(text for bit, text in FLAG_TEXTS.items() if flag & bit)
 
 
@@ -171,7 +177,7 @@ __all__ = [
 ]
 
 THICKNESS_TOLERANCE_FRACTION: Final = 0.1
-"""Foam and wire count as those of the tests if their thickness differs by at most this fraction."""
+"""Foam and wire count as tested if their thickness differs from the tests by at most this fraction."""
 CURVE_TOLERANCE_M: Final = 1e-6
 """Largest error [m] of linear interpolation in a curve."""
 MAX_CURVE_POINTS: Final = 50_000
@@ -191,7 +197,7 @@ class KerfEstimate:
         width: Expected width [m].
         low: Lower end of the interval that contains nine of ten new cuts [m].
         high: Upper end of the interval [m].
-        flag: `KerfFlag` as uint8.
+        flag: Combination of `KerfFlag` as uint8.
     """
 
     width: FloatArray
@@ -226,11 +232,11 @@ def width(
     data, functions = choose_model(foam, model)
     power, speed, thickness = _positive_arrays(power_w=power_w, speed_m_s=speed_m_s, thickness_m=thickness_m)
     refuse_melting(data, wire, float(power.max()))
-    middle, low, high = functions.width(data, wire, power, speed, thickness)
+    expected, low, high = functions.width(data, wire, power, speed, thickness)
     shape = np.broadcast_shapes(power.shape, speed.shape, thickness.shape)
-    flag = np.broadcast_to(_flags(data, wire, middle, power / wire.length, speed, thickness), shape)
-    low, middle, high = (np.broadcast_to(values, shape) for values in (low, middle, high))
-    return KerfEstimate(middle, low, high, flag)
+    flag = np.broadcast_to(_flags(data, wire, expected, power / wire.length, speed, thickness), shape)
+    low, expected, high = (np.broadcast_to(values, shape) for values in (low, expected, high))
+    return KerfEstimate(expected, low, high, flag)
 
 
 def speed_for(
@@ -243,7 +249,7 @@ def speed_for(
 ) -> FloatArray:
     """Return the speed [m/s] at which the expected kerf is ``width``. The numeric inputs broadcast.
 
-    The function `width` then gives the interval and the doubts.
+    Call `width` with this speed for the interval and the flags.
 
     Args:
         foam: Built-in name or foam data.
@@ -324,17 +330,18 @@ def curve(
     first, last = float(bounds.min()), float(bounds.max())
     first, last = (first, last) if last > first else (first, first * (1.0 + 1e-6))
 
-    def kerf_rows(table: FloatArray) -> FloatArray:
-        got = width(foam, wire, power_w, table, thickness_m, model)
-        return np.stack([got.width, got.low, got.high])
+    def kerfs_at(speed: FloatArray) -> FloatArray:
+        """Return the expected kerf and both ends of its interval (3, K) [m] at speeds (K,) [m/s]."""
+        estimate = width(foam, wire, power_w, speed, thickness_m, model)
+        return np.stack([estimate.width, estimate.low, estimate.high])
 
-    table = _dense_speeds(kerf_rows, first, last)
-    middle, low, high = kerf_rows(table)
-    return KerfCurve(table, middle, low, high)
+    speed = _dense_speeds(kerfs_at, first, last)
+    expected, low, high = kerfs_at(speed)
+    return KerfCurve(speed, expected, low, high)
 
 
-def _dense_speeds(rows: Callable[[FloatArray], FloatArray], first: float, last: float) -> FloatArray:
-    """Return speeds between which every row is linear within `CURVE_TOLERANCE_M`.
+def _dense_speeds(kerfs_at: Callable[[FloatArray], FloatArray], first: float, last: float) -> FloatArray:
+    """Return speeds (K,) between which all kerfs of ``kerfs_at`` are linear within `CURVE_TOLERANCE_M`.
 
     They are evenly spaced in 1 / sqrt(speed), where a kerf ~ 1 / speed has even curvature. Steps whose middle
     still deviates are halved.
@@ -343,8 +350,8 @@ def _dense_speeds(rows: Callable[[FloatArray], FloatArray], first: float, last: 
     table[0], table[-1] = first, last
     while True:
         middle = 0.5 * (table[:-1] + table[1:])
-        ends = rows(table)
-        error = np.abs(rows(middle) - 0.5 * (ends[:, :-1] + ends[:, 1:])).max(axis=0)
+        ends = kerfs_at(table)
+        error = np.abs(kerfs_at(middle) - 0.5 * (ends[:, :-1] + ends[:, 1:])).max(axis=0)
         needs_split = error > 0.5 * CURVE_TOLERANCE_M
         if not np.any(needs_split):
             return table
@@ -363,6 +370,7 @@ def _flags(
     speed: FloatArray,
     thickness: FloatArray,
 ) -> NDArray[np.uint8]:
+    """Return the combined flags of kerfs [m], in the common shape of the inputs."""
     tests = DISSERTATION_TESTS if foam.kerf is None else foam.kerf.tests
     hot = kerf > USABLE_KERF_RANGE_M[1]
     if tests.burnt_speed is not None:
@@ -381,21 +389,23 @@ def _flags(
             abs(wire.diameter - tests.wire_diameter) > THICKNESS_TOLERANCE_FRACTION * tests.wire_diameter,
         ),
     )
-    total: NDArray[np.uint8] = np.zeros((), np.uint8)
-    for flag, where in conditions:
-        total = total | np.where(where, np.uint8(flag.value), np.uint8(0))
-    return np.asarray(total, np.uint8)
+    flags: NDArray[np.uint8] = np.zeros((), np.uint8)
+    for flag, is_set in conditions:
+        flags = flags | np.where(is_set, np.uint8(flag.value), np.uint8(0))
+    return np.asarray(flags, np.uint8)
 
 
 def _outside(values: FloatArray, bounds: tuple[float, float]) -> BoolArray:
-    slack = 1e-6  # rounding of values that were converted from mm and W
-    return (values < bounds[0] * (1.0 - slack)) | (values > bounds[1] * (1.0 + slack))
+    tolerance = 1e-6  # for rounding errors of values that were converted from mm and W
+    return (values < bounds[0] * (1.0 - tolerance)) | (values > bounds[1] * (1.0 + tolerance))
 
 
 def _positive_arrays(**inputs: ArrayLike) -> tuple[FloatArray, ...]:
     """Return the inputs as arrays.
 
-    Refuses values that are not positive finite numbers and shapes that do not broadcast.
+    Raises:
+        TandemError: ``kerf.input`` for values that are not positive finite numbers, empty inputs, and shapes
+            that do not broadcast.
     """
     arrays = {name: np.asarray(value, np.float64) for name, value in inputs.items()}
     issues = []
@@ -423,6 +433,7 @@ def _positive_arrays(**inputs: ArrayLike) -> tuple[FloatArray, ...]:
 
 
 def _refuse_narrow(required: FloatArray, wire: HotWire) -> None:
+    """Raise ``kerf.impossible`` if a required kerf [m] is not above the diameter of the wire."""
     narrowest, diameter = float(required.min()) / MM, wire.diameter / MM
     if narrowest <= diameter:
         text = f"required kerf: got {narrowest:.3f} mm, allowed above the wire's diameter {diameter:.3f} mm"
@@ -434,10 +445,13 @@ def _refuse_narrow(required: FloatArray, wire: HotWire) -> None:
 
 
 def _refuse_impossible(
-    result: FloatArray, given: FloatArray, required: FloatArray, thickness: FloatArray
+    result: FloatArray, power_or_speed: FloatArray, required: FloatArray, thickness: FloatArray
 ) -> FloatArray:
-    """Return the result of an inverse model in the common shape. Refuses values that are not positive."""
-    shape = np.broadcast_shapes(given.shape, required.shape, thickness.shape)
+    """Return the result of an inverse model in the common shape, or raise ``kerf.impossible``.
+
+    A result that is not a positive number means that the required kerf [m] is impossible.
+    """
+    shape = np.broadcast_shapes(power_or_speed.shape, required.shape, thickness.shape)
     result, requested = (np.array(np.broadcast_to(values, shape)) for values in (result, required))
     invalid = ~(np.isfinite(result) & (result > 0.0))
     if np.any(invalid):

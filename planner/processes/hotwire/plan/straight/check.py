@@ -1,6 +1,6 @@
-"""Checks of cuts with a straight wire before they are planned.
+"""Checks of planned cuts with a straight wire, before the arms' motion is planned.
 
-They concern corners, kerfs, span and throat of the bow, and the plate of the holder.
+They concern corners, kerfs, span and throat of the bow, and the gripper that holds the block.
 """
 
 from collections.abc import Iterator
@@ -35,7 +35,7 @@ from planner.tooling import Bow
 GOUGE_TOLERANCE_FRACTION: Final = 0.3
 """Amount by which a wire may come closer to its surface than half a kerf, as a fraction of the tolerance."""
 LENGTH_TOLERANCE_M: Final = 1e-9
-"""Lengths [m] below this are rounding."""
+"""Differences of lengths [m] below this are rounding errors."""
 BOW_ROTATION_SAMPLES: Final = 72
 """Number of rotations of the bow about the wire at which the depth behind the wire is checked."""
 HOLDER_SAMPLES: Final = 65
@@ -45,10 +45,10 @@ HOLDER_SAMPLES: Final = 65
 def check_cut(
     op: Straight, cut: StraightCut, ruled: tuple[RuledSurface, ...], box: FloatArray
 ) -> Iterator[Issue]:
-    """Yield issues of one cut's shape among all surfaces of the part.
+    """Yield issues of one cut: curves that are too tight, and foam that it removes from other surfaces.
 
-    Codes: straight.corner, straight.crossing, straight.slit, straight.lead. Yields nothing if the half kerfs
-    of the cut have not converged, because its wires then represent no real path.
+    Codes: ``straight.corner``, ``straight.crossing``, ``straight.slit``, ``straight.lead``. Yields nothing if
+    the half kerfs of the cut have not converged, because its wires then are not a real path.
 
     Args:
         op: Operation with a straight wire.
@@ -65,10 +65,13 @@ def check_cut(
 
 
 def _tight_curve_issues(op: Straight, cut: StraightCut) -> Iterator[Issue]:
-    """Report inner curves tighter than half a kerf, which cannot be cut."""
+    """Yield ``straight.corner`` at an inner curve with a radius below half a kerf, which cannot be cut.
+
+    There the wire moves back while the surface goes on.
+    """
     offset, name = cut.on, cut.nominal.segment
     lines, foot = offset.lines, offset.row.foot
-    for ends, feet, e in ((lines.start, foot.start, 0), (lines.end, foot.end, 1)):
+    for ends, feet, end in ((lines.start, foot.start, 0), (lines.end, foot.end, 1)):
         move, ruling_move = np.diff(ends, axis=0), np.diff(feet, axis=0)
         is_reversed = (np.sum(move * ruling_move, axis=1) < 0.0) & (
             np.linalg.norm(ruling_move, axis=1) > 1e-7
@@ -78,21 +81,21 @@ def _tight_curve_issues(op: Straight, cut: StraightCut) -> Iterator[Issue]:
             yield Issue(
                 "straight.corner",
                 f"{op.name}: the inner radius of {name} at {point_text(feet[k])} is below half a kerf, "
-                f"{offset.half[k, e] / MM:.2f} mm; use a thinner slot, or a larger radius there",
+                f"{offset.half[k, end] / MM:.2f} mm; use a thinner slot, or a larger radius there",
                 field=str(name),
-                **measurement(float(offset.half[k, e] / MM), None, "mm"),
+                **measurement(float(offset.half[k, end] / MM), None, "mm"),
             )
             return
 
 
 def _self_crossing_issues(op: Straight, cut: StraightCut) -> Iterator[Issue]:
-    """Report wires that come closer to the surface, anywhere on it, than half their kerf."""
+    """Yield ``straight.crossing`` if a wire comes closer to any part of its surface than half its kerf."""
     offset, ruled = cut.on, cut.nominal.ruled
     allowed = GOUGE_TOLERANCE_FRACTION * op.shape_tol_mm * MM
     lines = offset.lines
-    for points, guide, e in ((lines.start, ruled.start, 0), (lines.end, ruled.end, 1)):
+    for points, guide, end in ((lines.start, ruled.start, 0), (lines.end, ruled.end, 1)):
         line = np.concatenate([guide, guide[:1]]) if ruled.closed else guide
-        overlap = offset.half[:, e] - distance_to_polyline(points, line)
+        overlap = offset.half[:, end] - distance_to_polyline(points, line)
         k = int(np.argmax(overlap))
         if overlap[k] > allowed:
             yield Issue(
@@ -109,6 +112,11 @@ def _self_crossing_issues(op: Straight, cut: StraightCut) -> Iterator[Issue]:
 def _slit_issues(
     op: Straight, cut: StraightCut, ruled: tuple[RuledSurface, ...], box: FloatArray
 ) -> Iterator[Issue]:
+    """Report the slit by which the wire reaches a closed cut through the part.
+
+    It is unavoidable for a hole and for a piece inside a hole (the note ``straight.slit``). For an outline it
+    is the error ``straight.lead``.
+    """
     start = cut.start
     if start is None or start.length_in_part < 1e-4:
         return
@@ -142,7 +150,7 @@ def _slit_issues(
 def check_model(
     op: Straight, setup: Setup, bow: Bow, cuts: list[StraightCut], thickness: float
 ) -> Iterator[Issue]:
-    """Yield a warning if the kerf model doubts its own figures.
+    """Yield the warning ``kerf.doubt`` if the kerf model flags its own result as unreliable.
 
     Args:
         op: Operation with a straight wire.
@@ -179,7 +187,7 @@ def check_model(
 def check_bow(
     op: Straight, bow: Bow, lines: WireLines, segment: tuple[Segment, ...], box: FloatArray, pose: FloatArray
 ) -> Iterator[Issue]:
-    """Check that the wire is long enough between its clamps, and that the beam fits.
+    """Yield ``bow.span`` if the wire is too short, and ``bow.throat`` if the beam is too close to it.
 
     The beam has to clear the block at some rotation of the bow about the wire.
 
@@ -195,14 +203,14 @@ def check_bow(
     required_span = np.where(np.isfinite(first), last - first, 0.0)
     k = int(np.argmax(required_span))
     if required_span[k] > bow.span + LENGTH_TOLERANCE_M:
-        what = f"{op.name}: in {segment[k]} the foam and {op.margin_mm:g} mm at both ends need a wire of "
-        what += (
+        message = f"{op.name}: in {segment[k]} the foam and {op.margin_mm:g} mm at both ends need a wire of "
+        message += (
             f"{np.ceil((required_span[k] - LENGTH_TOLERANCE_M) / MM):.0f} mm, but the bow has "
             f"{bow.span / MM:.0f} "
         )
-        what += "mm; use a wider bow or a smaller block, or let the wire run along another axis"
+        message += "mm; use a wider bow or a smaller block, or let the wire run along another axis"
         yield Issue(
-            "bow.span", what, index=k, **measurement(float(required_span[k] / MM), bow.span / MM, "mm")
+            "bow.span", message, index=k, **measurement(float(required_span[k] / MM), bow.span / MM, "mm")
         )
     inside = np.flatnonzero(np.isfinite(box_chord(lines, box)[0]))
     if not inside.size:
@@ -228,7 +236,7 @@ def check_bow(
 
 
 def _min_block_depth(lines: WireLines, pose: FloatArray, box: FloatArray, margin: float) -> FloatArray:
-    """Return the smallest depth (N,) [m] of the block behind the wires over all rotations of the bow."""
+    """Return the depth (N,) [m] of the block behind each wire, at the best rotation of the bow about it."""
     angle = 2.0 * np.pi * np.arange(BOW_ROTATION_SAMPLES) / BOW_ROTATION_SAMPLES
     best = np.full(len(lines), np.inf)
     enlarged = enlarged_box(box, 0.1 * margin)
@@ -246,9 +254,9 @@ def check_holder(
     lines: WireLines,
     segment: tuple[Segment, ...],
 ) -> Iterator[Issue]:
-    """Check that cutting wires keep the margin to the holder plate.
+    """Yield ``stock.footprint`` if a cutting wire comes closer to the holding gripper than the margin.
 
-    The plate must also hold the piece that is cut free.
+    Also yielded if the gripper does not hold a piece that is cut free.
 
     Args:
         op: Operation with a straight wire.
@@ -297,10 +305,10 @@ def check_holder(
 
 
 def _distance_to_shape(lines: WireLines, shape: Shape, max_distance: float) -> FloatArray:
-    """Return the distance (N,) [m] of lines to a shape, in its frame.
+    """Return the distance (N,) [m] of lines to a shape, in the shape's frame.
 
-    It is infinity if it is ``max_distance`` or more. The distance is sampled. Round shapes count as
-    cylinders, meshes as boxes.
+    The distance is the smallest one of points sampled along each line. It is infinite for lines that miss the
+    shape's box enlarged by ``max_distance``. Round shapes count as cylinders, meshes as boxes.
     """
     extent = hull_points(shape)
     box = np.stack([extent.min(axis=0), extent.max(axis=0)])

@@ -1,7 +1,6 @@
 """One cut from air to air: the lead-in through foam, the wires next to the surface, the lead-out.
 
-For a closed cut also its start, its sense of rotation, and the slit by which the wire reaches it
-(`choose_start`).
+A closed cut also has a start, a sense of rotation, and a slit by which the wire reaches it (`choose_start`).
 """
 
 import dataclasses
@@ -38,7 +37,7 @@ MAX_START_CANDIDATES: Final = 48
 SLIT_DIRECTIONS: Final = 48
 """Number of directions of the slit that are tried at each start."""
 HOLDING_FRACTION: Final = 0.25
-"""Fraction of a contour that holds the piece until last."""
+"""Last fraction of a contour to be cut. It holds the piece until then."""
 
 SLIT_IN_PART_COST: Final = 1000.0
 """Cost of a slit through the part relative to one of equal length through waste.
@@ -52,7 +51,7 @@ WRONG_HOLDING_SIDE_COST: Final = 0.6
 SLIT_BELOW_COST: Final = 3.0
 """Cost of a slit that leaves the block below, at its support, as a multiple of the block's diagonal."""
 SLIT_BELOW_LENGTH_FACTOR: Final = 1.2
-"""Maximum length in the part of another slit, relative to one that leaves the block below.
+"""A slit is preferred to one that leaves the block below if it is at most this many times longer in the part.
 
 The proof allows somewhat more.
 """
@@ -67,7 +66,7 @@ class CutStart:
     """Start of a closed cut.
 
     Attributes:
-        first: First ruling.
+        first: Index of the first ruling.
         backward: Whether the rulings are cut in reverse order.
         direction: Direction from the first ruling out of the block, along the slit (3,).
         length: Length of the slit in the block [m].
@@ -86,8 +85,8 @@ class _StartCandidates:
     """K candidates for a start.
 
     Attributes:
-        first: First ruling (K,).
-        direction: Direction of the slit (K, 3).
+        first: Index of the first ruling (K,).
+        direction: Direction from the first ruling out of the block, along the slit (K, 3).
         length: Length of the slit in the block (K,) [m].
         length_in_part: Length of the slit in the part (K,) [m].
     """
@@ -108,8 +107,8 @@ def choose_start(
 ) -> CutStart:
     """Choose the start of a closed cut.
 
-    The slit is short and spares the part, does not come from the support of the block, turns little, and
-    leaves the required side for last.
+    The start with the least cost is chosen. Costs are the length of the slit (mainly in the part), a slit on
+    the side of the support, a sharp turn between slit and contour, and a wrong side that is cut last.
 
     Args:
         ruled: Surface to cut.
@@ -155,9 +154,9 @@ def choose_start(
 
 
 def _leaves_below(lines: WireLines, tries: _StartCandidates, box: FloatArray, down: FloatArray) -> BoolArray:
-    """Return which slits (K,) leave the block by its lower side.
+    """Return whether each slit (K,) leaves the block by its side in the direction ``down``.
 
-    They would be longer in a block that reached lower.
+    Such slits would be longer in a block that reached farther down.
     """
     lower = np.stack(
         [
@@ -171,6 +170,7 @@ def _leaves_below(lines: WireLines, tries: _StartCandidates, box: FloatArray, do
 def _start_candidates(
     ruled: RuledSurface, contours: tuple[RuledSurface, ...], cut: SurfaceCut, box: FloatArray
 ) -> _StartCandidates:
+    """Return the allowed pairs of a first ruling and a slit direction, or all pairs if none is allowed."""
     rulings = _start_rulings(ruled)
     lines = WireLines(ruled.start[rulings], ruled.end[rulings])
     direction = lines.direction
@@ -229,11 +229,12 @@ def _start_rulings(ruled: RuledSurface) -> IndexArray:
 
 
 def _ruling_centres(ruled: RuledSurface) -> FloatArray:
+    """Return the middles of all rulings (N, 3) [m]."""
     return np.asarray(0.5 * (ruled.start + ruled.end))
 
 
 def _normal_pair(direction: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return two unit vectors (K, 3) each that are normal to unit vectors (K, 3) and to each other."""
+    """Return two arrays of unit vectors (K, 3) that are normal to ``direction`` (K, 3) and to each other."""
     axis = np.eye(3)[np.argmin(np.abs(direction), axis=1)]
     first = np.cross(direction, axis)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
@@ -247,20 +248,28 @@ def _length_in_part(
     contours: tuple[RuledSurface, ...],
     box: FloatArray,
 ) -> FloatArray:
-    """Return the lengths (K,) [m] of the slits that lie in the part, projected along the wire."""
+    """Return the lengths (K,) [m] that slits have in the part, projected along the wire.
+
+    Args:
+        lines: First rulings of the slits (K).
+        slit_direction: Directions of the slits (K, 3).
+        length: Lengths of the slits in the block (K,) [m].
+        contours: All closed surfaces of the part.
+        box: Lower and upper corner of the block (2, 3) [m].
+    """
     out = np.zeros(len(lines))
-    directions, which = np.unique(lines.direction.round(9), axis=0, return_inverse=True)
+    directions, direction_index = np.unique(lines.direction.round(9), axis=0, return_inverse=True)
     for number, direction in enumerate(directions):
         first, second = _normal_pair(direction[None])
         plane = np.stack([first[0], second[0]], axis=1)
         solid = _projected_part(contours, plane, box)
-        rows = np.flatnonzero(which.ravel() == number)
-        centres = 0.5 * (lines.start + lines.end)[rows] @ plane
-        step = slit_direction[rows] @ plane
+        group = np.flatnonzero(direction_index.ravel() == number)
+        centres = 0.5 * (lines.start + lines.end)[group] @ plane
+        step = slit_direction[group] @ plane
         slits = shapely.linestrings(
-            np.stack([centres + 1e-6 * step, centres + length[rows, None] * step], axis=1)
+            np.stack([centres + 1e-6 * step, centres + length[group, None] * step], axis=1)
         )
-        out[rows] = shapely.length(shapely.intersection(slits, solid))
+        out[group] = shapely.length(shapely.intersection(slits, solid))
     return out
 
 
@@ -283,9 +292,10 @@ def _projected_part(
 def _holding_score(
     ruled: RuledSurface, first: IndexArray, backward: bool, cut: SurfaceCut, up: FloatArray
 ) -> FloatArray:
-    """Return how much (K,) the last part of the cut faces the side that is to hold the piece.
+    """Return how well (K,) the last part of the cut faces the side that is to hold the piece.
 
-    The value is between -1 and 1. It is 1 if any side may hold it.
+    It is the mean cosine between outward normals and that side over `HOLDING_FRACTION` of the contour. It is
+    1 if any side may hold the piece.
     """
     if cut.last == "any":
         return np.ones(len(first))
@@ -293,17 +303,22 @@ def _holding_score(
         up if cut.last == "top" else -up if cut.last == "bottom" else np.array(cut.last, dtype=np.float64)
     )
     required_side = required_side / max(float(np.linalg.norm(required_side)), 1e-12)
-    previous_side, after = outward_sides(ruled)
-    facing = np.mean((previous_side + after) @ required_side, axis=1) * 0.5 * (-1.0 if ruled.hole else 1.0)
+    previous_side, next_side = outward_sides(ruled)
+    facing = (
+        np.mean((previous_side + next_side) @ required_side, axis=1) * 0.5 * (-1.0 if ruled.hole else 1.0)
+    )
     middle = _ruling_centres(ruled)
     step_length = np.linalg.norm(np.diff(middle, axis=0, append=middle[:1]), axis=1)
     facing = 0.5 * (facing + np.roll(facing, -1)) * step_length  # of the piece after each ruling
-    total = np.concatenate([[0.0], np.cumsum(np.tile(facing, 2))])
+    cumulative_facing = np.concatenate([[0.0], np.cumsum(np.tile(facing, 2))])
     arc_length = np.concatenate([[0.0], np.cumsum(np.tile(step_length, 2))])
     holding_length = HOLDING_FRACTION * step_length.sum()
     low = arc_length[first] if backward else arc_length[first + len(step_length)] - holding_length
     return np.asarray(
-        (np.interp(low + holding_length, arc_length, total) - np.interp(low, arc_length, total))
+        (
+            np.interp(low + holding_length, arc_length, cumulative_facing)
+            - np.interp(low, arc_length, cumulative_facing)
+        )
         / holding_length
     )
 
@@ -315,8 +330,8 @@ def _turn_sharpness(ruled: RuledSurface, tries: _StartCandidates, backward: bool
     outgoing = middle[(tries.first + sense) % count] - middle[tries.first]
     incoming = middle[tries.first] - middle[(tries.first - sense) % count]
     sharpness = []
-    for inward, way in ((outgoing, -tries.direction), (incoming, tries.direction)):
-        cosine = np.sum(inward * way, axis=1) / np.maximum(np.linalg.norm(inward, axis=1), 1e-12)
+    for move, slit_move in ((outgoing, -tries.direction), (incoming, tries.direction)):
+        cosine = np.sum(move * slit_move, axis=1) / np.maximum(np.linalg.norm(move, axis=1), 1e-12)
         sharpness.append(0.5 - 0.5 * cosine)
     return np.asarray(0.5 * (sharpness[0] + sharpness[1]))
 
@@ -335,13 +350,13 @@ REVERSAL_CLEARANCE_M: Final = 1e-3
 
 @dataclasses.dataclass(frozen=True)
 class StraightCut:
-    """A cut.
+    """A planned cut of one surface, from air to air.
 
     Attributes:
         nominal: Surface to cut.
-        into: Lead-in.
+        into: Wires of the lead-in, from air to the surface.
         on: Wires next to the surface.
-        out: Lead-out.
+        out: Wires of the lead-out, from the surface to air.
         start: Start of a closed cut, None for an open strip.
         reversal: Number of lines of ``out`` after which the wire stops in air and returns through its slot,
             or 0.
@@ -382,7 +397,7 @@ def make_cut(
     start = None
     if nominal.ruled.closed and isinstance(nominal.cut, SurfaceCut):
         start = choose_start(ruled, contours, nominal.cut, box, up, down)
-    allowed = op.shape_tol_mm * MM, op.left_mm * MM
+    allowed = op.shape_tol_mm * MM, op.left_mm * MM  # tolerance, depth of foam that may remain
     max_vertex_rotation = _max_vertex_rotation(0.5 * float(kerf.at(np.array([feed]))[0]), allowed[0])
     on = fit_offset(
         _offset_row(ruled, nominal, start, max_vertex_rotation), nominal.ruled, kerf, feed, box, allowed
@@ -390,6 +405,7 @@ def make_cut(
     travel = fastest_move(on.lines, box)
     longest = float(np.nanmax(travel, initial=0.0))
     if longest > 1.05 * step and on.converged:  # the wire in foam moves farther than its guide points
+        # plan again with rulings that are closer by the same ratio
         ruled = resample(
             nominal.ruled, CHORD_TOLERANCE_FRACTION * op.shape_tol_mm * MM, step * step / longest
         )
@@ -407,16 +423,17 @@ def make_cut(
 def _offset_row(
     ruled: RuledSurface, nominal: NominalSurface, start: CutStart | None, max_vertex_rotation: float
 ) -> OffsetRow:
+    """Return the positions of wires next to a resampled surface, in the order of the cut."""
     if start is not None:
         return make_row(ruled, start.first, start.backward, max_vertex_rotation)
     return make_row(ruled, 0, nominal.cut.reverse, max_vertex_rotation)
 
 
 def _max_vertex_rotation(half: float, tolerance: float) -> float:
-    """Return the largest rotation [rad] at one vertex around a convex corner.
+    """Return the largest rotation [rad] at one vertex of the polygon around a convex corner.
 
-    There the wire is farther off by 1 / cos of half of the rotation. This is at most ``CORNER_FRACTION`` of
-    the tolerance [m] more than ``half`` a slot.
+    A vertex is 1 / cos(rotation / 2) times ``half`` a slot [m] from the corner. This may exceed ``half`` by
+    at most ``CORNER_FRACTION`` of the tolerance [m].
     """
     return float(min(MAX_VERTEX_ROTATION_RAD, 2.0 * np.arccos(half / (half + CORNER_FRACTION * tolerance))))
 
@@ -424,7 +441,10 @@ def _max_vertex_rotation(half: float, tolerance: float) -> float:
 def _closed_cut(
     nominal: NominalSurface, on: WireOffset, start: CutStart, step: float, clear: float, box: FloatArray
 ) -> StraightCut:
-    """Cut in through the slit, past the first corner by half a kerf on both sides of it, and out again."""
+    """Return a closed cut: in through the slit, around the contour, and out through the same slit.
+
+    At a corner the wire starts and ends half a kerf beyond the first ruling.
+    """
     legs = []
     for k, neighbour in ((0, 1), (-1, -2)):
         corner = _closing_gap(on) > 0.5 * float(on.half[k].max())
@@ -435,7 +455,7 @@ def _closed_cut(
 
 
 def _extended_line(on: WireOffset, k: int, neighbour: int) -> WireLines:
-    """Return the wire (1) beyond line ``k`` by half its kerf.
+    """Return the wire (1) that is half its kerf beyond line ``k``, as seen from line ``neighbour``.
 
     Both ends continue at their own speeds, so that the slot keeps its width up to the end of the surface.
     """
@@ -446,9 +466,9 @@ def _extended_line(on: WireOffset, k: int, neighbour: int) -> WireLines:
 
 
 def _closing_gap(on: WireOffset) -> float:
-    """Return the distance [m] between the first and the last wire of a closed cut.
+    """Return the distance [m] between the first and the last wire of a closed cut, summed over both ends.
 
-    It is positive at a corner.
+    It is positive if the cut starts at a corner.
     """
     lines = on.lines
     return float(
@@ -459,7 +479,7 @@ def _closing_gap(on: WireOffset) -> float:
 def _open_cut(
     nominal: NominalSurface, on: WireOffset, step: float, clear: float, radius: float, box: FloatArray
 ) -> StraightCut:
-    """Cut straight on from both ends of the strip, or back through the slot."""
+    """Return the cut of a strip, with straight leads at both ends or a return through its own slot."""
     lines = on.lines
     ends = [_extended_line(on, 0, 1), _extended_line(on, -1, -2)]
     first, last = _ruling_direction(on.row.foot, 0, 1), _ruling_direction(on.row.foot, -1, -2)
@@ -472,12 +492,12 @@ def _open_cut(
             into,
             on,
             concatenate_lines([ends[1], _straight_lines(ends[1], -last, step, clear, box)]),
-            None,
+            start=None,
         )
     reversal_distance = radius + float(on.half[-1].max()) + REVERSAL_CLEARANCE_M
     beyond_foam = concatenate_lines([ends[1], _straight_lines(ends[1], -last, step, reversal_distance, box)])
     out = concatenate_lines([beyond_foam, beyond_foam.reversed()[1:], lines.reversed(), into.reversed()])
-    return StraightCut(nominal, into, on, out, None, len(beyond_foam))
+    return StraightCut(nominal, into, on, out, start=None, reversal=len(beyond_foam))
 
 
 def _ruling_direction(foot: WireLines, k: int, next_one: int) -> FloatArray:
@@ -487,6 +507,7 @@ def _ruling_direction(foot: WireLines, k: int, next_one: int) -> FloatArray:
 
 
 def _unit_across(vector: FloatArray, direction: FloatArray) -> FloatArray:
+    """Return the component of a vector (3,) across a unit vector (3,), as a unit vector."""
     vector = vector - (vector @ direction) * direction
     return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-12))
 
@@ -494,9 +515,9 @@ def _unit_across(vector: FloatArray, direction: FloatArray) -> FloatArray:
 def _straight_lines(
     line: WireLines, direction: FloatArray, step: float, clear: float, box: FloatArray
 ) -> WireLines:
-    """Return wires from one (1) along a direction (3,) until ``clear`` [m] from the block.
+    """Return the wires of a straight lead along a direction (3,) until ``clear`` [m] from the block.
 
-    The first is left out.
+    ``line`` (1), at which the lead starts, is not included.
     """
     length = max(float(exit_distance(line, direction[None], enlarged_box(box, clear))[0]), MIN_LEAD_LENGTH_M)
     count = max(1, int(np.ceil(length / step - 1e-9)))

@@ -1,9 +1,9 @@
-"""Checks that a straight cut spares other surfaces, other pieces, and the part at lead-ins and lead-outs.
+"""Checks that a straight cut spares other surfaces, and that its leads remove nothing of the part.
 
-The claims of a job state how each surface comes out. They do not state what a lead-in takes from another
-surface, so this is checked here on the planned wires. `check_neighbours` checks what the slot next to one
-surface takes from surfaces that the section across the wire does not show: strips, and surfaces whose wires
-have another direction.
+The claims of a job state the deviations of each cut surface. They do not state what a lead-in removes from
+another surface, so this is checked here on the planned wires. `check_other_surfaces` compares closed surfaces
+with parallel rulings in sections across the wire. `check_neighbours` checks what the slot removes from all
+others: strips, and surfaces whose wires have another direction.
 """
 
 import dataclasses
@@ -39,23 +39,23 @@ GRAZE_TOLERANCE_FRACTION: Final = 0.3
 The same bound holds for a lead and its own surface.
 """
 CELL_SIZE_M: Final = 4e-3
-"""Size of the cells [m] in which near points of a surface are searched."""
+"""Size of the cells [m] into which a surface is divided to search for points near the wires."""
 FINE_CELL_SIZE_M: Final = 5e-4
 """Size of the refined cells [m]."""
 EVEN_DISTANCE_TOLERANCE_M: Final = 1e-4
-"""Difference of distances [m] below which only corners and centre of a cell are checked."""
+"""Cells whose corners and centre differ less in their distance [m] to the wires are not refined."""
 CHECK_CHORD_TOLERANCE_M: Final = 2e-5
 """Chord error [m] of the checked surfaces."""
 CELL_BATCH_SIZE: Final = 2_000
 """Number of cells that are refined in one batch."""
 MIN_BENEATH_COSINE: Final = 0.7
-"""Minimum cosine between the direction to the wire and the normal of a surface below or above it."""
+"""Minimum cosine between a surface's normal and the direction from the wire for a surface above the wire."""
 MAX_FACING_COSINE: Final = -0.5
 """Surfaces face each other over a gap if the cosine of their normals is below this."""
 MIN_CROSSING_DISTANCE_M: Final = 1e-5
 """A surface crosses another if it is on both sides of it by more than this [m]."""
 MEETING_TOLERANCE_M: Final = 1e-7
-"""Rounding [m] where surfaces meet."""
+"""Tolerance for rounding errors [m] where surfaces meet."""
 CROSSING_SAMPLES: Final = 700
 """Number of points that decide whether surfaces cross."""
 _PAIR_BATCH_SIZE: Final = 300_000
@@ -65,10 +65,10 @@ _PAIR_BATCH_SIZE: Final = 300_000
 def check_neighbours(
     op: Straight, cut: StraightCut, ruled: tuple[RuledSurface, ...], box: FloatArray
 ) -> Iterator[Issue]:
-    """Yield ``straight.crossing`` if the slot of a cut takes from another surface of the part.
+    """Yield ``straight.crossing`` if the slot of a cut removes foam of another surface of the part.
 
-    The other surface may be cut before or after. Surfaces that cross bound the part together: whatever is
-    outside one of them is not part.
+    The other surface may be cut before or after. If two surfaces cross, foam outside one of them does not
+    belong to the part, so removing it there is allowed.
 
     Args:
         op: Operation with a straight wire.
@@ -77,10 +77,8 @@ def check_neighbours(
         box: Lower and upper corner of the block (2, 3) [m].
     """
     surface, lines, half = cut.nominal.ruled, cut.on.lines, cut.on.half
-    reach, allowed = (
-        float(half.max()) + MIN_CROSSING_DISTANCE_M,
-        GRAZE_TOLERANCE_FRACTION * op.shape_tol_mm * MM,
-    )
+    reach = float(half.max()) + MIN_CROSSING_DISTANCE_M
+    allowed = GRAZE_TOLERANCE_FRACTION * op.shape_tol_mm * MM
     for other in ruled:
         if other.name == surface.name or (surface.closed and other.closed and are_parallel(surface, other)):
             continue
@@ -116,13 +114,15 @@ def _crossing_issue(
     op: Straight,
     cut: StraightCut,
     other: RuledSurface,
-    figures: tuple[float, float],
+    depth_and_half_slot: tuple[float, float],
     point: FloatArray,
     is_facing: bool,
 ) -> Issue:
-    depth, slot = figures[0] / MM, 2.0 * figures[1] / MM
-    where = "[" + ", ".join(f"{value / MM:.1f}" for value in point) + "] mm"
-    what = (
+    """Return the issue for the deepest point; ``is_facing`` if both surfaces face each other over a gap."""
+    depth = depth_and_half_slot[0] / MM
+    slot = 2.0 * depth_and_half_slot[1] / MM
+    position = "[" + ", ".join(f"{value / MM:.1f}" for value in point) + "] mm"
+    remedy = (
         f"their distance is {slot - depth:.2f} mm there and the slot needs {slot:.2f} mm; move them apart by "
         f"{depth:.2f} mm or use a thinner slot"
         if is_facing
@@ -130,8 +130,8 @@ def _crossing_issue(
     )
     return Issue(
         "straight.crossing",
-        f"{op.name}: the slot of {cut.nominal.segment} removes {depth:.2f} mm of {other.name} at {where}: "
-        f"{what}",
+        f"{op.name}: the slot of {cut.nominal.segment} removes {depth:.2f} mm of {other.name} at {position}: "
+        f"{remedy}",
         field=str(cut.nominal.segment),
         **measurement(depth, GRAZE_TOLERANCE_FRACTION * op.shape_tol_mm, "mm"),
     )
@@ -160,7 +160,7 @@ def _refine_cells(cells: FloatArray) -> FloatArray:
 
 
 def _needs_refinement(cells: FloatArray, lines: WireLines, half: FloatArray) -> BoolArray:
-    """Return which patches (N,) have clearly different distances to the wires at their corners and centre."""
+    """Return whether corners and centre of each patch (N,) differ clearly in their distance to the wires."""
     distance = np.stack(
         [_nearest_on_wires(cells[:, k], lines, half)[0] for k in range(4)]
         + [_nearest_on_wires(cells.mean(axis=1), lines, half)[0]]
@@ -169,16 +169,19 @@ def _needs_refinement(cells: FloatArray, lines: WireLines, half: FloatArray) -> 
 
 
 def _cell_normals(cells: FloatArray) -> FloatArray:
-    """Return unit normals (N, 3) of patches, away from the part; 0 at tips."""
-    way = cells[:, 1] + cells[:, 2] - cells[:, 0] - cells[:, 3]
-    normal = np.cross(way, cells[:, 2] + cells[:, 3] - cells[:, 0] - cells[:, 1])
+    """Return the unit normals (N, 3) of patches (N, 4, 3), away from the part. Those without area have 0."""
+    across_rulings = cells[:, 1] + cells[:, 2] - cells[:, 0] - cells[:, 3]
+    normal = np.cross(across_rulings, cells[:, 2] + cells[:, 3] - cells[:, 0] - cells[:, 1])
     return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30))
 
 
 def _cells_near_wires(
     cells: FloatArray, lines: WireLines, half: FloatArray, box: FloatArray, reach: float
 ) -> FloatArray:
-    """Return the patches in the box with wires within ``reach`` [m] of their centres."""
+    """Return the patches whose centres are in the box and within ``reach`` [m] of a wire.
+
+    A tree of sampled points rejects most patches before the exact distance is computed.
+    """
     middle = cells.mean(axis=1)
     first, last = box_chord(lines, enlarged_box(box, CELL_SIZE_M))
     meets = np.isfinite(first)
@@ -187,55 +190,56 @@ def _cells_near_wires(
     ends = [lines[meets].at(length[meets]) for length in (first, last)]
     low, high = np.min(ends, axis=(0, 1)) - reach, np.max(ends, axis=(0, 1)) + reach
     is_candidate = ((middle > box[0]) & (middle < box[1]) & (middle > low) & (middle < high)).all(axis=1)
-    rows = np.flatnonzero(is_candidate)
+    candidates = np.flatnonzero(is_candidate)
     count = int(np.ceil(np.linalg.norm(ends[1] - ends[0], axis=1).max() / CELL_SIZE_M)) + 1
     points = np.linspace(ends[0], ends[1], count, axis=1)
     step = np.linalg.norm(np.diff(points, axis=0), axis=2).max(initial=0.0)
     gap = 0.5 * float(np.hypot(CELL_SIZE_M, step))
     tree = cKDTree(points.reshape(-1, 3))
-    rows = rows[np.isfinite(tree.query(middle[rows], distance_upper_bound=reach + gap)[0])]
-    if len(rows):
-        rows = rows[_nearest_on_wires(middle[rows], lines, half)[0] < reach]
-    return cells[rows]
+    candidates = candidates[np.isfinite(tree.query(middle[candidates], distance_upper_bound=reach + gap)[0])]
+    if len(candidates):
+        candidates = candidates[_nearest_on_wires(middle[candidates], lines, half)[0] < reach]
+    return cells[candidates]
 
 
 def _nearest_on_wires(
     points: FloatArray, lines: WireLines, half: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the nearest points on the wires and the straight moves between them, for points (N, 3).
+    """Return the nearest points to points (N, 3) on the wires and on the straight moves between them.
 
     Returns:
-        Distance (N,) [m], nearest point (N, 3), half the slot there (N,) [m].
+        Distance (N,) [m], nearest point (N, 3) [m], half the slot there (N,) [m].
     """
-    return _nearest_with_position(points, lines, half, False)[:3]
+    return _nearest_with_position(points, lines, half, mark_ends=False)[:3]
 
 
 def _nearest_with_position(
     points: FloatArray, lines: WireLines, half: FloatArray, mark_ends: bool
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the result of :func:`_nearest_on_wires` and the position (N,) among the lines.
+    """Return the result of :func:`_nearest_on_wires`, and the positions (N,) of the nearest points.
 
-    With ``mark_ends`` the position is NaN for points beyond the ends of the wires.
+    A position counts lines: 3.5 is halfway from line 3 to line 4. With ``mark_ends`` it is NaN for points
+    beyond the guide points of the wires.
     """
-    direction, length = lines.direction, np.linalg.norm(lines.end - lines.start, axis=1)
+    direction = lines.direction
+    length = np.linalg.norm(lines.end - lines.start, axis=1)
     base = dots(lines.start, direction)
     distance, half_slot, position = np.zeros(len(points)), np.zeros(len(points)), np.zeros(len(points))
     foot = np.zeros((len(points), 3))
-    for rows in np.array_split(np.arange(len(points)), max(1, len(points) * len(lines) // _PAIR_BATCH_SIZE)):
-        length_along = points[rows] @ direction.T - base
+    for chunk in np.array_split(np.arange(len(points)), max(1, len(points) * len(lines) // _PAIR_BATCH_SIZE)):
+        length_along = points[chunk] @ direction.T - base
         points_on_lines = lines.start + length_along[..., None] * direction
         move = np.diff(points_on_lines, axis=1)
-        gap = points[rows, None] - points_on_lines[:, :-1]
+        gap = points[chunk, None] - points_on_lines[:, :-1]
         fraction = np.clip(dots(gap, move) / np.maximum(dots(move, move), 1e-30), 0.0, 1.0)
         gap = gap - fraction[..., None] * move
         distances = np.sqrt(dots(gap, gap))
-        n, k = np.arange(len(rows)), np.argmin(distances, axis=1)
+        n, k = np.arange(len(chunk)), np.argmin(distances, axis=1)
         nearest_fraction = fraction[n, k]
-        distance[rows], foot[rows], position[rows] = (
-            distances[n, k],
-            points[rows] - gap[n, k],
-            k + nearest_fraction,
-        )
+        distance[chunk] = distances[n, k]
+        foot[chunk] = points[chunk] - gap[n, k]
+        position[chunk] = k + nearest_fraction
+        # level: 0 at the guide point at the start of the wire, 1 at that at its end
         level = (1.0 - nearest_fraction) * length_along[n, k] / length[k] + nearest_fraction * length_along[
             n, k + 1
         ] / length[k + 1]
@@ -243,16 +247,16 @@ def _nearest_with_position(
         first_half, second_half = (
             (1.0 - level_in) * half[k + i, 0] + level_in * half[k + i, 1] for i in (0, 1)
         )
-        half_slot[rows] = (1.0 - nearest_fraction) * first_half + nearest_fraction * second_half
+        half_slot[chunk] = (1.0 - nearest_fraction) * first_half + nearest_fraction * second_half
         if mark_ends:
-            position[rows] = np.where((level < 0.0) | (level > 1.0), np.nan, position[rows])
+            position[chunk] = np.where((level < 0.0) | (level > 1.0), np.nan, position[chunk])
     return distance, foot, half_slot, position
 
 
 def _signed_distance(ruled: RuledSurface, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return signed distances (N,) [m] of points from a surface and its normals (N, 3) there.
+    """Return signed distances (N,) [m] of points (N, 3) from a surface, and its unit normals (N, 3) there.
 
-    Distances are negative on the part's side and NaN beyond the rims of the surface.
+    Distances are negative on the part's side. They are NaN beyond the rims of the surface.
     """
     fine = resample(ruled, CHECK_CHORD_TOLERANCE_M, 0.05)
     start, end = (np.concatenate([p, p[:1]]) if ruled.closed else p for p in (fine.start, fine.end))
@@ -264,6 +268,7 @@ def _signed_distance(ruled: RuledSurface, points: FloatArray) -> tuple[FloatArra
     if not ruled.closed:
         is_known &= (position > 0.0) & (position < last + 1)
     index = np.where(np.isfinite(position), position, 0.0)
+    # the patches before and after the nearest point, which differ if it lies on a line
     low, high = np.ceil(index).astype(np.intp) - 1, np.floor(index).astype(np.intp)
     ring = (low % (last + 1), high % (last + 1)) if ruled.closed else (low.clip(0, last), high.clip(0, last))
     mean = normal[ring[0]] + normal[ring[1]]
@@ -275,24 +280,23 @@ def _signed_distance(ruled: RuledSurface, points: FloatArray) -> tuple[FloatArra
 def _bounds_part(
     candidates: FloatArray, surface: RuledSurface, ruled: tuple[RuledSurface, ...], box: FloatArray
 ) -> BoolArray:
-    """Return which points (N, 3) of a surface bound the part.
+    """Return whether each of the points (N, 3) of a surface belongs to the boundary of the part.
 
-    These are the points that are not outside another surface that it crosses in the box.
+    A point does not if it is outside another surface that crosses this one in the box.
     """
-    is_real = np.ones(len(candidates), dtype=np.bool_)
+    is_boundary = np.ones(len(candidates), dtype=np.bool_)
     if not len(candidates):
-        return is_real
+        return is_boundary
     points = np.concatenate([_surface_cells(surface).mean(axis=1), candidates])
     points = points[((points > box[0]) & (points < box[1])).all(axis=1)]
-    points = np.random.default_rng(0).permutation(points)[
-        :CROSSING_SAMPLES
-    ]  # random, because a stride would select one row of cells
+    # random, because a stride would select one row of cells
+    points = np.random.default_rng(0).permutation(points)[:CROSSING_SAMPLES]
     for other in ruled:
         if other.name != surface.name:
             distance = _signed_distance(other, points)[0]
             if (distance > MIN_CROSSING_DISTANCE_M).any() and (distance < -MIN_CROSSING_DISTANCE_M).any():
-                is_real &= ~(_signed_distance(other, candidates)[0] > -MEETING_TOLERANCE_M)
-    return is_real
+                is_boundary &= ~(_signed_distance(other, candidates)[0] > -MEETING_TOLERANCE_M)
+    return is_boundary
 
 
 def _extended_strip(ruled: RuledSurface, box: FloatArray) -> RuledSurface:
@@ -311,14 +315,15 @@ def _extended_strip(ruled: RuledSurface, box: FloatArray) -> RuledSurface:
 
 
 LEVEL_FRACTIONS: Final = (0.02, 0.5, 0.98)
-"""Fractions of the common length of all rulings at which slots are compared with other pieces."""
+"""Positions of the sections in which slots are compared with other pieces, as fractions of the rulings."""
 MAX_SLIT_LENGTH_PER_CROSSING: Final = 6.0
-"""Length of a slit next to another contour that is allowed at each crossing, in half slots.
+"""Allowed length of a slit close to another contour at each crossing, in half slots.
 
-It corresponds to crossings at 20 degrees or more.
+A slit is within half a slot of a straight contour for 2 / sin(angle) half slots: 6 at a crossing of 20
+degrees.
 """
 LEAD_FRACTIONS: Final = np.linspace(0.01, 0.99, 9)
-"""Fractions of the wire in the foam at which its lead-in and lead-out are followed."""
+"""Points of the wire, as fractions of its length in the foam, whose paths on leads are checked."""
 LEAD_CHORD_TOLERANCE_M: Final = 2e-4
 """Chord error [m] of surfaces that leads might cross."""
 
@@ -326,9 +331,9 @@ LEAD_CHORD_TOLERANCE_M: Final = 2e-4
 def check_other_surfaces(
     op: Straight, cut: StraightCut, ruled: tuple[RuledSurface, ...], box: FloatArray
 ) -> Iterator[Issue]:
-    """Yield issues of a cut that takes from other surfaces of the part.
+    """Yield issues of a cut that removes foam of other surfaces of the part.
 
-    Codes: ``straight.crossing``, and ``straight.lead`` for what the leads take, also from the cut's own
+    Codes: ``straight.crossing``, and ``straight.lead`` for foam that leads remove, also of the cut's own
     surface.
 
     Args:
@@ -348,7 +353,7 @@ def check_other_surfaces(
 def _slot_overlap_issues(
     op: Straight, cut: StraightCut, ruled: tuple[RuledSurface, ...], box: FloatArray
 ) -> Iterator[Issue]:
-    """Report slots of a closed cut that reach another closed surface that is cut in the same direction."""
+    """Report the slot or a lead of a closed cut that reaches another closed surface with parallel rulings."""
     allowed = GRAZE_TOLERANCE_FRACTION * op.shape_tol_mm * MM
     for level in LEVEL_FRACTIONS:
         pieces = neighbour_pieces(cut.nominal.ruled, ruled, box, level)
@@ -370,10 +375,10 @@ def _slot_overlap_issues(
                 continue
             depth, position, other = overlap
             point = pieces.plane.point(position)
-            what = "the slot" if code == "straight.crossing" else "the lead-in or lead-out"
+            tool = "the slot" if code == "straight.crossing" else "the lead-in or lead-out"
             yield Issue(
                 code,
-                f"{op.name}: {what} of {cut.nominal.segment} removes {depth / MM:.2f} mm of {other.name} at "
+                f"{op.name}: {tool} of {cut.nominal.segment} removes {depth / MM:.2f} mm of {other.name} at "
                 f"{point_text(point)}; move the pieces apart, use a thinner slot"
                 + ("" if code == "straight.crossing" else " or state another lead"),
                 field=str(cut.nominal.segment),
@@ -385,7 +390,7 @@ def _slot_overlap_issues(
 def _parallel_slit_issues(
     op: Straight, cut: StraightCut, ruled: tuple[RuledSurface, ...], box: FloatArray
 ) -> Iterator[Issue]:
-    """Report slits through the part that run along another contour. Steep crossings are allowed."""
+    """Yield ``straight.lead`` if the slit to a closed cut runs along another contour, not just across it."""
     if cut.start is None or cut.start.length_in_part < 1e-4:
         return
     pieces = neighbour_pieces(cut.nominal.ruled, ruled, box, 0.5)
@@ -417,9 +422,16 @@ def _parallel_slit_issues(
 def _deepest_overlap(
     path: FloatArray, half: FloatArray, others: list[NeighbourPiece], allowed: float
 ) -> tuple[float, FloatArray, NeighbourPiece] | None:
-    """Return how deep [m] the slot about a path (N, 2) enters pieces at most, where, and which piece.
+    """Return where the slot about a path enters other pieces most deeply.
 
-    Returns None if the depth is at most ``allowed``.
+    Args:
+        path: Path of the wire in the section (N, 2) [m].
+        half: Half slots along the path, (N,) or (1,) [m].
+        others: The pieces.
+        allowed: Depth that is not reported [m].
+
+    Returns:
+        Depth [m], position in the section (2,) [m] and piece, or None if no depth exceeds ``allowed``.
     """
     if len(path) < 2 or not others:
         return None
@@ -436,7 +448,7 @@ def _deepest_overlap(
 
 
 def _lead_side_issues(op: Straight, cut: StraightCut) -> Iterator[Issue]:
-    """Report a stated lead of a strip that comes neither from outside the part nor straight on."""
+    """Yield ``straight.lead`` if the lead-in of a strip comes through the part, from below its surface."""
     foot, into = cut.on.row.foot, cut.into
     if len(into) < 2:
         return
@@ -453,19 +465,22 @@ def _lead_side_issues(op: Straight, cut: StraightCut) -> Iterator[Issue]:
         and direction @ straight_direction > 0.0
     ):
         return
-    what = f"{op.name}: the lead of {cut.nominal.segment} comes through the part, {depth / MM:.1f} mm below "
-    what += f"its surface, to {point_text(foot.start[0])}; state a lead on the outer side, or auto"
-    yield Issue("straight.lead", what, field=str(cut.nominal.segment), **measurement(depth / MM, 0.0, "mm"))
+    message = (
+        f"{op.name}: the lead of {cut.nominal.segment} comes through the part, {depth / MM:.1f} mm below "
+    )
+    message += f"its surface, to {point_text(foot.start[0])}; state a lead on the outer side, or auto"
+    yield Issue(
+        "straight.lead", message, field=str(cut.nominal.segment), **measurement(depth / MM, 0.0, "mm")
+    )
 
 
 def _entering_lead_issues(
     op: Straight, cut: StraightCut, ruled: tuple[RuledSurface, ...], box: FloatArray
 ) -> Iterator[Issue]:
-    """Report leads of a strip that enter the part through another surface.
+    """Yield ``straight.lead`` if a lead of a strip enters the part through another surface.
 
-    Surfaces that the strip itself crosses do not count. Surfaces that cross bound the part together. What is
-    beyond one of them is not part. Neither is what is beyond a strip that would continue straight, as the
-    lead does.
+    Surfaces that the strip itself crosses do not count. Entries at points that do not bound the part do not
+    count either (`_bounds_part`). For this, strips are extended straight, as their leads are.
     """
     wires = cut.on.lines
     bounds = tuple(_extended_strip(surface, box) for surface in ruled)
@@ -490,10 +505,12 @@ def _entering_lead_issues(
             )
             entry_points = entry_points[_bounds_part(entry_points, other, bounds, box)]
             if len(entry_points):
-                what = f"{op.name}: the lead-{word} of {cut.nominal.segment} goes straight through the "
-                what += f"part, which it enters through {other.name} at {point_text(entry_points[0])}; make "
-                what += "both one surface with a corner, or move them apart"
-                yield Issue("straight.lead", what, field=str(cut.nominal.segment))
+                message = f"{op.name}: the lead-{word} of {cut.nominal.segment} goes straight through the "
+                message += (
+                    f"part, which it enters through {other.name} at {point_text(entry_points[0])}; make "
+                )
+                message += "both one surface with a corner, or move them apart"
+                yield Issue("straight.lead", message, field=str(cut.nominal.segment))
                 return
 
 
@@ -507,12 +524,12 @@ def _inner_lines(lines: WireLines, min_distance: float) -> WireLines:
 def _triangle_crossings(
     lines: WireLines, triangles: FloatArray, box: FloatArray, both_directions: bool
 ) -> Iterator[FloatArray]:
-    """Yield the points (K, 3) where the wire in the foam crosses triangles (T, 3, 3).
+    """Yield the points (K, 3) where moves of points of the wire in the foam cross triangles (T, 3, 3).
 
-    One result for each point of the wire on each move from line to line. Crossings count from outside to
-    inside, or in both directions. Source: Moller and Trumbore's test.
+    There is one result for each of `LEAD_FRACTIONS` on each move from line to line. Crossings count from
+    outside to inside, or in both directions. Source: Moller and Trumbore's test.
     """
-    # outside the block the wire is followed between its guide points
+    # outside the block the points are distributed between the guide points of the wire
     length = np.linalg.norm(lines.end - lines.start, axis=1)
     first, last = box_chord(lines, box)
     first, last = np.nan_to_num(first), np.where(np.isfinite(last), last, length)

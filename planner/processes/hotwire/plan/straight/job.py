@@ -3,8 +3,8 @@
 See `order` (order of the cuts), `offset` (half a kerf next to the surface), `cut` (leads and wires), `route`
 (links), `check`, `gouge_check` and `slot_check`.
 
-**Poses**: from wires in the block to poses of the bow: its rotation about the wire, its slide along it, and
-the motion of a holder with the block. The bow is the tool that carries the wire of the operation.
+**Poses** of the bow follow from the wires in the block. Its rotation about the wire, its slide along the wire
+and the motion of a holder with the block are freedoms.
 
 **Exhibits** for the report: kerf and speed at both ends of the rulings, twist, the cuts, the setup sheet.
 """
@@ -58,7 +58,7 @@ from planner.tooling import Bow
 SMOOTHING_WIDTHS: Final = (81, 41, 21, 9, 1)
 """Numbers of targets over which the bow's position along the wire is averaged.
 
-The largest that the wire's length allows is used.
+The largest number for which all required parts still fit between the clamps is used.
 """
 
 
@@ -67,8 +67,8 @@ def clamped_range(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the part of each wire that must lie between the bow's clamps.
 
-    It is what is within ``margin`` of the block. In air it is interpolated from one cut to the next. It is
-    widened to be smooth, as far as the span allows.
+    It is the part within ``margin`` of the block. For wires in air it is interpolated from one cut to the
+    next. Both ends are smoothed along the job by widening the part, as far as the span allows.
 
     Args:
         lines: N wires.
@@ -77,13 +77,14 @@ def clamped_range(
         span: Length of the wire between its clamps [m].
 
     Returns:
-        Signed lengths (N,), (N,) [m] from the wire's point nearest to the block's centre.
+        Start and end of this part, as signed lengths (N,), (N,) [m] from the wire's point nearest to the
+        block's centre.
     """
     nearest = lines.nearest_length(np.broadcast_to(0.5 * (box[0] + box[1]), lines.start.shape))
     first, last = box_chord(lines, enlarged_box(box, margin))
-    known = np.flatnonzero(np.isfinite(first))
-    at = np.arange(len(lines))
-    first, last = (np.interp(at, known, (end - nearest)[known]) for end in (first, last))
+    in_foam = np.flatnonzero(np.isfinite(first))
+    all_lines = np.arange(len(lines))
+    first, last = (np.interp(all_lines, in_foam, (end - nearest)[in_foam]) for end in (first, last))
     for window in SMOOTHING_WIDTHS:
         low, high = minimum_filter1d(first, window), maximum_filter1d(last, window)
         low, high = uniform_filter1d(low, window), uniform_filter1d(high, window)
@@ -101,7 +102,7 @@ def bow_poses(lines: WireLines, box: FloatArray, first: FloatArray, last: FloatA
     Args:
         lines: N wires.
         box: Lower and upper corner of the block (2, 3) [m].
-        first: Start of the part between the clamps (N,) [m].
+        first: Start of the part between the clamps, as `clamped_range` returns it (N,) [m].
         last: End of the part between the clamps (N,) [m].
     """
     x = lines.direction
@@ -115,8 +116,8 @@ def bow_poses(lines: WireLines, box: FloatArray, first: FloatArray, last: FloatA
 def _rotation_minimizing(x: FloatArray, first: FloatArray) -> FloatArray:
     """Return unit vectors (N, 3) across unit vectors x (N, 3), transported without rotation about x.
 
-    Uses two reflections. Source: Wang and others, "Computation of rotation minimizing frames", ACM TOG 27,
-    2008.
+    The first one is the component of ``first`` (3,) across x[0], or arbitrary if that is 0. Uses two
+    reflections. Source: Wang and others, "Computation of rotation minimizing frames", ACM TOG 27, 2008.
     """
     out = np.empty_like(x)
     normal = first - (first @ x[0]) * x[0]
@@ -136,19 +137,20 @@ def _rotation_minimizing(x: FloatArray, first: FloatArray) -> FloatArray:
 
 
 def line_clock(lines: WireLines, pose: FloatArray, rows: IndexArray, samples: FloatArray) -> FloatArray:
-    """Return positions between lines and the times at which they are passed.
+    """Convert positions among poses into positions among the lines of a cut.
 
-    Positions count lines: 3.5 is halfway from line 3 to line 4. Between poses, path and time advance in
-    proportion.
+    A position counts poses or lines: 3.5 is halfway from line 3 to line 4. Each pose belongs to the nearest
+        line
+    that is not before that of the previous pose.
 
     Args:
         lines: N wires of a cut.
         pose: All poses of the bow (M, 4, 4).
-        rows: Indices of the poses that belong to some of the lines (R,), ascending.
-        samples: Positions between poses and their times [s] (2, L).
+        rows: Indices of the poses that belong to the cut (R,), ascending.
+        samples: Positions among all poses, and the times [s] at which they are passed (2, L).
 
     Returns:
-        Positions between lines and their times [s] (2, K).
+        Positions among the lines, and the times [s] at which they are passed (2, K).
     """
     line_index: list[int] = []
     for x, foot in zip(pose[rows, :3, 0], pose[rows, :3, 3], strict=True):
@@ -167,7 +169,7 @@ def line_clock(lines: WireLines, pose: FloatArray, rows: IndexArray, samples: Fl
 def bow_freedoms(
     op: Straight, stock: Stock, span: float, first: FloatArray, last: FloatArray
 ) -> tuple[Freedom, ...]:
-    """Return the freedoms: spin about the wire, slide along it, and with a holder also motion of the block.
+    """Return the freedoms of the targets: spin about the wire, slide along it, and motion of a held block.
 
     Args:
         op: Operation with a straight wire.
@@ -189,7 +191,7 @@ def bow_freedoms(
 
 
 def _holder_freedoms(op: Straight, stock: Stock, count: int) -> list[Freedom]:
-    """Return screws in the holder's TCP frame.
+    """Return the freedoms of the block's motion, as screws in the holder's TCP frame.
 
     Slides come first, then rotations about the block's centre, so that a slide has the same direction at
     every rotation of the block.
@@ -219,35 +221,37 @@ def bow_of(op: Straight, setup: Setup) -> Bow:
     """Return the bow on the first arm.
 
     Raises:
-        TandemError: bow.missing, bow.holder, bow.arms.
+        TandemError: ``bow.missing``, ``bow.arms``.
     """
     issues = [*_arm_issues(op, setup)]
     tool = setup.cell.arm(op.arms[0]).tool
     if not isinstance(tool, Bow):
-        what = f"{op.name}: arm {op.arms[0]} carries the tool {tool.name}, which has no straight wire; mount "
-        what += "a bow, in the cell or in this operation's setup"
-        issues.append(Issue("bow.missing", what, field="cell.arms", arm=op.arms[0]))
+        message = (
+            f"{op.name}: arm {op.arms[0]} carries the tool {tool.name}, which has no straight wire; mount "
+        )
+        message += "a bow, in the cell or in this operation's setup"
+        issues.append(Issue("bow.missing", message, field="cell.arms", arm=op.arms[0]))
     if issues or not isinstance(tool, Bow):
         raise TandemError(issues)
     return tool
 
 
 def _arm_issues(op: Straight, setup: Setup) -> Iterator[Issue]:
-    """Check that the second arm is the holder if the block is held, and missing otherwise."""
+    """Yield ``bow.arms`` unless the arms are that with the bow and, if the block is held, then its holder."""
     holder = setup.stock.held_by
     required = (op.arms[0],) if holder is None else (op.arms[0], holder)
     if op.arms == required and op.arms[0] != holder:
         return
     state_text = "is on its support" if holder is None else f"is held by arm {holder}"
     required_text = "only the arm with the bow" if holder is None else f"the arm with the bow, then {holder}"
-    what = format_message(
+    message = format_message(
         "bow.arms",
         operation=op.name,
         arms=", ".join(op.arms),
         support=state_text,
         required_arms=required_text,
     )
-    yield Issue("bow.arms", what, field="operations.arms")
+    yield Issue("bow.arms", message, field="operations.arms")
 
 
 def exhibits(op: Straight, bow: Bow, cuts: list[StraightCut]) -> dict[str, Any]:
@@ -260,6 +264,7 @@ def exhibits(op: Straight, bow: Bow, cuts: list[StraightCut]) -> dict[str, Any]:
 
 
 def _setup_sheet(op: Straight, bow: Bow) -> dict[str, Any]:
+    """Return the items of the setup sheet about bow, wire and heat."""
     heat = ("power", f"{op.power_w:g}", "W") if op.power_w is not None else ("slot", f"{op.kerf_mm:g}", "mm")
     return {
         "kind": "setup",
@@ -275,6 +280,7 @@ def _setup_sheet(op: Straight, bow: Bow) -> dict[str, Any]:
 
 
 def _cuts_table(cuts: list[StraightCut]) -> dict[str, Any]:
+    """Return a table with one row for each cut."""
     rows = []
     for number, cut in enumerate(cuts, 1):
         lines, start = cut.on.lines, cut.start
@@ -303,11 +309,12 @@ def _cuts_table(cuts: list[StraightCut]) -> dict[str, Any]:
 
 def _twist(cut: StraightCut) -> float:
     """Return the angle [rad] between neighbouring wires, summed over the cut."""
-    way = cut.on.lines.direction
-    return float(np.arccos(np.clip(np.sum(way[1:] * way[:-1], axis=1), -1.0, 1.0)).sum())
+    direction = cut.on.lines.direction
+    return float(np.arccos(np.clip(np.sum(direction[1:] * direction[:-1], axis=1), -1.0, 1.0)).sum())
 
 
 def _cut_curves(op: Straight, cut: StraightCut) -> dict[str, Any]:
+    """Return charts over a cut: kerf and speed at both ends of the rulings, and rotation of the wire."""
     lines = cut.on.lines
     middle = 0.5 * (lines.start + lines.end)
     travel_mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(middle, axis=0), axis=1))]) / MM
@@ -325,7 +332,7 @@ def _cut_curves(op: Straight, cut: StraightCut) -> dict[str, Any]:
             "x": travel_mm,
             "x_label": "path of the wire's middle [mm]",
             "y_label": label,
-            "series": [{"name": what, "y": y} for what, y in series],
+            "series": [{"name": series_name, "y": y} for series_name, y in series],
             "limits": list(marks),
         }
 
@@ -344,7 +351,7 @@ def _cut_curves(op: Straight, cut: StraightCut) -> dict[str, Any]:
 
 
 class StraightJob(Job[Straight]):
-    """An operation with a straight wire, on the block and with the tools that it finds."""
+    """Job of an operation with a straight wire, on the block and with the tools that the operation finds."""
 
     def targets(self) -> Targets:
         """Return the targets of the operation.
@@ -377,15 +384,14 @@ class StraightJob(Job[Straight]):
         )
 
     def _cut_issues(self) -> list[Issue]:
-        """Return issues of the cuts, before their bows are checked."""
+        """Return the issues of the cuts themselves. Those of the bow and the holder need the route."""
         operation, setup, part = self.operation, self.setup, self.part
         bow, box = bow_of(operation, setup), setup.stock.box
         surfaces, kerf, thickness, cuts = self._planned
         ruled = () if part is None else part.ruled
         issues = [issue for cut in cuts for issue in check_cut(operation, cut, ruled, box)]
-        converged = [
-            cut for cut in cuts if cut.on.converged
-        ]  # the others represent no real path: check_heat refuses them
+        # the wires of the other cuts are not a real path: check_heat refuses them
+        converged = [cut for cut in cuts if cut.on.converged]
         issues += [issue for cut in converged for issue in check_inner_corners(operation, cut, box)]
         if not has_errors(issues):
             issues += [issue for cut in converged for issue in check_path(operation, cut, kerf, box)]
@@ -412,15 +418,15 @@ class StraightJob(Job[Straight]):
     def check_timing(
         self, targets: Targets, time: FloatArray, program_clock: FloatArray | None = None
     ) -> tuple[Issue, ...]:
-        """Return issues if the arms cannot rotate the bow fast enough for the feed.
+        """Return issues of cuts on which the planned timing moves the wire too slowly.
 
         Codes: ``motion.feed_min``, ``straight.uneven``, ``kerf.too_hot``, ``kerf.too_cold``.
 
         Args:
             targets: Targets of this job.
             time: Time (N,) [s] at which each target is reached.
-            program_clock: Indices between targets, 3.5 being halfway from target 3 to 4, and times [s] (2,
-                K). None: ``time``.
+            program_clock: Positions along the targets as fractional indices (3.5 is halfway from target 3 to
+                4), and times [s] at them (2, K). None: the targets at ``time``.
         """
         stock, (_, kerf, _, cuts) = self.setup.stock, self._planned
         pose = targets.pose[self.operation.arms[0]]
@@ -436,8 +442,8 @@ class StraightJob(Job[Straight]):
             )
             if cut.reversal:
                 lead_out = lead_out[: int(np.argmax(targets.stop[lead_out])) + 1]
-            rows = np.concatenate([lead_in, on_surface, lead_out])
-            clock = line_clock(wires_along(cut), pose, rows, samples)
+            cut_targets = np.concatenate([lead_in, on_surface, lead_out])
+            clock = line_clock(wires_along(cut), pose, cut_targets, samples)
             out += check_driven(self.operation, cut, kerf, stock.box, clock)
         return aggregate(out)
 
@@ -449,7 +455,7 @@ class StraightJob(Job[Straight]):
 def _plan_cuts(
     op: Straight, setup: Setup, part: Part | None, bow: Bow, surfaces: list[NominalSurface], kerf: KerfCurve
 ) -> list[StraightCut]:
-    """Return the cuts of some surfaces, each from air to air."""
+    """Plan the cuts of surfaces, each from air to air."""
     contours = () if part is None else tuple(r for r in part.ruled if r.closed)
     return [make_cut(op, surface, contours, kerf, bow.radius, setup.stock) for surface in surfaces]
 
@@ -457,7 +463,7 @@ def _plan_cuts(
 def _kerf_curve(
     op: Straight, setup: Setup, bow: Bow, surfaces: list[NominalSurface]
 ) -> tuple[KerfCurve, float]:
-    """Return the kerf over speed, and the foam's thickness [m] along the wire: the mean of all rulings."""
+    """Return the kerf over speed, and the foam's thickness [m] along the wire (the mean of all rulings)."""
     foam_lengths = []
     for surface in surfaces:
         first, last = box_chord(WireLines(surface.ruled.start, surface.ruled.end), setup.stock.box)
@@ -494,11 +500,13 @@ def _make_targets(
     motion: BowMotion,
     issues: list[Issue],
 ) -> Targets:
+    """Return the targets of a planned route: poses, freedoms, feeds and actions."""
     stock, cutter = setup.stock, op.arms[0]
     bow, route, pose = motion.bow, motion.route, motion.pose
     cutting = np.array([segment.kind == "cut" for segment in route.segment], dtype=np.bool_)
     in_foam = fastest_move(route.lines, stock.box)
     inside = np.isfinite(box_chord(route.lines, stock.box)[0])
+    # the minimum feed holds for moves that are inside the foam from start to end
     is_burning = cutting & inside & np.concatenate([[False], inside[:-1]])
     poses, frames = {cutter: pose}, {cutter: "stock"}
     if stock.held_by is not None:
@@ -529,11 +537,11 @@ AIR_DEVIATION_MM: Final = 0.5
 Chosen: larger than in foam, so that turns need not slow down, and still far within any clearance.
 """
 ROUNDING_FRACTION: Final = 0.15
-"""Fraction of a surface's tolerance that rounded corners may take, if it is more than they take anyway."""
+"""Fraction of a surface's tolerance that rounded corners may take, unless the default is larger."""
 
 
 def rounding(op: Straight) -> CornerRounding:
-    """Return the rounding of corners. The wire is free in air. In foam and on leads the surfaces bound it."""
+    """Return the allowed rounding of corners: within the tolerance in foam and on leads, larger in air."""
     foam = max(CornerRounding.work, ROUNDING_FRACTION * op.shape_tol_mm * MM)
     return CornerRounding(foam, foam, AIR_DEVIATION_MM * MM)
 

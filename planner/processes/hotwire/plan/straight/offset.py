@@ -1,12 +1,12 @@
 """The wire next to a ruled surface: each end of a ruling is moved outward by half of its own kerf.
 
-The wire passes a convex corner on a polygon around the circle of half a kerf, which nowhere comes closer to
-the part. It passes an inner corner through the point that is half a kerf from both sides.
+The wire passes a convex corner on a polygon around the circle with a radius of half a kerf, so it nowhere
+comes closer to the part. It passes an inner corner through the point that is half a kerf from both sides.
 
-**Inner corners.** Where a surface is bent inward more tightly than half a slot, the wire leaves out what its
-slot cannot reach. The remaining foam is reported. Next to an inner corner whose sides are shorter than half a
+**Inner corners.** Where a surface is bent inward more tightly than half a slot, foam remains that the slot
+cannot reach. This foam is reported. Next to an inner corner whose sides are shorter than half a
 slot, or an inner curve of a smaller radius, the wires at half a slot form a loop. It is cut off where it
-crosses itself: at the point that is half a slot from both sides (a vertex of the surface's parallel).
+crosses itself: at the point that is half a slot from both sides (a vertex of the offset curve).
 
 **The slot between guide points** (`melt_slots`). A wire that rotates moves slowly near its centre of
 rotation, so its slot becomes wide there although both ends are fast. The slot is therefore checked all along
@@ -42,7 +42,7 @@ MAX_VERTEX_ROTATION_RAD: Final = np.deg2rad(60.0)
 The wire stays within 1 / cos 30 deg of half a kerf.
 """
 MIN_VERTEX_ROTATION_RAD: Final = np.deg2rad(2.0)
-"""A rotation below this [rad] needs no vertices of its own."""
+"""A corner with a rotation below this [rad] needs a single vertex."""
 CUSP_ROTATION_RAD: Final = np.deg2rad(175.0)
 """A rotation above this [rad] is a cusp of the part. The wire goes round it, whatever the sign."""
 HALF_KERF_TOLERANCE_M: Final = 1e-7
@@ -60,8 +60,8 @@ MIN_MOVE_M: Final = 1e-5
 MELTING_DISTANCE_M: Final = 1e-3
 """Distance [m] along the path, to each side, over which the speed of a slot is averaged.
 
-What the wire does within less is melted together. Without it moves shorter than half a kerf would make the
-iteration diverge.
+Over shorter distances the wire melts one slot, whatever its speed is. Without the average, moves shorter than
+half a kerf would make the iteration diverge.
 """
 
 
@@ -70,9 +70,10 @@ class OffsetRow:
     """Positions of N wires next to a surface, in the order of the cut.
 
     Attributes:
-        foot: Rulings of the surface (N).
-        normal: Offset of the wire at start and end per half kerf (N, 2, 3).
-        corner_rotation: Whole rotation of the corner at start and end, positive if convex (N, 2) [rad].
+        foot: Ruling of the surface next to each wire (N).
+        normal: Offset of the wire from its ruling per half kerf, at start and end (N, 2, 3).
+        corner_rotation: Rotation of the normal at the whole corner to which the wire belongs, at start and
+            end, positive if convex (N, 2) [rad]. 0 away from corners.
     """
 
     foot: WireLines
@@ -96,8 +97,8 @@ class WireOffset:
         row: Positions of the wires.
         half: Half kerfs at start and end (N, 2) [m].
         speed: Speeds of both guide points if the fastest point in the foam has the feed (N, 2) [m/s].
-        converged: Whether the half kerfs fit their own speeds. If not, they are those of wires at one
-            constant distance, which is the best available approximation.
+        converged: Whether half kerfs and speeds are consistent. If not, they are those of wires offset by
+            half the kerf at the feed, which is the best available approximation.
     """
 
     row: OffsetRow
@@ -117,7 +118,7 @@ def make_row(
     backward: bool = False,
     max_vertex_rotation: float = MAX_VERTEX_ROTATION_RAD,
 ) -> OffsetRow:
-    """Return the positions of wires next to a surface, once around and back to the start for a closed one.
+    """Return the positions of wires next to a surface. For a closed one they end at the first ruling again.
 
     Args:
         ruled: The surface.
@@ -131,9 +132,8 @@ def make_row(
     if backward and not ruled.closed:
         order = order[::-1]
     previous_normal, next_normal = outward_sides(ruled)
-    previous_normal, next_normal = (
-        (next_normal, previous_normal) if backward else (previous_normal, next_normal)
-    )
+    if backward:
+        previous_normal, next_normal = next_normal, previous_normal
     previous_normal, next_normal = previous_normal[order], next_normal[order]
     corner = ruled.corner[order].copy()
     if ruled.closed and corner[0]:  # the two sides of the first corner are separate ends
@@ -150,7 +150,10 @@ def make_row(
 def _corner_rotations(
     previous_normal: FloatArray, next_normal: FloatArray, direction: FloatArray, sign: float
 ) -> FloatArray:
-    """Return rotations (N, 2) [rad] between normals (N, 2, 3) about the wires, positive if convex."""
+    """Return the rotations (N, 2) [rad] about wires from one normal to the next, positive if convex.
+
+    ``sign`` is -1 if the rulings are cut in reverse order.
+    """
     axis = direction[:, None]
     angle = np.arctan2(
         np.sum(np.cross(previous_normal, next_normal) * axis, axis=2),
@@ -162,26 +165,36 @@ def _corner_rotations(
 def _with_vertices(
     foot: WireLines, normal_before: FloatArray, rotation: FloatArray, sign: float, max_vertex_rotation: float
 ) -> OffsetRow:
-    """Return the row with as many vertices at every corner as its rotation needs."""
+    """Return the row with as many wires at each corner as its rotation needs, on a polygon around it.
+
+    Args:
+        foot: Rulings (N).
+        normal_before: Unit normals of the side before each ruling, at start and end (N, 2, 3).
+        rotation: Rotations of the normal at the rulings (N, 2) [rad], positive if convex.
+        sign: -1 if the rulings are cut in reverse order, else 1.
+        max_vertex_rotation: Largest rotation at one vertex of the polygon [rad].
+    """
     max_rotation = np.abs(rotation).max(axis=1)
     inner = rotation.min(axis=1) < -MIN_VERTEX_ROTATION_RAD
     parts = np.where(
         inner | (max_rotation < MIN_VERTEX_ROTATION_RAD), 1, np.ceil(max_rotation / max_vertex_rotation)
     ).astype(np.intp)
-    rows = np.repeat(np.arange(len(foot)), parts)
-    number = np.arange(len(rows)) - np.repeat(np.cumsum(parts) - parts, parts)
-    vertex_rotation = rotation[rows] / parts[rows, None]
-    angle = sign * vertex_rotation * (number[:, None] + 0.5)
-    n, axis = normal_before[rows], foot.direction[rows][:, None]
-    normal = np.cos(angle)[..., None] * n + np.sin(angle)[..., None] * np.cross(axis, n)
-    normal /= np.cos(0.5 * vertex_rotation)[..., None]
-    return OffsetRow(foot[rows], normal, rotation[rows])
+    rulings = np.repeat(np.arange(len(foot)), parts)
+    vertex_number = np.arange(len(rulings)) - np.repeat(np.cumsum(parts) - parts, parts)
+    vertex_rotation = rotation[rulings] / parts[rulings, None]
+    angle = sign * vertex_rotation * (vertex_number[:, None] + 0.5)
+    unit_normal, axis = normal_before[rulings], foot.direction[rulings][:, None]
+    normal = np.cos(angle)[..., None] * unit_normal + np.sin(angle)[..., None] * np.cross(axis, unit_normal)
+    normal /= np.cos(0.5 * vertex_rotation)[..., None]  # vertices of a polygon around the circle
+    return OffsetRow(foot[rulings], normal, rotation[rulings])
 
 
 def wire_offset(
     row: OffsetRow, kerf: KerfCurve, feed: float, box: FloatArray, damping: DampingSchedule = DAMPING_SCHEDULE
 ) -> WireOffset:
-    """Return the wires next to a surface with the kerfs of their own speeds at both ends.
+    """Return the wires next to a surface, each end offset by half the kerf at its own speed.
+
+    Wires next to an inner corner that are beyond its other side are dropped.
 
     Args:
         row: Positions of the wires.
@@ -198,7 +211,7 @@ def wire_offset(
 def _iterate_half_kerfs(
     row: OffsetRow, kerf: KerfCurve, feed: float, box: FloatArray, damping: DampingSchedule
 ) -> WireOffset:
-    """Return half kerfs of their own speeds by damped iteration from those at the feed.
+    """Solve for half kerfs h that are consistent with their speeds, by damped iteration.
 
     h_(k+1) = h_k (w(v(h_k)) / 2 h_k)^s with exponent s from ``damping``.
     """
@@ -212,15 +225,14 @@ def _iterate_half_kerfs(
                 return WireOffset(row, half, speed)
             half = half * (next_half / half) ** exponent
     speed = end_speeds(row.lines(first), feed, box)
-    return WireOffset(row, 0.5 * kerf.at(speed), speed, False)
+    return WireOffset(row, 0.5 * kerf.at(speed), speed, converged=False)
 
 
 def end_speeds(lines: WireLines, feed: float, box: FloatArray) -> FloatArray:
-    """Return the speeds (N, 2) [m/s] of starts and ends across the wire.
+    """Return the speeds (N, 2) [m/s] of both guide points across the wire.
 
-    They are averaged over the moves to and from each line, or over more of them up to ``MELTING_DISTANCE_M``
-    to each side. The first and last line have the speed of their only move, because the wire arrives and
-    continues with it.
+    They are averaged over the moves to and from each line, and at least over ``MELTING_DISTANCE_M`` to each
+    side. The first and the last line have the speed of their only move.
 
     Args:
         lines: N wires.
@@ -254,9 +266,9 @@ def end_speeds(lines: WireLines, feed: float, box: FloatArray) -> FloatArray:
 
 
 def _clear_of_inner_corners(offset: WireOffset) -> BoolArray:
-    """Return which wires (N,) to keep.
+    """Return whether to keep each wire (N,).
 
-    Near an inner corner, sides that the other side's wire has cut off are dropped.
+    Wires next to an inner corner are dropped as long as they are on the far side of the corner's own wire.
     """
     lines, foot = offset.lines, offset.row.foot
     keep = np.ones(len(lines), dtype=np.bool_)
@@ -286,7 +298,7 @@ def _is_beyond_corner(lines: WireLines, foot: WireLines, j: int, i: int, step: i
 
 
 NEARER_TOLERANCE_FRACTION: Final = 0.1
-"""Fraction of the tolerance by which wires next to a smooth surface may be closer to it than half a slot."""
+"""Fraction of the tolerance by which wires may be closer to their surface than half a slot."""
 RULING_SPACING_M: Final = 5e-4
 """Spacing of the rulings [m] at which a surface is checked."""
 QUARTER_SEGMENTS: Final = 64
@@ -294,18 +306,21 @@ QUARTER_SEGMENTS: Final = 64
 MIN_LEFT_FRACTION: Final = 0.03
 """Depth at which remaining foam starts to count, as a fraction of the tolerance."""
 MAX_LOOP_FACTOR: Final = 3.0
-"""A loop covers at most this many half slots of the surface plus twice the depth of foam that may remain."""
+"""A loop is cut off if its length on the surface is at most this many half slots.
+
+Twice the depth of foam that may remain is added to this limit.
+"""
 
 
 def guide_lines(ruled: RuledSurface) -> tuple[FloatArray, FloatArray]:
-    """Return both guide lines (M, 3). Those of a closed surface end at their first point."""
+    """Return both guide lines (M, 3) [m] of a surface. Those of a closed surface end at their first point."""
     if not ruled.closed:
         return ruled.start, ruled.end
     return np.concatenate([ruled.start, ruled.start[:1]]), np.concatenate([ruled.end, ruled.end[:1]])
 
 
 def remove_loops(offset: WireOffset, ruled: RuledSurface, tolerance: float, left: float) -> OffsetRow | None:
-    """Return the row without its loops, with one wire in place of each.
+    """Replace each loop of wires too close to the surface by one wire where the path crosses itself.
 
     Args:
         offset: Wires next to the surface.
@@ -314,12 +329,13 @@ def remove_loops(offset: WireOffset, ruled: RuledSurface, tolerance: float, left
         left: Depth of foam that may remain [m].
 
     Returns:
-        None if there is no loop that can be cut off.
+        The row without these loops, or None if there is no loop that can be cut off.
     """
     lines = offset.lines
     ends = (lines.start, lines.end)
     distance = np.stack(
-        [distance_to_polyline(*pair) for pair in zip(ends, guide_lines(ruled), strict=True)], axis=1
+        [distance_to_polyline(points, guide) for points, guide in zip(ends, guide_lines(ruled), strict=True)],
+        axis=1,
     )
     is_too_close = np.asarray((distance < offset.half - NEARER_TOLERANCE_FRACTION * tolerance).any(axis=1))
     if not is_too_close.any() or is_too_close[0] or is_too_close[-1]:
@@ -328,7 +344,7 @@ def remove_loops(offset: WireOffset, ruled: RuledSurface, tolerance: float, left
     row = offset.row
     keep = np.ones(len(is_too_close), dtype=np.bool_)
     foot = [row.foot.start.copy(), row.foot.end.copy()]
-    normal, turn = row.normal.copy(), row.corner_rotation.copy()
+    normal, corner_rotation = row.normal.copy(), row.corner_rotation.copy()
     for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         following = last + 1
         loop_length = max(
@@ -341,19 +357,24 @@ def remove_loops(offset: WireOffset, ruled: RuledSurface, tolerance: float, left
         for k, crossing in enumerate(crossings):
             point = ends[k][middle] if crossing is None else crossing
             normal[middle, k] = (point - foot[k][middle]) / offset.half[middle, k]
-        turn[middle] = 0.0
+        corner_rotation[middle] = 0.0
         keep[first + 1 : following] = False
         keep[middle] = True
     if keep.all():
         return None
-    return OffsetRow(WireLines(*foot), normal, turn)[keep]
+    return OffsetRow(WireLines(*foot), normal, corner_rotation)[keep]
 
 
 def _self_crossing(points: FloatArray, first: int, last: int, axis: FloatArray) -> FloatArray | None:
-    """Return where the path of wires' ends (N, 3) crosses itself between two wires.
+    """Return the point (3,) at which the path of a guide point (N, 3) crosses itself between two wires.
 
-    The path is projected along ``axis`` (3,). The crossing nearest to the first wire is returned, None if
-    there is none.
+    The path is projected along ``axis`` (3,). The first crossing along the path is returned, or None.
+
+    Args:
+        points: Guide points of N wires (N, 3) [m].
+        first: Index of the wire before the loop.
+        last: Index of the wire after the loop.
+        axis: Direction of the wire in the loop (3,).
     """
     plane_axis = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     plane_axis /= np.linalg.norm(plane_axis)
@@ -379,7 +400,7 @@ class RemainingFoam:
 
     Attributes:
         depth: Maximum depth [m].
-        point: Point of the surface (3,) [m].
+        point: Point of the surface where it is deepest (3,) [m].
         volume: Volume [m^3].
     """
 
@@ -396,7 +417,7 @@ def remaining_foam(
     Args:
         offset: Wires next to the surface.
         ruled: The surface.
-        tolerance: Depth from which foam is returned [m].
+        tolerance: Depth above which foam is returned [m].
         box: Lower and upper corner of the block (2, 3) [m].
     """
     fine, lines = _dense_rulings(ruled), offset.lines
@@ -418,10 +439,7 @@ def remaining_foam(
 
 
 def _dense_rulings(ruled: RuledSurface) -> WireLines:
-    """Return the rulings (M) of a surface with additional ones in between.
-
-    Both ends are at most ``RULING_SPACING_M`` apart.
-    """
+    """Return rulings (M) of a surface, interpolated to a spacing of at most ``RULING_SPACING_M``."""
     a, b = guide_lines(ruled)
     step = np.maximum(*(np.linalg.norm(np.diff(p, axis=0), axis=1) for p in (a, b)))
     count = np.maximum(np.ceil(step / RULING_SPACING_M).astype(np.intp), 1)
@@ -434,15 +452,15 @@ def _dense_rulings(ruled: RuledSurface) -> WireLines:
 
 
 def _selected_runs(selected: BoolArray, closed: bool) -> Iterator[IndexArray]:
-    """Yield the indices of every run of selected positions.
+    """Yield the indices of each run of consecutive selected positions.
 
-    A run over the end of a closed line counts as one.
+    On a closed line, runs at the end and at the start are one run.
     """
-    rows = np.flatnonzero(selected)
-    parts = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if len(rows) else []
-    if closed and len(parts) > 1 and selected[0] and selected[-1]:
-        parts = [np.concatenate([parts[-1], parts[0]]), *parts[1:-1]]
-    yield from parts
+    indices = np.flatnonzero(selected)
+    runs = np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1) if len(indices) else []
+    if closed and len(runs) > 1 and selected[0] and selected[-1]:
+        runs = [np.concatenate([runs[-1], runs[0]]), *runs[1:-1]]
+    yield from runs
 
 
 def _remaining_volume(
@@ -450,7 +468,16 @@ def _remaining_volume(
 ) -> float:
     """Return the volume [m^3] of the foam that remains at ruling ``k`` in the block.
 
-    The line across the ruling is widened by half a slot [m] and narrowed again, on the side of the wires.
+    In the section across the ruling, foam remains where a circle of half a slot cannot reach: the surface's
+    line widened by half a slot and narrowed again (closing). The piece on the side of the wires counts.
+
+    Args:
+        fine: Dense rulings of the surface.
+        k: Index of the ruling.
+        depth: Maximum depth of the foam there [m].
+        offset: Wires next to the surface.
+        box: Lower and upper corner of the block (2, 3) [m].
+        closed: Whether the surface is closed.
     """
     half, lines = float(offset.half.mean()), offset.lines
     axis = fine.direction[k]
@@ -477,13 +504,13 @@ def _remaining_volume(
 WIRE_FRACTIONS: Final = np.linspace(0.0, 1.0, 9)
 """Positions along the wire, between its guide points, at which its slot is checked."""
 CLOCKED_SPACING_M: Final = 2e-4
-"""Spacing of positions [m] if a clock states how slow the wire is in a corner."""
+"""Spacing [m] of the lines at which slots are computed if a clock gives their times."""
 SLOT_SPACING_M: Final = 7e-4
-"""Spacing of positions [m] without a clock."""
+"""Spacing [m] of the lines at which slots are computed without a clock."""
 MAX_HALVINGS: Final = 4
-"""Maximum number of halvings of moves between wires."""
+"""Maximum number of times that moves between wires are halved."""
 WELL_WITHIN_FRACTION: Final = 0.4
-"""Fraction of the tolerance that counts as well within it."""
+"""Moves whose slot deviates by more than this fraction of the tolerance are halved."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -492,7 +519,7 @@ class MeltedSlots:
 
     Attributes:
         lines: The wires.
-        line_index: Index of the line that each wire approaches (N,).
+        line_index: Index of the given line that each wire is at or approaches (N,).
         speed: Speeds across the wires at ``WIRE_FRACTIONS`` (N, 9) [m/s].
         half: Half the slots at ``WIRE_FRACTIONS`` (N, 9) [m].
     """
@@ -507,15 +534,15 @@ class MeltedSlots:
         return MeltedSlots(self.lines[rows], self.line_index[rows], self.speed[rows], self.half[rows])
 
     def penetration(self, guides: tuple[FloatArray, FloatArray]) -> FloatArray:
-        """Return how much closer (N, 2) [m] than half their slots the wires are to the guide lines (M, 3)."""
+        """Return by how much (N, 2) [m] the slots at both guide points reach beyond guide lines (M, 3)."""
         distance = [
-            distance_to_polyline(*pair)
-            for pair in zip((self.lines.start, self.lines.end), guides, strict=True)
+            distance_to_polyline(points, guide)
+            for points, guide in zip((self.lines.start, self.lines.end), guides, strict=True)
         ]
         return np.asarray(self.half[:, [0, -1]] - np.stack(distance, axis=1))
 
     def deviation(self, guides: tuple[FloatArray, FloatArray]) -> FloatArray:
-        """Return the deviation (N, 2) [m] of the distance to the guide lines (M, 3) from half the slot."""
+        """Return by how much (N, 2) [m] the distances to guide lines (M, 3) differ from half the slots."""
         return np.abs(self.penetration(guides))
 
 
@@ -527,7 +554,7 @@ def melt_slots(
     Args:
         lines: N lines.
         kerf: Kerf over speed.
-        feed: Speed of the fastest point in the foam [m/s], if there is no clock.
+        feed: Speed of the fastest point in the foam [m/s]. Not used with a clock.
         box: Lower and upper corner of the block (2, 3) [m].
         clock: Positions among the lines, 3.5 being halfway from line 3 to line 4, and their times [s] (2, K).
     """
@@ -549,9 +576,9 @@ def fit_offset(
     box: FloatArray,
     allowed: tuple[float, float],
 ) -> WireOffset:
-    """Return wires next to a surface that keep half a slot from it, well within the tolerance.
+    """Return wires next to a surface at a distance of half their slot, as closely as possible.
 
-    Wires are dropped where the slot cannot reach. Wires are added where the slot grows and shrinks between
+    Loops of wires are cut off where the slot cannot reach. Wires are added where the slot deviates between
     two of them.
 
     Args:
@@ -562,34 +589,35 @@ def fit_offset(
         box: Lower and upper corner of the block (2, 3) [m].
         allowed: Tolerance of the surface and depth of foam that may remain [m].
     """
-    lines, tolerance = guide_lines(nominal), allowed[0]
+    guides = guide_lines(nominal)
+    tolerance = allowed[0]
 
     def evaluate(row: OffsetRow) -> tuple[WireOffset, IndexArray, FloatArray]:
+        """Return the wires, and for samples of the path the line they approach and their deviation [m]."""
         offset = wire_offset(row, kerf, feed, box)
         passed = melt_slots(offset.lines, kerf, feed, box)
-        return offset, passed.line_index, passed.deviation(lines).max(axis=1)
+        return offset, passed.line_index, passed.deviation(guides).max(axis=1)
 
     best = evaluate(row)
     loop_free = remove_loops(best[0], nominal, *allowed)
     best = best if loop_free is None else evaluate(loop_free)
     for _ in range(MAX_HALVINGS):
         offset, number, deviation = best
-        refine_rows = np.unique(number[(deviation > WELL_WITHIN_FRACTION * tolerance) & (number > 0)])
-        if not len(refine_rows):
+        uneven_moves = np.unique(number[(deviation > WELL_WITHIN_FRACTION * tolerance) & (number > 0)])
+        if not len(uneven_moves):
             break
-        refined = evaluate(_halve_moves(offset.row, refine_rows))
-        if (
-            refined[2].max() >= deviation.max()
-        ):  # a wire that slows down for a wider slot may melt an even wider one
+        refined = evaluate(_halve_moves(offset.row, uneven_moves))
+        # not always better: a wire that slows down for a wider slot may melt an even wider one
+        if refined[2].max() >= deviation.max():
             break
         best = refined
     return best[0]
 
 
 def _halve_moves(row: OffsetRow, indices: IndexArray) -> OffsetRow:
-    """Return the row with additional wires halfway to those numbered ``indices`` (K,).
+    """Return the row with an additional wire halfway along the move to each wire of ``indices`` (K,).
 
-    Normals are averaged like the feet, so that the wire stays on the straight path next to a flat piece.
+    Normals and rulings are averaged, so that the wire stays on the straight path next to a flat piece.
     """
     foot = [
         np.insert(p, indices, 0.5 * (p[indices - 1] + p[indices]), axis=0)
@@ -600,9 +628,9 @@ def _halve_moves(row: OffsetRow, indices: IndexArray) -> OffsetRow:
 
 
 def _dense_lines(lines: WireLines, box: FloatArray, spacing: float) -> tuple[WireLines, IndexArray]:
-    """Return denser lines, and which of the given lines (N,) each one approaches.
+    """Return denser lines (M), and the index (M,) of the given line that each one is at or approaches.
 
-    No guide point, and nothing in the box, moves farther than ``spacing`` [m] from one line to the next.
+    No guide point, and no point in the box, moves farther than ``spacing`` [m] from one line to the next.
     """
     steps = [np.linalg.norm(np.diff(ends, axis=0), axis=1) for ends in (lines.start, lines.end)]
     steps.append(np.nan_to_num(fastest_move(lines, box)[1:]))
@@ -618,20 +646,18 @@ def _dense_lines(lines: WireLines, box: FloatArray, spacing: float) -> tuple[Wir
 
 
 def _slot_speeds(lines: WireLines, feed: float, box: FloatArray, time: FloatArray | None) -> FloatArray:
-    """Return the speeds (N, 9) [m/s] across the wire.
+    """Return the speeds (N, 9) [m/s] across the wire at ``WIRE_FRACTIONS``.
 
-    They are averaged over ``MELTING_DISTANCE_M`` of its path to each side. The fastest point in the box moves
-    at ``feed``, or the wires pass at times (N,) [s].
+    They are averages over ``MELTING_DISTANCE_M`` of the path to each side. The wires pass at times (N,) [s].
+    If ``time`` is None, the fastest point in the box moves at ``feed`` [m/s].
     """
-    wire_points = [lines.start + share * (lines.end - lines.start) for share in WIRE_FRACTIONS]
+    wire_points = [lines.start + fraction * (lines.end - lines.start) for fraction in WIRE_FRACTIONS]
     moves = np.stack([transverse_move(lines, points[:-1]) for points in wire_points], axis=1)
     fastest_moves = fastest_move(lines, box)[1:]
     fastest_moves = np.where(np.isfinite(fastest_moves), fastest_moves, moves.max(axis=1))
     travelled = np.concatenate([[0.0], np.cumsum(np.maximum(fastest_moves, 1e-12))])
-    low, high = (
-        (travelled - MELTING_DISTANCE_M).clip(travelled[0]),
-        (travelled + MELTING_DISTANCE_M).clip(None, travelled[-1]),
-    )
+    low = (travelled - MELTING_DISTANCE_M).clip(travelled[0])
+    high = (travelled + MELTING_DISTANCE_M).clip(None, travelled[-1])
     point_travelled = np.concatenate([np.zeros((1, len(WIRE_FRACTIONS))), np.cumsum(moves, axis=0)])
     distances = [np.interp(high, travelled, w) - np.interp(low, travelled, w) for w in point_travelled.T]
     time = travelled / feed if time is None else time

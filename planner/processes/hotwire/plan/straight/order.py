@@ -1,8 +1,9 @@
-"""Surfaces to cut and their order: rulings, and the part's closed surfaces in a plane across the wire.
+"""Surfaces to cut and their order, neighbouring pieces in a section across the wire, and batches of lines.
 
-Surfaces to cut are ruled surfaces of the part and sides of the block. The section across the wire shows which
-piece lies in which, and what lies next to a cut. Wires are batches of lines, with functions for their motion
-across themselves and their intersection with a box.
+Surfaces to cut are ruled surfaces of the part and sides of the block. In a section across the wire, contours
+of the part's closed surfaces show which piece lies inside which, and which pieces are next to a cut.
+`WireLines` are batches of lines, with functions for their motion across themselves and their intersection
+with a box.
 """
 
 import dataclasses
@@ -28,7 +29,7 @@ _PARALLEL_TOLERANCE: Final = 1e-12
 
 @dataclasses.dataclass(frozen=True)
 class WireLines:
-    """N wires through two points each, which are the guide points of a cut. The wires extend beyond both.
+    """N straight wires, each through two guide points. The wires extend beyond both points.
 
     Attributes:
         start: Start points (N, 3) [m].
@@ -104,9 +105,9 @@ def point_text(point: FloatArray) -> str:
 
 
 def transverse_move(lines: WireLines, points: FloatArray) -> FloatArray:
-    """Return how far (N - 1,) [m] each line moves across itself to the next one.
+    """Return how far (N - 1,) [m] the wire moves across itself from each line to the next one.
 
-    The distance is measured in the plane through a point across the mean direction of both lines.
+    The distance is measured in the plane through the given point across the mean direction of both lines.
 
     Args:
         lines: N lines.
@@ -117,6 +118,7 @@ def transverse_move(lines: WireLines, points: FloatArray) -> FloatArray:
     mean = mean / np.linalg.norm(mean, axis=1, keepdims=True)
 
     def plane_intersection(start: FloatArray, direction: FloatArray) -> FloatArray:
+        """Intersect lines with the planes through ``points`` across ``mean``."""
         length = np.sum((points - start) * mean, axis=1) / np.sum(direction * mean, axis=1)
         return np.asarray(start + length[:, None] * direction)
 
@@ -127,16 +129,17 @@ def transverse_move(lines: WireLines, points: FloatArray) -> FloatArray:
 
 
 def fastest_move(lines: WireLines, box: FloatArray) -> FloatArray:
-    """Return the distance (N,) [m] that the fastest point inside a box moves across the wire to each line.
+    """Return the distance (N,) [m] of the fastest point inside a box from the previous line to each line.
 
-    It is NaN if no point is inside, and 0 for the first line. The move is linear along the wire, so that it
-    is largest at an end of the part inside.
+    It is measured across the wire. It is 0 for the first line, and NaN if no point is inside. The move is
+    linear along the wire, so it is largest at an end of the part inside.
     """
     enter, leave = box_chord(lines, box)
     out = np.full(len(lines), np.nan)
-    for rows in (slice(None, -1), slice(1, None)):  # the parts of both lines inside the box count
-        subset = lines[rows]
-        for length in (enter[rows], leave[rows]):
+    # the ends of the parts inside, of the previous line and of the line itself
+    for line_range in (slice(None, -1), slice(1, None)):
+        subset = lines[line_range]
+        for length in (enter[line_range], leave[line_range]):
             inside = np.isfinite(length)
             points = subset.at(np.where(inside, length, 0.0))
             out[1:] = np.fmax(out[1:], np.where(inside, transverse_move(lines, points), np.nan))
@@ -148,7 +151,7 @@ def exit_distance(lines: WireLines, motion: FloatArray, box: FloatArray) -> Floa
     """Return the distance (N,) [m] that each line must move until it has left the box for good.
 
     It is 0 if the line never meets the box in this direction. A line shifted by s meets the box where six
-    half planes in (s, length along the line) have a common point. The farthest is one of their corners.
+    half planes in (s, length t along the line) have a common point. The largest s is at one of their corners.
 
     Args:
         lines: N lines.
@@ -157,18 +160,19 @@ def exit_distance(lines: WireLines, motion: FloatArray, box: FloatArray) -> Floa
     """
     distance = np.zeros(len(lines))
     direction = lines.direction
-    rows = [
+    # half planes a s + b t <= c
+    half_planes = [
         (sign * motion[:, k], sign * direction[:, k], sign * (box[end, k] - lines.start[:, k]))
         for k in range(3)
         for end, sign in ((0, -1.0), (1, 1.0))
     ]
-    for (a, b, c), (d, e, f) in itertools.combinations(rows, 2):
+    for (a, b, c), (d, e, f) in itertools.combinations(half_planes, 2):
         determinant = a * e - b * d
         is_valid = np.abs(determinant) > _PARALLEL_TOLERANCE
         divisor = np.where(is_valid, determinant, 1.0)
         s, t = (c * e - b * f) / divisor, (a * f - c * d) / divisor
-        for g, h, k in rows:
-            is_valid &= g * s + h * t <= k + 1e-9
+        for g, h, limit in half_planes:
+            is_valid &= g * s + h * t <= limit + 1e-9
         distance = np.where(is_valid, np.maximum(distance, s), distance)
     return distance
 
@@ -189,12 +193,15 @@ def distance_to_polyline(points: FloatArray, polyline: FloatArray) -> FloatArray
 MIN_PARALLEL_COSINE: Final = 0.87
 """Minimum cosine between the rulings of surfaces that are compared with each other."""
 COMMON_AREA_FRACTION: Final = 1e-3
-"""Pieces whose common area exceeds this fraction of the smaller one bound the part together."""
+"""Tolerance of separate and nested contours, as a fraction of the smaller area.
+
+Contours that are neither cross each other and bound the part together.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
 class SectionPlane:
-    """A plane.
+    """A plane with coordinate axes.
 
     Attributes:
         origin: Origin (3,) [m].
@@ -217,8 +224,8 @@ class NeighbourPiece:
 
     Attributes:
         name: Name of the surface.
-        shape: Area of an outline, or wall of a hole.
-        around: Whether it is the wall of a hole around the cut.
+        shape: Area inside an outline, or boundary of a hole, in the coordinates of the section.
+        around: Whether it is the boundary of a hole that surrounds the cut.
     """
 
     name: str
@@ -228,10 +235,10 @@ class NeighbourPiece:
 
 @dataclasses.dataclass(frozen=True)
 class NeighbourPieces:
-    """Pieces next to a cut in a plane.
+    """Pieces next to a cut in a section.
 
     Attributes:
-        plane: The plane.
+        plane: Plane of the section.
         others: The pieces.
         enclosed: Whether the cut lies in a hole of another piece.
     """
@@ -294,9 +301,9 @@ def are_parallel(surface: RuledSurface, other: RuledSurface) -> bool:
 
 
 def gripper_holds(outline: RuledSurface, foot: FloatArray) -> bool:
-    """Return whether a gripper below the block holds what an outline cuts free.
+    """Return whether a gripper below the block holds the piece that an outline cuts free.
 
-    It is true for outlines with lying rulings.
+    It is always true for outlines with level rulings.
 
     Args:
         outline: Outline of the part.
@@ -309,34 +316,37 @@ def gripper_holds(outline: RuledSurface, foot: FloatArray) -> bool:
 
 
 def contour_depths(ruled: Sequence[RuledSurface]) -> list[int]:
-    """Return for each closed surface in how many others of the same direction it lies; 0 for strips."""
+    """Return for each surface in how many closed surfaces with the same mean ruling it lies; 0 for strips."""
     depths = [0] * len(ruled)
     closed = [k for k, surface in enumerate(ruled) if surface.closed]
     directions = [_mean_ruling(ruled[k]).round(6) for k in closed]
     for direction in np.unique(np.array(directions).reshape(-1, 3), axis=0):
-        rows = [k for k, surface in zip(closed, directions, strict=True) if (surface == direction).all()]
+        parallel = [k for k, ruling in zip(closed, directions, strict=True) if (ruling == direction).all()]
         plane = _plane_across(np.zeros(3), direction)
-        middles = [WireLines(ruled[k].start, ruled[k].end) for k in rows]
-        shapes = [shapely.make_valid(shapely.Polygon(0.5 * (m.start + m.end) @ plane.axes)) for m in middles]
+        lines = [WireLines(ruled[k].start, ruled[k].end) for k in parallel]
+        shapes = [shapely.make_valid(shapely.Polygon(0.5 * (m.start + m.end) @ plane.axes)) for m in lines]
         tree = shapely.STRtree(shapes)
         inner, outer = tree.query([shape.representative_point() for shape in shapes], predicate="within")
         for i, o in zip(inner, outer, strict=True):
-            depths[rows[i]] += int(i != o and shapes[i].area < shapes[o].area)
+            depths[parallel[i]] += int(i != o and shapes[i].area < shapes[o].area)
     return depths
 
 
 def _mean_ruling(ruled: RuledSurface) -> FloatArray:
+    """Return the mean ruling of a surface as a unit vector (3,)."""
     mean = (ruled.end - ruled.start).mean(axis=0)
     return np.asarray(mean / max(float(np.linalg.norm(mean)), 1e-12))
 
 
 def _plane_across(origin: FloatArray, normal: FloatArray) -> SectionPlane:
+    """Return a plane through a point (3,) [m] across a unit vector (3,), with arbitrary axes in it."""
     first = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
     first /= np.linalg.norm(first)
     return SectionPlane(origin, normal, np.stack([first, np.cross(normal, first)], axis=1))
 
 
 def _section_plane(surface: RuledSurface, box: FloatArray, level: float) -> SectionPlane:
+    """Return the plane across a surface's mean ruling at a fraction ``level`` of its extent in the box."""
     normal = _mean_ruling(surface)
     corners = np.array(list(itertools.product(*box.T))) @ normal
     low = max(float((surface.start @ normal).min()), float(corners.min()))
@@ -351,7 +361,7 @@ def contour(ruled: RuledSurface, plane: SectionPlane) -> shapely.Geometry:
 
 
 MIN_OVERSIZE_M: Final = 1e-4
-"""Minimum oversize [m] of a side that is trimmed."""
+"""Minimum oversize [m] of a side of the block that is trimmed."""
 
 
 MAX_LEAD_COSINE: Final = 0.94
@@ -387,25 +397,28 @@ def nominal_surfaces(op: Straight, setup: Setup, part: Part | None) -> list[Nomi
         part: Part, if the problem has one.
 
     Raises:
-        TandemError: part.missing_surface, straight.trim, straight.lead, problem.duplicate_name.
+        TandemError: ``part.missing_surface``, ``straight.trim``, ``straight.lead``,
+            ``problem.duplicate_name``.
     """
     out = _listed_surfaces(op, setup, part)
     clashing = first_clash(surface.segment for surface in out)
     if clashing is not None:
-        what = (
+        message = (
             f"{op.name}: programs cannot distinguish the surface names {clashing[0].name!r} and "
             f"{clashing[1].name!r}; rename one"
         )
-        raise issue_error("problem.duplicate_name", what, field="part")
+        raise issue_error("problem.duplicate_name", message, field="part")
     return out
 
 
 def _listed_surfaces(op: Straight, setup: Setup, part: Part | None) -> list[NominalSurface]:
+    """Return the surfaces that the operation lists, or all in the order of `_cutting_rank`."""
     ruled = () if part is None else part.ruled
     if op.cuts == "all":
         if not ruled:
             raise TandemError(_missing_surface_issue(op, "cuts: all ruled surfaces", ruled))
-        up, depth = -setup.stock.gravity, contour_depths(ruled)
+        up = -setup.stock.gravity
+        depth = contour_depths(ruled)
         order = sorted(range(len(ruled)), key=lambda k: _cutting_rank(ruled[k], depth[k], up))
         return [NominalSurface(ruled[k].name, ruled[k], SurfaceCut(surface=ruled[k].name)) for k in order]
     ruled_by_name = {r.name: r for r in ruled}
@@ -429,29 +442,28 @@ def _listed_surfaces(op: Straight, setup: Setup, part: Part | None) -> list[Nomi
 
 
 def _cutting_rank(ruled: RuledSurface, depth: int, up: FloatArray) -> tuple[int, int, float]:
-    """Return the sort key of a surface.
+    """Return the sort key of a surface that lies in ``depth`` other surfaces.
 
-    Holes and pieces in holes come first, the innermost before what is around them. Strips follow, then
-    outlines from the top down, because what is cut free rests on the rest. ``depth`` is the number of
-    surfaces that it lies in.
+    Holes and nested pieces come first, the innermost before those around them. Strips follow, then outlines
+    from the top down, because a piece that is cut free rests on the uncut block below.
     """
     middle = 0.5 * (ruled.start + ruled.end).mean(axis=0)
     kind = 0 if ruled.hole or depth else 2 if ruled.closed else 1
     return kind, -depth, float(-(middle @ up).round(6)) if ruled.closed and not ruled.hole else 0.0
 
 
-def _missing_surface_issue(op: Straight, what: str, ruled: tuple[RuledSurface, ...]) -> Issue:
+def _missing_surface_issue(op: Straight, missing: str, ruled: tuple[RuledSurface, ...]) -> Issue:
     available = ", ".join(r.name for r in ruled) or "none"
     return Issue(
         "part.missing_surface",
-        f"{op.name}: {what} cannot be cut; ruled surfaces of the part: {available}; add it or correct the "
+        f"{op.name}: {missing} cannot be cut; ruled surfaces of the part: {available}; add it or correct the "
         "name",
         field="part",
     )
 
 
 def _lead_direction_issues(op: Straight, ruled: RuledSurface, cut: SurfaceCut) -> Iterator[Issue]:
-    """Report a stated lead that does not move the wire across itself at every ruling."""
+    """Yield ``straight.lead`` if a stated lead is too close to the direction of a ruling."""
     if isinstance(cut.lead, str):
         return
     rulings = ruled.end - ruled.start
@@ -461,12 +473,13 @@ def _lead_direction_issues(op: Straight, ruled: RuledSurface, cut: SurfaceCut) -
     if cosine <= MAX_LEAD_COSINE:
         return
     angle, min_angle = (np.degrees(np.arccos(min(value, 1.0))) for value in (cosine, MAX_LEAD_COSINE))
-    what = f"{op.name}: lead {list(cut.lead)} of {cut.surface}: got {angle:.0f} degrees to the wire, "
-    what += f"allowed {min_angle:.0f} or more; state a direction across the wire, or auto"
-    yield Issue("straight.lead", what, field=cut.surface)
+    message = f"{op.name}: lead {list(cut.lead)} of {cut.surface}: got {angle:.0f} degrees to the wire, "
+    message += f"allowed {min_angle:.0f} or more; state a direction across the wire, or auto"
+    yield Issue("straight.lead", message, field=cut.surface)
 
 
 def _oversize_issues(op: Straight, stock: Stock, side: str) -> Iterator[Issue]:
+    """Yield ``straight.trim`` if a side to trim has no oversize."""
     axis, end = BLOCK_SIDES[side]
     oversize = float(stock.oversize[end, axis])
     if oversize >= MIN_OVERSIZE_M:
@@ -480,7 +493,10 @@ def _oversize_issues(op: Straight, stock: Stock, side: str) -> Iterator[Issue]:
 
 
 def _block_side(op: Straight, setup: Setup, side: str, cut: TrimCut) -> RuledSurface:
-    """Return a side of the datum block as two rulings, from the upper to the lower edge if it is upright."""
+    """Return a side of the datum block as a surface of two rulings that faces outwards.
+
+    If the wire sweeps vertically, the first ruling is the upper edge.
+    """
     stock = setup.stock
     axis, end = BLOCK_SIDES[side]
     low, high = np.array([-0.5, -0.5, 0.0]) * stock.size, np.array([0.5, 0.5, 1.0]) * stock.size
@@ -489,7 +505,7 @@ def _block_side(op: Straight, setup: Setup, side: str, cut: TrimCut) -> RuledSur
     corner = np.zeros((2, 2, 3))  # ruling, end
     corner[..., axis] = (low, high)[end][axis]
     corner[:, 0, along], corner[:, 1, along] = low[along], high[along]
-    first, last = (low[sweep], high[sweep])
+    first, last = low[sweep], high[sweep]
     falling = stock.gravity[sweep] > 0.5
     first, last = (first, last) if falling or stock.gravity[sweep] > -0.5 else (last, first)
     corner[0, :, sweep], corner[1, :, sweep] = first, last
@@ -500,7 +516,10 @@ def _block_side(op: Straight, setup: Setup, side: str, cut: TrimCut) -> RuledSur
 
 
 def _wire_axis(op: Straight, setup: Setup, axis: int, cut: TrimCut) -> int:
-    """Return the axis that the wire is parallel to: prefers level axes, then the shorter one."""
+    """Return the axis that the wire is parallel to, for the side of the block normal to ``axis``.
+
+    Prefers axes along which the block is no longer than the wire, then level axes, then the shorter one.
+    """
     if cut.along != "auto":
         return "xyz".index(cut.along)
     length = setup.stock.upper - setup.stock.lower

@@ -4,8 +4,8 @@
 direction is a point in the plane across it, and the block is a convex polygon there. To rotate, the wire is
 moved to a place beyond one side of the block with enough clearance.
 
-`operator_actions` is what the programs show and switch around the job, such as spacers under material that
-rests on a slot (`would_drop`).
+`operator_actions` returns messages, questions and switching of the power around the job, such as spacers
+under material that rests on a slot (`would_drop`).
 """
 
 import dataclasses
@@ -44,7 +44,7 @@ class _AvoidedBlock:
     Attributes:
         box: Lower and upper corner of the block (2, 3) [m].
         hull: Lower and upper corner of the block with the clearance (2, 3) [m].
-        down: Sides of the block to avoid (D, 3).
+        down: Outward normals of the sides of the block to avoid (D, 3).
     """
 
     box: FloatArray
@@ -55,15 +55,18 @@ class _AvoidedBlock:
 def plan_link(
     a: WireLines, b: WireLines, box: FloatArray, clear: float, half: float, down: FloatArray
 ) -> WireLines:
-    """Return wires from ``a`` (1) to ``b`` (1), the first left out, that keep a distance from the block.
+    """Return the wires of the cheapest path through air from ``a`` (1) to ``b`` (1), without ``a``.
 
     Args:
         a: First wire.
-        b: Last wire. Both point in the same direction within 90 degrees.
+        b: Last wire. The angle between both is at most 90 degrees.
         box: Lower and upper corner of the block (2, 3) [m].
-        clear: Distance to the block [m].
+        clear: Distance to the block that all wires keep [m].
         half: Half the length of the wire [m].
-        down: Sides of the block to avoid (D, 3).
+        down: Outward normals of the sides of the block to avoid (D, 3).
+
+    Raises:
+        ValueError: If there is no such path.
     """
     block = _AvoidedBlock(box=box, hull=enlarged_box(box, clear - CLEARANCE_TOLERANCE_M), down=down)
     paths: list[tuple[float, WireLines]] = []
@@ -77,15 +80,16 @@ def plan_link(
 
 
 def _angle_between(a: WireLines, b: WireLines) -> float:
+    """Return the angle [rad] between two wires (1)."""
     return float(np.arccos(np.clip(a.direction[0] @ b.direction[0], -1.0, 1.0)))
 
 
 def _paths_beyond_side(
     a: WireLines, b: WireLines, block: _AvoidedBlock, half: float, normal: FloatArray
 ) -> list[tuple[float, WireLines]]:
-    """Return paths by a place beyond one side of the block.
+    """Return paths, each with its cost [m], via a point beyond one side of the block.
 
-    There the wire rotates from one direction to the other.
+    The wire rotates there from the direction of ``a`` to that of ``b``.
     """
     tilt = 1.5 * half * max(abs(float(line.direction[0] @ normal)) for line in (a, b))
     if tilt > 0.6 * half and _angle_between(a, b) < DIRECTION_TOLERANCE_RAD:
@@ -96,18 +100,21 @@ def _paths_beyond_side(
     pivot = centre + normal * (
         0.5 * np.abs(normal) @ (hull[1] - hull[0]) + tilt + 10.0 * CLEARANCE_TOLERANCE_M
     )
-    turning = _rotate_wire(a.direction[0], b.direction[0], pivot, half)
-    first, last = (_paths_around(*ends, block) for ends in ((a, turning[:1]), (turning[-1:], b)))
+    rotating = _rotate_wire(a.direction[0], b.direction[0], pivot, half)
+    first, last = (_paths_around(*ends, block) for ends in ((a, rotating[:1]), (rotating[-1:], b)))
     return [
-        (c + d + 0.3 * half * _angle_between(a, b), concatenate_lines([to_pivot, turning[1:], from_pivot]))
-        for (c, to_pivot), (d, from_pivot) in itertools.product(first, last)
+        (
+            cost_to + cost_from + 0.3 * half * _angle_between(a, b),
+            concatenate_lines([to_pivot, rotating[1:], from_pivot]),
+        )
+        for (cost_to, to_pivot), (cost_from, from_pivot) in itertools.product(first, last)
     ]
 
 
 def _rotate_wire(a: FloatArray, b: FloatArray, pivot: FloatArray, half: float) -> WireLines:
-    """Return the wire rotating about a point from direction a to b (3,).
+    """Return wires through a point (3,) that rotate from direction ``a`` to ``b`` (3,), both included.
 
-    No point of it moves farther between two lines than allowed in air.
+    No point moves farther between two of them than is allowed in air.
     """
     axis = np.cross(a, b)
     sine = float(np.linalg.norm(axis))
@@ -119,9 +126,10 @@ def _rotate_wire(a: FloatArray, b: FloatArray, pivot: FloatArray, half: float) -
 
 
 def _paths_around(a: WireLines, b: WireLines, block: _AvoidedBlock) -> list[tuple[float, WireLines]]:
-    """Return paths from a to b around the projection of the block: straight, or around both sides.
+    """Return paths from a to b with their costs [m]: straight if it is free, else both around the block.
 
-    b has almost the direction of a.
+    b has almost the direction of a. Paths are planned in the plane across the wire, where the block is a
+    convex polygon. The convex hull of this polygon, start and goal contains both paths around it.
     """
     direction = a.direction[0]
     plane = np.linalg.svd(direction[None])[2][1:].T
@@ -145,11 +153,13 @@ def _paths_around(a: WireLines, b: WireLines, block: _AvoidedBlock) -> list[tupl
     for chain in chains:
         length = np.linalg.norm(np.diff(chain, axis=0), axis=1)
         middle = 0.5 * (chain[1:] + chain[:-1]) @ plane.T
-        low = np.any(
+        is_below = np.any(
             [middle @ side > (corners @ side).max() - CLEARANCE_TOLERANCE_M for side in block.down], axis=0
         )
-        below = BELOW_COST_FACTOR * float(length[low].sum())
-        out.append((float(length.sum()) + below, _lines_along_chain(a, b, chain @ plane.T, direction, ends)))
+        extra_cost = BELOW_COST_FACTOR * float(length[is_below].sum())
+        out.append(
+            (float(length.sum()) + extra_cost, _lines_along_chain(a, b, chain @ plane.T, direction, ends))
+        )
     return out
 
 
@@ -166,10 +176,11 @@ def _is_free(a: FloatArray, b: FloatArray, polygon: FloatArray) -> bool:
     edge = np.roll(polygon, -1, axis=0) - polygon
     normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    # distances of both points from every edge, positive outside: a point is inside if all are negative
     u, v = ((point - polygon) @ normal.T for point in (a, b))
     u, v = np.diagonal(u), np.diagonal(v)
-    enter, leave = 0.0, 1.0
-    for p, q in zip(u, v, strict=True):  # a point is inside if all are negative
+    enter, leave = 0.0, 1.0  # fractions of the path between which it is inside all edges so far
+    for p, q in zip(u, v, strict=True):
         if p > -1e-9 and q > -1e-9:
             return True
         if p > 0.0 or q > 0.0:
@@ -181,9 +192,16 @@ def _is_free(a: FloatArray, b: FloatArray, polygon: FloatArray) -> bool:
 def _lines_along_chain(
     a: WireLines, b: WireLines, chain: FloatArray, direction: FloatArray, ends: list[FloatArray]
 ) -> WireLines:
-    """Return wires along a chain of points across the wire, from a (left out) to b.
+    """Return wires along a path across the wire, from a (not included) to b.
 
-    The slide along the wire is proportional to the path.
+    Slide along the wire and change of direction are proportional to the travelled path.
+
+    Args:
+        a: First wire (1).
+        b: Last wire (1).
+        chain: Points of the path (K, 3) [m], without their position along the wire.
+        direction: Direction of the wire (3,).
+        ends: Points (3,) [m] of a and b at the start and end of the path.
     """
     length = np.linalg.norm(np.diff(chain, axis=0), axis=1)
     travelled = np.concatenate([[0.0], np.cumsum(length)])
@@ -221,9 +239,9 @@ class StraightRoute:
         lines: The wires.
         segment: Segment of each wire (N,).
         stop: Whether the motion stops there (N,).
-        cut: Index of the cut on whose surface a wire is, -1 elsewhere (N,).
-        number: Its number on that surface (N,).
-        last_target: Last target of each cut, by index of the cut.
+        cut: Index of the cut on whose surface a wire is (N,), -1 elsewhere.
+        number: Index of the wire among those on that surface (N,), -1 elsewhere.
+        last_target: Index of the last wire of each cut, lead-out included, by index of the cut.
     """
 
     lines: WireLines
@@ -242,9 +260,9 @@ def plan_route(
     Args:
         cuts: The cuts, in order.
         box: Lower and upper corner of the block (2, 3) [m].
-        clear: Distance to the block [m].
+        clear: Distance to the block in air [m].
         half: Half the length of the wire [m].
-        down: Sides of the block to avoid (D, 3).
+        down: Outward normals of the sides of the block to avoid in links (D, 3).
     """
     parts: list[WireLines] = []
     segments: list[Segment] = []
@@ -254,7 +272,7 @@ def plan_route(
     last_target: dict[int, int] = {}
 
     def add(segment: Segment, lines: WireLines, cut: int = -1, first: int = 0) -> None:
-        """Add the lines of one segment. From number ``first`` on they are on the surface of a cut."""
+        """Add the lines of one segment. Those from index ``first`` on are on the surface of ``cut``."""
         parts.append(lines)
         segments.extend([segment] * len(lines))
         is_on_surface = np.arange(len(lines)) >= (first if cut >= 0 else len(lines))
@@ -265,7 +283,7 @@ def plan_route(
         segment = cut.nominal.segment
         into, on, out = cut.into, cut.on.lines, cut.out
         if parts and parts[-1].direction[-1] @ into.direction[0] < 0.0:  # start and end are interchangeable
-            into, on, out = (WireLines(x.end, x.start) for x in (into, on, out))
+            into, on, out = (WireLines(lines.end, lines.start) for lines in (into, on, out))
         if not parts:
             add(Segment("approach"), _air_lead(into, on)[::-1])
             stops.append(0)
@@ -299,14 +317,21 @@ def plan_route(
 
 
 def _air_corners(lines: WireLines) -> IndexArray:
-    """Return the lines at which a path in air turns. The motion stops there, because nothing melts."""
+    """Return the indices of lines at which a path in air turns sharply.
+
+    The motion stops there: a wire that rests in air melts nothing.
+    """
     move = np.diff(np.concatenate([lines.start, lines.end], axis=1), axis=0)
     move /= np.maximum(np.linalg.norm(move, axis=1, keepdims=True), 1e-12)
     return np.flatnonzero(np.sum(move[1:] * move[:-1], axis=1) < MIN_PASSING_COSINE) + 1
 
 
 def _air_lead(into: WireLines, on: WireLines) -> WireLines:
-    """Return wires in air from the first of ``into``, inclusive, straight away from the second."""
+    """Return wires in air that extend a lead beyond its first wire, which is included as the first one.
+
+    The direction is that from the second wire to the first one. If the lead has one wire, the second is
+    ``on[0]``.
+    """
     second = into[1:2] if len(into) > 1 else on[:1]
     move = into.start[0] + into.end[0] - second.start[0] - second.end[0]
     direction = into.direction[0]
@@ -325,7 +350,7 @@ def _air_lead(into: WireLines, on: WireLines) -> WireLines:
 def operator_actions(
     op: Straight, bow: Bow, setup: Setup, cuts: list[StraightCut], route: StraightRoute
 ) -> tuple[TargetAction, ...]:
-    """Return the operator steps and the power switching, by target."""
+    """Return messages and questions to the operator, and the switching of the power, by target index."""
     diameter, material = 2.0 * bow.radius / MM, f" {op.wire_material}".rstrip()
     if op.power_w is not None:
         mount_message = hotwire_sentences.BOW_POWER.format(
@@ -354,9 +379,9 @@ def operator_actions(
 
 
 def would_drop(cut: StraightCut, setup: Setup) -> bool:
-    """Return whether the material above an open cut rests on its slot and would drop by a kerf.
+    """Return whether the material above an open cut would drop by a kerf.
 
-    The slot is level and goes through the block, and nothing holds what is above it.
+    It does if the slot is nearly level and no arm holds the block.
     """
     if cut.nominal.ruled.closed or setup.stock.held_by is not None:
         return False
@@ -365,7 +390,7 @@ def would_drop(cut: StraightCut, setup: Setup) -> bool:
 
 
 def check_drops(op: Straight, cuts: list[StraightCut], setup: Setup) -> Iterator[Issue]:
-    """Yield straight.drop if no spacers are requested and material that drops by a kerf is cut later."""
+    """Yield ``straight.drop`` if no spacers are requested and material that drops by a kerf is cut later."""
     up = -setup.stock.gravity
     height = [float((cut.on.row.foot.start + cut.on.row.foot.end).mean(axis=0) @ up) for cut in cuts]
     for number, cut in enumerate(cuts):
@@ -390,7 +415,7 @@ def check_drops(op: Straight, cuts: list[StraightCut], setup: Setup) -> Iterator
 
 
 def _spacer_actions(op: Straight, at: int, kerf: float) -> list[TargetAction]:
-    """Return actions: power off, insert spacers, power on. Hands come near the wire."""
+    """Return the actions of inserting spacers. The wire is off and cold, because hands come near it."""
     return [
         TargetAction(at, "off", signal=op.signal),
         TargetAction(at, "wait", seconds=op.cool_down_s),

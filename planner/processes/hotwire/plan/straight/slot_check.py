@@ -1,8 +1,8 @@
 """Checks of the slots of straight cuts, and search for a power or feed at which they pass.
 
 **At the ends of the wire** (`check_heat`). A slot follows from power over speed, so one factor on the heat at
-both ends represents more power as well as less feed. Advice is found by trying factors on the existing rows
-of the cuts. It is confirmed on newly planned cuts before it is given.
+both ends represents more power as well as less feed. Factors are tried on the existing wires of the cuts. A
+suitable power or feed is confirmed on newly planned cuts before a hint suggests it.
 
 **On the planned path** (`check_path`): the slot that a wire melts all along itself and between its guide
 points is compared with the surface and the usable widths.
@@ -32,9 +32,9 @@ from planner.processes.hotwire.plan.straight.order import WireLines, concatenate
 from planner.targets import FEED_FRACTION
 
 MIN_HEAT_FACTOR: Final = 1.0 / 64.0
-"""Factors on the heat between this and its inverse are tried."""
+"""Smallest factor on the heat that is tried. The largest is its inverse."""
 HEAT_HALVINGS: Final = 8
-"""Number of halvings of the interval between a suitable and an unsuitable heat: to 4 %."""
+"""Number of halvings of the (logarithmic) interval between a suitable and an unsuitable heat factor."""
 WIRE_ENDS: Final = ("start", "end")
 """Names of the wire's two ends."""
 
@@ -52,9 +52,10 @@ def check_heat(
     plan_cuts: PlanCuts,
     max_power: float,
 ) -> Iterator[Issue]:
-    """Yield kerf.too_hot, kerf.too_cold and kerf.unsettled of the cuts of an operation with a power.
+    """Yield ``kerf.too_hot``, ``kerf.too_cold`` and ``kerf.unsettled`` for the cuts of an operation.
 
-    The hint names a power or feed that was tried, if there is one.
+    Nothing is checked for an operation without a stated power. The hint names a power or feed that was tried,
+    if there is one.
 
     Args:
         op: Operation with a straight wire.
@@ -70,15 +71,15 @@ def check_heat(
     if not faults:
         return
     hint = _heat_advice(op, cuts, box, kerf_curve_of, plan_cuts, max_power)
-    for cut, code, row, end in faults:
-        yield _slot_issue(op, cut, code, row, end, hint)
+    for cut, code, wire, end in faults:
+        yield _slot_issue(op, cut, code, wire, end, hint)
 
 
 def _slot_faults(op: Straight, cut: StraightCut) -> Iterator[tuple[StraightCut, str, int, int]]:
-    """Yield the faults of a cut's slot: the cut, the issue code, the row, and the wire's end there."""
+    """Yield the faults of a cut's slot: cut, issue code, index of the wire, and its end (0 or 1)."""
     width = 2.0 * cut.on.half / MM
     low, high = op.kerf_range_mm
-    widest, narrowest = (divmod(int(at), 2) for at in (np.argmax(width), np.argmin(width)))
+    widest, narrowest = (divmod(int(flat), 2) for flat in (np.argmax(width), np.argmin(width)))
     if width[widest] > high:
         yield cut, "kerf.too_hot", *widest
     if width[narrowest] < low:
@@ -88,21 +89,24 @@ def _slot_faults(op: Straight, cut: StraightCut) -> Iterator[tuple[StraightCut, 
         yield cut, "kerf.unsettled", *slowest
 
 
-def _slot_issue(op: Straight, cut: StraightCut, code: str, row: int, end: int, hint: str) -> Issue:
-    speed, foot = cut.on.speed[row] / MM, cut.on.row.foot
-    width = 2.0 * float(cut.on.half[row, end]) / MM
-    point = (foot.start, foot.end)[end][row] / MM
+def _slot_issue(op: Straight, cut: StraightCut, code: str, wire: int, end: int, hint: str) -> Issue:
+    """Return the issue of a fault that `_slot_faults` yields."""
+    speed, foot = cut.on.speed[wire] / MM, cut.on.row.foot
+    width = 2.0 * float(cut.on.half[wire, end]) / MM
+    point = (foot.start, foot.end)[end][wire] / MM
     position_text = "[" + ", ".join(f"{value:.1f}" for value in point) + "] mm"
     low, high = op.kerf_range_mm
-    wire = f"{op.name}: on {cut.nominal.segment} the {WIRE_ENDS[end]} of the wire, at {speed[end]:.2f} mm/s"
+    subject = (
+        f"{op.name}: on {cut.nominal.segment} the {WIRE_ENDS[end]} of the wire, at {speed[end]:.2f} mm/s"
+    )
     other = f"while its {WIRE_ENDS[1 - end]} moves at {speed[1 - end]:.2f} mm/s"
     if code == "kerf.unsettled":
-        what = f"{wire} at {position_text} {other}, has no kerf that is consistent with its own speed"
-        return Issue(code, what, field="part", value=float(speed[end]), unit="mm/s", hint=hint)
-    what, limit = ("burns the foam", high) if code == "kerf.too_hot" else ("drags: it is too cold", low)
+        message = f"{subject} at {position_text} {other}, has no kerf that is consistent with its own speed"
+        return Issue(code, message, field="part", value=float(speed[end]), unit="mm/s", hint=hint)
+    effect, limit = ("burns the foam", high) if code == "kerf.too_hot" else ("drags: it is too cold", low)
     return Issue(
         code,
-        f"{wire} at {position_text} {other}, melts {width:.2f} mm and {what}; allowed are {low:g} to "
+        f"{subject} at {position_text} {other}, melts {width:.2f} mm and {effect}; allowed are {low:g} to "
         f"{high:g} mm",
         field="operations.power_w",
         **measurement(width, limit, "mm"),
@@ -118,11 +122,12 @@ def _heat_advice(
     plan_cuts: PlanCuts,
     max_power: float,
 ) -> str:
-    """Return a power and a feed at which all slots are within the range, or that there is none."""
+    """Return a hint with a power or feed at which all slots are within the range, or why there is none."""
     power = op.power_w or 0.0
     max_factor = min(1.0 / MIN_HEAT_FACTOR, 0.9 * max_power / power)
 
     def width_range(factor: float) -> tuple[float, float]:
+        """Return the narrowest and the widest slot [mm] at a multiple of the power."""
         changed = _with_heat(op, power=power * factor)
         curve = kerf_curve_of(changed)
         offsets = [
@@ -149,23 +154,23 @@ def _heat_advice(
             f"even {factor_text} is too {'little' if min_suitable is None else 'much'}; correct power_w or "
             "feed_mm_s"
         )
-    alike = (
+    remedy = (
         "make the speeds of both ends more even: less taper, edges of equal thickness at both ends (wing: "
         "trailing_edge_mm), rulings between equal fractions of both lines (wing: match: arc_length), or "
         "two panels instead of one"
     )
     if max_suitable is None:
-        return f"no power or feed helps: one end almost stops while the other moves on; {alike}"
+        return f"no power or feed helps: one end almost stops while the other moves on; {remedy}"
     return (
         f"no power or feed suits both ends: if the widest slot is {high:g} mm, at "
-        f"{power * max_suitable:.3g} W, the narrowest is {width_range(max_suitable)[0]:.2f} mm; {alike}"
+        f"{power * max_suitable:.3g} W, the narrowest is {width_range(max_suitable)[0]:.2f} mm; {remedy}"
     )
 
 
 def _suitable_limit(is_suitable: Callable[[float], bool], inner: float, outer: float) -> float | None:
-    """Return how far from ``inner`` towards ``outer`` a factor is suitable, by bisection.
+    """Return the suitable factor that is farthest from ``inner`` towards ``outer``, by bisection.
 
-    None if ``inner`` is not suitable.
+    Factors are suitable up to some limit. None is returned if ``inner`` is not suitable.
     """
     if not is_suitable(inner):
         return None
@@ -180,26 +185,26 @@ def _suitable_limit(is_suitable: Callable[[float], bool], inner: float, outer: f
 def _suitable_settings(
     op: Straight, min_factor: float, max_factor: float, plan_cuts: PlanCuts
 ) -> Iterator[str]:
-    """Yield a power and a feed between two factors on the heat at which whole cuts pass.
+    """Yield a power and a feed, as text, between two factors on the heat at which newly planned cuts pass.
 
-    They are round figures.
+    Both are round numbers if one is near the middle of the range.
     """
     low, high = op.kerf_range_mm
     powers = [value * (op.power_w or 0.0) for value in (min_factor, max_factor)]
     feeds = [op.feed_mm_s / value for value in (max_factor, min_factor)]
     has_own_feeds = op.cuts != "all" and any(cut.feed_mm_s is not None for cut in op.cuts)
-    for what, bounds, allowed in (
+    for key, bounds, allowed in (
         ("power_w", powers, not powers[0] > 5000.0),
         ("feed_mm_s", [max(feeds[0], op.feed_min_mm_s), min(feeds[1], 200.0)], not has_own_feeds),
     ):
         value = _round_between(bounds[0], bounds[1]) if allowed and bounds[0] < bounds[1] else None
         if value is None:
             continue
-        changed = _with_heat(op, **{what.split("_", maxsplit=1)[0]: value})
+        changed = _with_heat(op, **{key.split("_", maxsplit=1)[0]: value})
         cuts = plan_cuts(changed)
         width = np.concatenate([2.0 * cut.on.half.ravel() for cut in cuts]) / MM
         if all(cut.on.converged for cut in cuts) and low <= width.min() and width.max() <= high:
-            yield f"{what}: {value:g}, which melts {width.min():.2f} to {width.max():.2f} mm"
+            yield f"{key}: {value:g}, which melts {width.min():.2f} to {width.max():.2f} mm"
 
 
 def _with_heat(op: Straight, power: float | None = None, feed: float | None = None) -> Straight:
@@ -209,7 +214,7 @@ def _with_heat(op: Straight, power: float | None = None, feed: float | None = No
 
 
 def _round_between(low: float, high: float) -> float:
-    """Return a round figure near the middle of an interval."""
+    """Return a round number near the geometric mean of an interval, or the mean if none is near."""
     middle = float(np.sqrt(low * high))
     for step in (5.0, 1.0, 0.5, 0.1, 0.05, 0.01):
         value = round(middle / step) * step
@@ -219,16 +224,16 @@ def _round_between(low: float, high: float) -> float:
 
 
 MAX_NAMED_PLACES: Final = 4
-"""Maximum number of places named in a message."""
+"""Maximum number of positions that a message lists."""
 USABLE_TOLERANCE_FRACTION: Final = 0.95
-"""Fraction of the tolerance that a plan may use, because controllers round the speed at corners."""
+"""Fraction of the tolerance that a plan may use, because controllers smooth the speed at corners."""
 
 
 def check_path(op: Straight, cut: StraightCut, kerf: KerfCurve, box: FloatArray) -> Iterator[Issue]:
-    """Yield issues of the slot along the planned path.
+    """Yield issues of the slot along the planned path, at the feed.
 
-    ``straight.uneven``: the slot grows and shrinks so fast that the wire does not keep half of it from the
-    surface. ``kerf.too_hot`` and ``kerf.too_cold``: the slot leaves the range between the guide points.
+    ``straight.uneven``: the slot grows and shrinks so fast that the wire's distance from the surface is not
+    half of it. ``kerf.too_hot`` and ``kerf.too_cold``: the slot leaves the range between the guide points.
 
     Args:
         op: Operation with a straight wire.
@@ -236,21 +241,21 @@ def check_path(op: Straight, cut: StraightCut, kerf: KerfCurve, box: FloatArray)
         kerf: Kerf over speed.
         box: Lower and upper corner of the block (2, 3) [m].
     """
-    feed, count = FEED_FRACTION * op.feed(cut.nominal.cut), len(cut.on.lines)
+    feed = FEED_FRACTION * op.feed(cut.nominal.cut)
+    count = len(cut.on.lines)
     out = cut.out[: cut.reversal] if cut.reversal else cut.out
     lead_end = cut.into[-2:]
     slots = melt_slots(concatenate_lines([lead_end, cut.on.lines, out[:2]]), kerf, feed, box)
     number = slots.line_index - len(lead_end)
     on_surface = (number > 0) & (number < count)
-    on_surface[np.flatnonzero(number == 0)[-1:]] = (
-        True  # the sample at the first wire belongs to the lead-in move
-    )
+    # of the samples on the move to the first wire, only the last one is on the surface: at the wire itself
+    on_surface[np.flatnonzero(number == 0)[-1:]] = True
     passed = slots.select(on_surface)
     low, high = op.kerf_range_mm
     at_guides = 2.0 * cut.on.half / MM
     if op.power_w is not None:
         if not low <= at_guides.min() <= at_guides.max() <= high:
-            return  # uneven because too hot or too cold somewhere, which check_heat reports with advice
+            return  # check_heat reports a slot that is too wide or too narrow at a guide point
         yield from _width_issues(op, cut, passed)
     yield from _deviation_issues(op, cut, passed)
 
@@ -263,29 +268,31 @@ def wires_along(cut: StraightCut) -> WireLines:
 def check_driven(
     op: Straight, cut: StraightCut, kerf: KerfCurve, box: FloatArray, clock: FloatArray
 ) -> Iterator[Issue]:
-    """Yield issues of the slot at the times that the arms can keep, as :func:`check_path`.
+    """Yield the issues of :func:`check_path` at the speeds of the planned timing, for a stated power.
 
-    A wire that is slow on a lead must not melt into the surface either.
+    In addition, ``straight.uneven`` is yielded if the wire is so slow on a lead that it melts into the
+    surface.
 
     Args:
         op: Operation with a straight wire.
         cut: The cut.
         kerf: Kerf over speed.
         box: Lower and upper corner of the block (2, 3) [m].
-        clock: Positions between the wires :func:`wires_along` the cut and their times [s] (2, K).
+        clock: Positions among the lines of :func:`wires_along` the cut, 3.5 being halfway from line 3 to line
+            4, and times [s] at which the wire passes them (2, K).
     """
     if op.power_w is None:
         return
     slots = melt_slots(wires_along(cut), kerf, op.feed(cut.nominal.cut), box, clock)
     number = slots.line_index - len(cut.into)
     on_surface = (number > 0) & (number < len(cut.on.lines))
-    on_surface[np.flatnonzero(number == 0)[-1:]] = True
+    on_surface[np.flatnonzero(number == 0)[-1:]] = True  # as in check_path
     passed = slots.select(on_surface)
     cause = "the arm cannot rotate the bow as fast as the feed requires, so that the slot becomes wider"
     yield from _width_issues(op, cut, passed)
     yield from _deviation_issues(op, cut, passed, cause)
     if cut.nominal.ruled.hole:
-        return  # the leads pass its surface in a slit
+        return  # its leads come through the part anyway
     on_leads = slots.select(~on_surface)
     depth = on_leads.penetration(guide_lines(cut.nominal.ruled))
     row, end = np.unravel_index(int(np.argmax(depth)), depth.shape)
@@ -305,7 +312,7 @@ def check_driven(
 
 
 def check_inner_corners(op: Straight, cut: StraightCut, box: FloatArray) -> Iterator[Issue]:
-    """Yield ``straight.corner``: foam that a round wire leaves in inner corners and curves.
+    """Yield ``straight.corner`` if a round wire leaves foam in inner corners and curves.
 
     It is a note, or an error if the foam is deeper than the operation allows.
     """
@@ -318,16 +325,16 @@ def check_inner_corners(op: Straight, cut: StraightCut, box: FloatArray) -> Iter
     more = (
         f" and {len(remaining) - MAX_NAMED_PLACES} more places" if len(remaining) > MAX_NAMED_PLACES else ""
     )
-    what = (
+    message = (
         f"{op.name}: the wire is round and leaves foam in inner corners of {cut.nominal.segment}, "
         f"at most {max_depth:.2f} mm deep, {volume:.0f} mm3 in total, at {places}{more}"
     )
     is_too_deep = max_depth > op.left_mm
     yield Issue(
         "straight.corner",
-        f"{what}; allowed: {op.left_mm:g} mm (left_mm); use a thinner slot, round the corner or allow more"
+        f"{message}; allowed: {op.left_mm:g} mm (left_mm); use a thinner slot, round the corner or allow more"
         if is_too_deep
-        else f"{what}; remove it by hand, use a thinner slot or round the corner",
+        else f"{message}; remove it by hand, use a thinner slot or round the corner",
         Severity.ERROR if is_too_deep else Severity.NOTE,
         field=str(cut.nominal.segment),
         **measurement(max_depth, op.left_mm, "mm"),
@@ -335,7 +342,7 @@ def check_inner_corners(op: Straight, cut: StraightCut, box: FloatArray) -> Iter
 
 
 def _width_issues(op: Straight, cut: StraightCut, passed: MeltedSlots) -> Iterator[Issue]:
-    """Report slots between the guide points that are burnt or dragged."""
+    """Yield ``kerf.too_hot`` and ``kerf.too_cold`` for the widest and narrowest slot along the path."""
     low, high = op.kerf_range_mm
     width = 2.0 * passed.half / MM
     for code, k, limit, words in (
@@ -346,22 +353,22 @@ def _width_issues(op: Straight, cut: StraightCut, passed: MeltedSlots) -> Iterat
         if (value > limit) if code == "kerf.too_hot" else (value < limit):
             row, column = np.unravel_index(k, width.shape)
             speed = float(passed.speed[row, column]) / MM
-            what = f"{op.name}: on {cut.nominal.segment} the wire rotates; at {speed:.2f} mm/s, at "
-            what += (
+            message = f"{op.name}: on {cut.nominal.segment} the wire rotates; at {speed:.2f} mm/s, at "
+            message += (
                 f"{_position_text(passed, int(row), float(WIRE_FRACTIONS[column]))}, it melts {value:.2f} mm "
                 "and "
             )
-            what += f"{words}"
-            yield Issue(code, what, field="operations.power_w", **measurement(value, limit, "mm"))
+            message += f"{words}"
+            yield Issue(code, message, field="operations.power_w", **measurement(value, limit, "mm"))
 
 
 def _deviation_issues(
     op: Straight, cut: StraightCut, passed: MeltedSlots, cause: str = ""
 ) -> Iterator[Issue]:
-    """Report wires that are not half their slot from the surface.
+    """Yield ``straight.uneven`` if the distance of wires from the surface is not half their slot.
 
-    This is checked all along the path, and along the wire except for the fraction that may be out of
-    tolerance.
+    The guide points are checked all along the path. Between them, along the wire, the slot is compared with
+    its linear interpolation. There only the fraction that may be out of tolerance is reported.
     """
     allowed = op.shape_tol_mm * MM
     deviation = passed.deviation(guide_lines(cut.nominal.ruled))
@@ -373,10 +380,8 @@ def _deviation_issues(
         inner_deviation > allowed
     ).mean() > USABLE_TOLERANCE_FRACTION * (1.0 - op.share):
         row, column = np.unravel_index(int(np.argmax(inner_deviation)), inner_deviation.shape)
-        worst, position = (
-            float(inner_deviation[row, column]),
-            _position_text(passed, int(row), float(WIRE_FRACTIONS[column])),
-        )
+        worst = float(inner_deviation[row, column])
+        position = _position_text(passed, int(row), float(WIRE_FRACTIONS[column]))
     cause = cause or "the wire slows down and its slot widens faster than the wire can move aside"
     # wires are as sparse as the tolerance allows, so the deviation grows with the tolerance
     remedy = "use less power, which makes the slot more even, or a several times larger shape_tol_mm"
@@ -393,5 +398,6 @@ def _deviation_issues(
         )
 
 
-def _position_text(passed: MeltedSlots, row: int, fraction: float) -> str:
-    return point_text((1.0 - fraction) * passed.lines.start[row] + fraction * passed.lines.end[row])
+def _position_text(passed: MeltedSlots, wire: int, fraction: float) -> str:
+    """Return the point at a fraction of a wire between its guide points, as text."""
+    return point_text((1.0 - fraction) * passed.lines.start[wire] + fraction * passed.lines.end[wire])

@@ -14,7 +14,7 @@ from planner.proof.rule import RuleOutcome, mm, rule
 from planner.proof.rules.clearance import min_accepted_clearance
 
 _NEAR_CLAMP_M = 0.02
-"""Length of wire [m] next to a clamp whose distance to that clamp is not checked."""
+"""Length of wire [m] next to a clamp for which the clearance to that clamp is not checked."""
 
 
 @rule("verify.wire_clearance", parallel_group="wires")
@@ -36,10 +36,10 @@ def wire_bodies(context: Context) -> RuleOutcome:
         for against, selected in groups:
             if not len(selected):
                 continue
-            rows = wire.sample[selected]
+            samples = wire.sample[selected]
             result = edge_clearance(
                 models(wire.setup),
-                {arm: context.motion.link_joints[arm][rows] for arm in wire.arms},
+                {arm: context.motion.link_joints[arm][samples] for arm in wire.arms},
                 FlexibleEdge(wire.world_points[selected], wire.radius, _NEAR_CLAMP_M),
                 against,
             )
@@ -51,7 +51,7 @@ def wire_bodies(context: Context) -> RuleOutcome:
                     f"allowed: {mm(limit):.2f} mm"
                 )
                 measure = measure_in_mm(result.distance[i], limit)
-                findings.add_at_sample(message, wire.arms[0], rows[i], measure, pair)
+                findings.add_at_sample(message, wire.arms[0], samples[i], measure, pair)
             k = result.worst()
             findings.note_lowest(result.distance[k], " and ".join(result.pair[k]))
     return dataclasses.replace(findings.outcome(mm, "mm", limit, nothing="no bent wire"), series=series)

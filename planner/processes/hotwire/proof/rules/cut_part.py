@@ -1,6 +1,7 @@
-"""Rules on what cuts leave: the surface, its ridges, and the part next to it.
+"""Rules on the result of cuts: deviation of surfaces, ridges, and unwanted removal from the part.
 
-verify.surface, verify.ridge. verify.part: what slots remove from the part on leads and from other surfaces.
+The rules are verify.surface, verify.ridge and verify.part. The last one is about foam that slots remove from
+the part on leads and next to other surfaces.
 """
 
 import dataclasses
@@ -36,16 +37,17 @@ from planner.proof.verdict import CutFace
 
 
 def face_sweeps(context: Context) -> tuple[WireSweep, ...]:
-    """Return the wire's shapes in the segment of each nominal face."""
+    """Return the sweep of the wire in the segment of each claimed face, without points if it is not cut."""
     followed = [wire for wire in context.get(WIRES) if not wire.fault]
     speeds = [wire_speed(wire.points, context.motion.time[wire.sample], wire.inside) for wire in followed]
     out = []
     for claim in context.claims_of(CutsSurface):
         parts = []
         for wire, speed in zip(followed, speeds, strict=True):
-            rows = np.flatnonzero(with_start_stations(wire.labels == claim.segment.key))
-            if len(rows) and wire.setup == context.setup_of(claim):
-                parts.append((wire.points[rows], speed[rows], np.append(np.diff(rows) == 1, False)))
+            stations = np.flatnonzero(with_start_stations(wire.labels == claim.segment.key))
+            if len(stations) and wire.setup == context.setup_of(claim):
+                is_joined = np.append(np.diff(stations) == 1, False)
+                parts.append((wire.points[stations], speed[stations], is_joined))
         if parts:
             points, speed, joined = (np.concatenate([part[k] for part in parts]) for k in range(3))
             out.append(WireSweep(points, speed, joined[:-1]))
@@ -58,15 +60,15 @@ def _cut_faces(context: Context) -> tuple[CutFace, ...]:
     """Compare the faces that wires cut with the nominal ones."""
     claims = context.claims_of(CutsSurface)
     return tuple(
-        _with_unreachable_parts(context, claim, make_cut_face(claim, row))
-        for claim, row in zip(claims, context.get(SWEEPS), strict=True)
+        _with_unreachable_parts(context, claim, make_cut_face(claim, sweep))
+        for claim, sweep in zip(claims, context.get(SWEEPS), strict=True)
     )
 
 
 SWEEPS: Final[Fact[Context, tuple[WireSweep, ...]]] = Fact("sweeps", face_sweeps)
-"""The wire's shapes in the segment of each nominal face."""
+"""The sweep of the wire in the segment of each claimed face."""
 CUT_FACES: Final[Fact[Context, tuple[CutFace, ...]]] = Fact("cut faces", _cut_faces)
-"""The faces that wires cut, without the error of the wire's ends."""
+"""Comparison of cut and nominal faces, without errors of the wire's ends."""
 
 
 @rule("verify.surface", CutsSurface)
@@ -74,9 +76,9 @@ def surface(context: Context) -> RuleOutcome:
     """The required fraction of the cut surface is within tolerance of the nominal one, and in that segment
     the wire nowhere runs much deeper into the part.
     """
-    rows, faces = context.get(SWEEPS), context.get(CUT_FACES)
+    sweeps, faces = context.get(SWEEPS), context.get(CUT_FACES)
     findings = Findings("verify.surface", context)
-    _add_gouges(findings, rows)
+    _add_gouges(findings, sweeps)
     for face in faces:
         if face.share < face.wanted_share:
             message = (
@@ -100,14 +102,14 @@ def surface(context: Context) -> RuleOutcome:
         "% within tolerance",
         worst.title,
         faces=with_end_error(context, context.get(WIRES), faces),
-        part=part_obj(context.claims_of(CutsSurface), rows, context.claims_of(FollowsRulings)),
+        part=part_obj(context.claims_of(CutsSurface), sweeps, context.claims_of(FollowsRulings)),
     )
 
 
 def _with_unreachable_parts(context: Context, claim: CutsSurface, face: CutFace) -> CutFace:
-    """Return the face with what a round wire cannot reach counted as good.
+    """Return the face with its share raised by points that deviate because a round wire cannot reach them.
 
-    This is only done if enough of the face deviates to matter.
+    The search for these points is only done if the share without them is too small.
     """
     ruled = next(
         (candidate for candidate in context.claims_of(FollowsRulings) if candidate.segment == claim.segment),
@@ -115,40 +117,43 @@ def _with_unreachable_parts(context: Context, claim: CutsSurface, face: CutFace)
     )
     if ruled is None or face.share >= face.wanted_share:
         return face
-    # points farther than what may be left fail whatever a wire reaches; skip them, as each costs a search
-    deviates = (face.deviation > face.tolerance) & (face.deviation <= ruled.max_left + face.tolerance)
-    rows = np.flatnonzero(deviates)
-    if not len(rows):
+    # points that deviate by more than what may remain fail in any case; skip them, as each costs a search
+    is_candidate = (face.deviation > face.tolerance) & (face.deviation <= ruled.max_left + face.tolerance)
+    candidates = np.flatnonzero(is_candidate)
+    if not len(candidates):
         return face
     speed = face.speed[np.isfinite(face.speed)]
-    unreachable = unreachable_distance(ruled, face.points[rows], 0.5 * float(claim.kerf.at(speed).max()))
+    half_slot = 0.5 * float(claim.kerf.at(speed).max())
+    unreachable = unreachable_distance(ruled, face.points[candidates], half_slot)
     good = np.abs(face.deviation) <= face.tolerance
-    good[rows] = (face.deviation[rows] <= unreachable + face.tolerance) & (unreachable <= ruled.max_left)
+    good[candidates] = (face.deviation[candidates] <= unreachable + face.tolerance) & (
+        unreachable <= ruled.max_left
+    )
     return dataclasses.replace(face, share=float(face.area[good].sum() / max(face.area.sum(), 1e-30)))
 
 
-def _add_gouges(findings: Findings, rows: tuple[WireSweep, ...]) -> None:
-    """Report faces into which the wire also cuts: the nearest of several sheets hides those beneath it.
+def _add_gouges(findings: Findings, sweeps: tuple[WireSweep, ...]) -> None:
+    """Report faces below which a bent wire also runs, which distances to the nearest sheet do not show.
 
-    Straight wires follow their rulings everywhere, which is a stronger requirement.
+    For straight wires the rule on rulings is a stronger requirement.
     """
     context = findings.context
     ruled = {claim.segment.key for claim in context.claims_of(FollowsRulings)}
-    for claim, sweep in zip(context.claims_of(CutsSurface), rows, strict=True):
+    for claim, sweep in zip(context.claims_of(CutsSurface), sweeps, strict=True):
         if len(sweep.points) < 2 or claim.segment.key in ruled:
             continue
         block = context.stock_at(context.setup_of(claim))
         depth, _ = max_excess_depth(claim, sweep, block_distance(sweep.points, block) < 0.0)
         limit = MAX_GOUGE_FACTOR * claim.tolerance + FLAT_FACE_ERROR_M
         if depth > limit:
-            what = f"the wire runs {mm(depth):.2f} mm below {claim.segment}; allowed: {mm(limit):g} mm"
-            findings.add(what, measure_in_mm(depth, limit), field=str(claim.segment))
+            message = f"the wire runs {mm(depth):.2f} mm below {claim.segment}; allowed: {mm(limit):g} mm"
+            findings.add(message, measure_in_mm(depth, limit), field=str(claim.segment))
 
 
 END_ERROR_STATIONS = 5
 """Number of stations of a wire at which errors of its ends are computed."""
 MAX_GOUGE_FACTOR = 3.0
-"""Multiple of the tolerance by which a wire may run too deep in places."""
+"""Multiple of the tolerance by which a bent wire may run below its face."""
 FLAT_FACE_ERROR_M = 3e-4
 """Error [m] of taking a curved face as flat around its samples."""
 
@@ -156,7 +161,7 @@ FLAT_FACE_ERROR_M = 3e-4
 def with_end_error(
     context: Context, wires: tuple[WireMotion, ...], faces: tuple[CutFace, ...]
 ) -> tuple[CutFace, ...]:
-    """Return the faces with the possible effect of the stated end errors, at a few stations of each.
+    """Return the faces with the largest effect of the stated end errors, sampled at a few stations of each.
 
     Args:
         context: Context of the proof.
@@ -165,15 +170,17 @@ def with_end_error(
     """
     out = []
     for face in faces:
-        worst = 0.0
+        max_deviation = 0.0
         for wire in wires:
-            rows = np.flatnonzero((wire.labels == face.segment.key) & wire.inside.any(axis=1))
-            if len(rows):
-                sampled = rows[np.unique(np.linspace(0, len(rows) - 1, END_ERROR_STATIONS).astype(np.int64))]
-                worst = max(worst, float(end_error_deviation(context, wire, sampled).max()))
-        good = np.abs(face.deviation) + worst <= face.tolerance
+            stations = np.flatnonzero((wire.labels == face.segment.key) & wire.inside.any(axis=1))
+            if len(stations):
+                sampled = stations[
+                    np.unique(np.linspace(0, len(stations) - 1, END_ERROR_STATIONS).astype(np.int64))
+                ]
+                max_deviation = max(max_deviation, float(end_error_deviation(context, wire, sampled).max()))
+        good = np.abs(face.deviation) + max_deviation <= face.tolerance
         fraction = float(face.area[good].sum() / max(float(face.area.sum()), 1e-30))
-        out.append(dataclasses.replace(face, end_error=worst, share_with_error=fraction))
+        out.append(dataclasses.replace(face, end_error=max_deviation, share_with_error=fraction))
     return tuple(out)
 
 
@@ -187,17 +194,17 @@ def ridges(context: Context) -> RuleOutcome:
     ruled = {claim.segment.key for claim in context.claims_of(FollowsRulings)}
     for claim in context.claims_of(CutsSurface):
         for wire in context.get(WIRES) if claim.segment.key not in ruled else ():
-            rows = np.flatnonzero((wire.labels == claim.segment.key) & np.isin(wire.sample, nodes))
-            if wire.fault or len(rows) < 5:
+            stations = np.flatnonzero((wire.labels == claim.segment.key) & np.isin(wire.sample, nodes))
+            if wire.fault or len(stations) < 5:
                 continue
-            out = _deviation_from_neighbours(wire.points[rows], wire.inside[rows])
-            findings.note_highest(out.max(), claim.segment, claim.tolerance)
-            for i in np.flatnonzero(out > claim.tolerance)[:50]:
+            deviation = _deviation_from_neighbours(wire.points[stations], wire.inside[stations])
+            findings.note_highest(deviation.max(), claim.segment, claim.tolerance)
+            for i in np.flatnonzero(deviation > claim.tolerance)[:50]:
                 message = (
-                    f"the wire deviates {mm(out[i]):.3f} mm from its neighbours' surface: a ridge or groove; "
-                    f"allowed: {mm(claim.tolerance):g} mm"
+                    f"the wire deviates {mm(deviation[i]):.3f} mm from its neighbours' surface: a ridge or "
+                    f"groove; allowed: {mm(claim.tolerance):g} mm"
                 )
-                at_wire(findings, wire, message, rows[i], measure_in_mm(out[i], claim.tolerance))
+                at_wire(findings, wire, message, stations[i], measure_in_mm(deviation[i], claim.tolerance))
     return findings.outcome(mm, "mm", nothing="no face is claimed")
 
 
@@ -208,7 +215,7 @@ def _deviation_from_neighbours(points: FloatArray, inside: BoolArray) -> FloatAr
 
     Args:
         points: Points at equal arc lengths (T, P, 3) [m].
-        inside: Points that count (T, P).
+        inside: Whether each point counts (T, P).
     """
     out = np.zeros(len(points))
     step = np.linalg.norm(np.diff(points, axis=0), axis=2)
@@ -216,6 +223,7 @@ def _deviation_from_neighbours(points: FloatArray, inside: BoolArray) -> FloatAr
     positions = np.stack([path_length[k : len(path_length) - 4 + k] for k in range(5)])
     neighbours = (0, 1, 3, 4)
     interpolated = np.zeros_like(points[2:-2])
+    # Lagrange interpolation over path length through the wires k - 2, k - 1, k + 1 and k + 2
     for i in neighbours:
         weight = np.ones_like(positions[2])
         for j in neighbours:
@@ -238,9 +246,9 @@ def _deviation_from_neighbours(points: FloatArray, inside: BoolArray) -> FloatAr
 
 
 MAX_SLOT_WIDTH_M = 0.01
-"""Points closer to a face than this [m] are compared with the faces that it crosses. No slot is as wide."""
+"""Only points closer to a face than this [m] are compared with faces that cross it. Slots are narrower."""
 SIDE_TOLERANCE_M = 1e-6
-"""Distance [m] of a surface's vertices from a side of the datum block below which it is that side.
+"""A surface with all vertices within this distance [m] of a side of the datum block is that side.
 
 Such a surface bounds raw foam instead of a piece.
 """
@@ -262,21 +270,22 @@ def part(context: Context) -> RuleOutcome:
         for label in (
             sorted(set(wire.labels.tolist()) & wire.cut_segments - face_keys) if not wire.fault else ()
         ):
-            rows = np.flatnonzero(wire.labels == label)
-            row, column = np.nonzero(wire.inside[rows])
+            stations = np.flatnonzero(wire.labels == label)
+            row, column = np.nonzero(wire.inside[stations])
             if not len(row):
                 continue
-            row = rows[row]
+            station = stations[row]
             if speed is None:
                 speed = wire_speed(wire.points, context.motion.time[wire.sample], wire.inside)
-            points = wire.points[row, column]
+            points = wire.points[station, column]
             base = Segment.read(label).at("").key
             cut = next((c for c in context.claims_of(CutsSurface) if c.segment.key == base), None)
-            half = np.zeros(len(row)) if cut is None else 0.5 * cut.kerf.at(speed[row, column])
+            half = np.zeros(len(station)) if cut is None else 0.5 * cut.kerf.at(speed[station, column])
             clearance, tolerance = bounds.signed_distance(points)
             if base in slits_by_segment and base != label:
-                slit = points_in_slit(slits_by_segment[base], label, points, half + np.nan_to_num(tolerance))
-                clearance = np.where(slit, np.nan, clearance)
+                within = half + np.nan_to_num(tolerance)
+                is_in_slit = points_in_slit(slits_by_segment[base], label, points, within)
+                clearance = np.where(is_in_slit, np.nan, clearance)
             if cut is not None and cut not in nominal:
                 datum = block_distance(points, context.datum)
                 clearance, tolerance = np.fmin(clearance, datum), np.fmin(tolerance, cut.tolerance)
@@ -286,17 +295,17 @@ def part(context: Context) -> RuleOutcome:
             findings.note_lowest(np.nanmin(clearance), label)
             for i in np.flatnonzero(clearance < 0.0)[:20]:
                 depth = float(tolerance[i] - clearance[i])
-                what = (
+                message = (
                     f"in {label} the slot is {mm(depth):.2f} mm inside the part; "
                     f"allowed: {mm(tolerance[i]):g} mm"
                 )
-                at_wire(findings, wire, what, row[i], measure_in_mm(depth, tolerance[i]))
+                at_wire(findings, wire, message, station[i], measure_in_mm(depth, tolerance[i]))
     _add_slot_overlaps(findings, bounds.walls)
     return findings.outcome(mm, "mm left", 0.0, nothing="no lead-in or lead-out in the foam next to the part")
 
 
 def _add_slot_overlaps(findings: Findings, part: PartWalls) -> None:
-    """Report what slots remove from surfaces other than those next to which they cut."""
+    """Report slots next to one surface that remove material from another surface."""
     context = findings.context
     straight = {claim.segment.key for claim in context.claims_of(FollowsRulings)}
     for claim, sweep in zip(context.claims_of(CutsSurface), context.get(SWEEPS), strict=True):
@@ -307,12 +316,12 @@ def _add_slot_overlaps(findings: Findings, part: PartWalls) -> None:
             overlap = None if other is claim else find_overlap(claim, sweep, other, part)
             if overlap is None:
                 continue
-            what = (
+            message = (
                 f"next to {claim.segment} the slot of {mm(2.0 * overlap.half):.2f} mm removes "
                 f"{mm(overlap.depth):.2f} mm of {other.segment} at [{format_point_mm(overlap.point)}] mm; "
                 f"allowed: {mm(other.tolerance):g} mm"
             )
-            findings.add(what, measure_in_mm(overlap.depth, other.tolerance), field=str(claim.segment))
+            findings.add(message, measure_in_mm(overlap.depth, other.tolerance), field=str(claim.segment))
 
 
 class _PartBounds:
@@ -336,9 +345,9 @@ class _PartBounds:
     def signed_distance(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return signed distances (N,) [m] of points (N, 3) to the part, and the tolerances (N,) there.
 
-        Distances are negative inside and NaN where they are unknown. A point outside either the contours or
-        the faces is outside. So is a point outside a face that the nearest one crosses: both bound the part
-        together, which is no closer than the farther of them.
+        Distances are negative inside the part and NaN where they are unknown. A point is outside if it is
+        outside the contours, outside the nearest face, or outside a face that crosses the nearest one. The
+        distance is the largest of these, because the part is at least as far away.
         """
         distance, tolerance = np.full(len(points), -np.inf), np.full(len(points), np.nan)
         for group, limits, are_faces in self.groups:
@@ -350,22 +359,22 @@ class _PartBounds:
         return np.where(np.isinf(distance), np.nan, distance), tolerance
 
     def _correct_for_crossings(self, points: FloatArray, distance: FloatArray, owner: IntArray) -> FloatArray:
-        """Correct distances (N,) [m] of points (N, 3) to the nearest face for faces that cross it.
-
-        ``owner`` (N,) is the nearest face.
-        """
+        """Return distances (N,) [m] to the nearest face (``owner``, (N,)), raised for faces that cross it."""
         distance = distance.copy()
         for number in np.unique(owner[distance < MAX_SLOT_WIDTH_M]).tolist():
             for other in self.walls.crossing_surfaces(self.faces[number]):
                 if any(other is face for face in self.faces):
-                    rows = np.flatnonzero((distance < MAX_SLOT_WIDTH_M) & (owner == number))
-                    crossing_distance, _ = self.walls.wall(other).signed_distance(points[rows])
-                    distance[rows] = np.where(
-                        crossing_distance > np.maximum(distance[rows], 0.0), crossing_distance, distance[rows]
+                    affected = np.flatnonzero((distance < MAX_SLOT_WIDTH_M) & (owner == number))
+                    crossing_distance, _ = self.walls.wall(other).signed_distance(points[affected])
+                    distance[affected] = np.where(
+                        crossing_distance > np.maximum(distance[affected], 0.0),
+                        crossing_distance,
+                        distance[affected],
                     )
         return distance
 
 
 def _is_datum_side(context: Context, claim: CutsSurface) -> bool:
+    """Return whether the surface of a claim is a side of the datum block."""
     box = context.datum.box
     return bool((np.abs(claim.vertices[:, None] - box[None]).max(axis=0) < SIDE_TOLERANCE_M).any())

@@ -1,4 +1,4 @@
-"""Rule on the figures about wires that operators are shown."""
+"""Rule on values about wires that operators are shown, such as the distance of the clamps."""
 
 from collections.abc import Iterator
 
@@ -18,17 +18,17 @@ from planner.proof.rule import RuleOutcome, rule
 from planner.proof.rules.dialogue import MatchedStep, compare_dialogue
 
 DIALOGUE_FIGURES = "verify.dialogue_figures"
-"""Code of the rule on figures that follow from the motion."""
+"""Code of the rule on shown values that follow from the motion."""
 CLAMP_DISTANCE_TOLERANCE_M = 0.02e-3
 """Allowed deviation of the clamps from the shown distance [m], in addition to its rounding."""
 WIRE_ANGLE_TOLERANCE_DEG = 0.02
 """Allowed deviation of the wire from the shown angle [deg], in addition to its rounding."""
 MIN_SIGNED_ANGLE_DEG = 1.0
-"""The sign of smaller angles [deg] is not checked."""
+"""The sign of a shown angle [deg] is not checked if the angle is smaller than this."""
 SLOT_TOLERANCE_FRACTION = 0.05
-"""Allowed deviation of spacers from the slot as a fraction of it, in addition to rounding.
+"""Allowed deviation of spacers from the mean slot, as a fraction of the slot, in addition to rounding.
 
-The width of the slot follows the speed of the wire.
+The width of the slot varies with the speed of the wire.
 """
 
 
@@ -45,12 +45,12 @@ def message_figures(context: Context) -> RuleOutcome:
         for step in matched:
             if not step.fit.figures:
                 continue
-            for name, value, slack in _motion_figures(context, wires, step):
+            for name, value, allowed in _motion_figures(context, wires, step):
                 shown = float(step.fit.figures[name])
-                findings.note_highest(abs(shown - value) / slack)
-                if not abs(shown - value) <= slack:
-                    what = f"{name} is shown as {shown:g}; it follows from the motion as {value:.2f}"
-                    findings.add_at_step(what, task, step.entry.step, "plan again")
+                findings.note_highest(abs(shown - value) / allowed)
+                if not abs(shown - value) <= allowed:
+                    message = f"{name} is shown as {shown:g}; it follows from the motion as {value:.2f}"
+                    findings.add_at_step(message, task, step.entry.step, "plan again")
     if not findings.measured:
         return RuleOutcome(tuple(findings.issues), unit="of rounding", nothing="no such figures")
     return findings.outcome(float, "of rounding", 1.0)
@@ -59,7 +59,7 @@ def message_figures(context: Context) -> RuleOutcome:
 def _motion_figures(
     context: Context, wires: tuple[WireMotion, ...], matched: MatchedStep
 ) -> Iterator[tuple[str, float, float]]:
-    """Yield names, values and tolerances of the figures of a step, as they follow from the motion."""
+    """Yield the name, the value from the motion and the tolerance of each value that a step shows."""
     if matched.step.sentence is hotwire_sentences.CLAMPS:
         yield from _clamp_figures(context, matched)
     elif matched.step.sentence is hotwire_sentences.SPACERS:
@@ -70,16 +70,17 @@ def _motion_figures(
 
 
 def _clamp_figures(context: Context, matched: MatchedStep) -> Iterator[tuple[str, float, float]]:
-    """Yield the distance of the clamps and the angles of the wire to the line between them.
+    """Yield the distance of the clamps and the angles of the wire to the line between them, with tolerances.
 
-    Angles are positive where the wire rises.
+    An angle is positive if the wire rises there. If the angle is too small, or its plane too level, to tell,
+    the shown sign is used.
     """
     name = context.problem.operations[matched.position.operation].name
     claim = next(c for c in context.by_operation[name] if isinstance(c, WireJoins))
     motion = context.motion
-    time = next(at for at, _, _, step in motion.step_time if step is matched.entry.step)
-    row = max(int(np.searchsorted(motion.time, time, side="right")) - 1, 0)
-    first, second = (motion.tcp[arm][row : row + 1][0] for arm in claim.arms)
+    time = next(step_time for step_time, _, _, step in motion.step_time if step is matched.entry.step)
+    sample = max(int(np.searchsorted(motion.time, time, side="right")) - 1, 0)
+    first, second = (motion.tcp[arm][sample : sample + 1][0] for arm in claim.arms)
     vector = second[:3, 3] - first[:3, 3]
     distance = float(np.linalg.norm(vector))
     yield "apart_mm", 1e3 * distance, tolerance(".1f", 1.0) + 1e3 * CLAMP_DISTANCE_TOLERANCE_M
@@ -99,9 +100,9 @@ def _clamp_figures(context: Context, matched: MatchedStep) -> Iterator[tuple[str
 
 
 def _mean_slot_width(context: Context, wires: tuple[WireMotion, ...], position: DialoguePosition) -> float:
-    """Return the mean width [m] of the slot that a cut has left along both guide lines of its surface.
+    """Return the mean width [m] of the slot along both guide lines of the surface cut at a dialogue position.
 
-    It follows from the speeds of the wire there at all targets.
+    It follows from the speeds of the wire there at all targets. It is NaN if no wire cuts the surface.
     """
     name, motion = context.problem.operations[position.operation].name, context.motion
     key = position.key.removesuffix("_out")
@@ -111,12 +112,12 @@ def _mean_slot_width(context: Context, wires: tuple[WireMotion, ...], position: 
             continue
         normals = guide_normals(claim)
         for wire in wires:
-            rows = np.flatnonzero((wire.labels == key) & np.isin(wire.sample, motion.node_sample))
-            if wire.fault or wire.setup != context.setup_of(claim) or not len(rows):
+            stations = np.flatnonzero((wire.labels == key) & np.isin(wire.sample, motion.node_sample))
+            if wire.fault or wire.setup != context.setup_of(claim) or not len(stations):
                 continue
-            speed = wire_speed(wire.points, motion.time[wire.sample], wire.inside)[rows]
+            speed = wire_speed(wire.points, motion.time[wire.sample], wire.inside)[stations]
             for guide, normal in zip((claim.start, claim.end), normals, strict=True):
-                _, half = guide_deviation(wire.points[rows], speed, guide, normal, claim)
+                _, half = guide_deviation(wire.points[stations], speed, guide, normal, claim)
                 widths.append(2.0 * half)
     all_widths = np.concatenate(widths)
     return float(all_widths.mean()) if len(all_widths) else float("nan")

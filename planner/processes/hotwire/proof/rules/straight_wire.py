@@ -1,7 +1,9 @@
-"""Rules on straight wires: bow, kerf, rulings of the surface, leads.
+"""Rules on straight wires.
 
-verify.bow: its clamps. verify.kerf: at the actual speeds. verify.rulings: of the surface. verify.slit:
-direction of a lead-in, and what its slit removes from the part.
+- verify.bow: the clamps stay outside the block.
+- verify.kerf: the slot has the required width at the actual speeds.
+- verify.rulings: the wire is half a kerf from the guide lines of the surface.
+- verify.slit: direction of lead-ins, and length of slits in the part.
 """
 
 import dataclasses
@@ -33,14 +35,14 @@ from planner.tooling import Bow, Tool
 CLAMP_ROUNDING_M = 1e-4
 """Amount [m] that rounded targets may take from a margin."""
 GUIDE_TOLERANCE_M = 1e-4
-"""Tolerance [m] of the distance at which a wire passes a guide line.
+"""Tolerance [m] of the distance at which a wire passes points of a guide line.
 
-It adds to half a kerf and the tolerance of the surface.
+It is added to half a kerf and the tolerance of the surface.
 """
 BOW_TOLERANCE_M = 1e-6
-"""Allowed deviation [m] of a claimed wire from that of the bow."""
+"""Allowed deviation [m] of a claimed wire from the wire of the bow."""
 GUIDE_POINT_SPACING_M = 0.002
-"""Spacing [m] of the points of a guide line that must be passed."""
+"""Spacing [m] of the points of a guide line that the wire must pass."""
 MAX_RULING_STEP_M = 0.001
 """Largest path [m] of the wire's ends between checks of its rulings."""
 _PAIR_BATCH_SIZE = 400_000
@@ -58,19 +60,19 @@ def bow(context: Context) -> RuleOutcome:
         if not isinstance(claim, StraightWire) or wire.fault:
             continue
         if not _is_wire_of_tool(claim, context.setups[wire.setup].cell.arm(claim.arm).tool):
-            what = f"the wire of the tool of {claim.arm} in setup {wire.setup + 1} is not the claimed one"
-            findings.add(what, arm=claim.arm)
+            message = f"the wire of the tool of {claim.arm} in setup {wire.setup + 1} is not the claimed one"
+            findings.add(message, arm=claim.arm)
         margin = max(c.margin for c in straight_claims(context.setup_claims[wire.setup])[claim.arm])
         free_length = free_lengths(wire.points[:, 0], wire.points[:, -1], context.stock_at(wire.setup))
         shorter_length = free_length.min(axis=1)
-        rows = np.flatnonzero(np.isfinite(shorter_length))
-        findings.note_lowest(shorter_length[rows].min(initial=np.inf), limit=margin)
-        for k in rows[shorter_length[rows] < margin - CLAMP_ROUNDING_M][:50]:
-            what = (
+        in_foam = np.flatnonzero(np.isfinite(shorter_length))
+        findings.note_lowest(shorter_length[in_foam].min(initial=np.inf), limit=margin)
+        for k in in_foam[shorter_length[in_foam] < margin - CLAMP_ROUNDING_M][:50]:
+            message = (
                 f"the {'start' if free_length[k, 0] < free_length[k, 1] else 'end'} of the wire is free for "
                 f"{mm(shorter_length[k]):.2f} mm outside the block; allowed: {mm(margin):g} mm or more"
             )
-            at_wire(findings, wire, what, k, measure_in_mm(shorter_length[k], margin))
+            at_wire(findings, wire, message, k, measure_in_mm(shorter_length[k], margin))
     return findings.outcome(mm, "mm", nothing="no straight wire in the foam")
 
 
@@ -81,18 +83,17 @@ def _is_wire_of_tool(claim: StraightWire, tool: Tool) -> bool:
     wire = tool.wire
     half = 0.5 * wire.size[1] * wire.pose[:3, 2]
     ends = np.stack([wire.pose[:3, 3] - half, wire.pose[:3, 3] + half])
-    back = inverse(tool.tcp)
-    ends = ends @ back[:3, :3].T + back[:3, 3]
+    to_tcp = inverse(tool.tcp)
+    ends = ends @ to_tcp[:3, :3].T + to_tcp[:3, 3]
     claimed = np.stack([claim.start, claim.end])
     deviation = min(float(np.abs(ends - claimed).max()), float(np.abs(ends[::-1] - claimed).max()))
     return deviation <= BOW_TOLERANCE_M and abs(wire.size[0] - claim.radius) <= BOW_TOLERANCE_M
 
 
 def free_lengths(start: FloatArray, end: FloatArray, stock: Stock) -> FloatArray:
-    """Return the lengths (T, 2) [m] of straight wires outside the block, from either clamp.
+    """Return the lengths (T, 2) [m] of straight wires between each clamp and the block.
 
-    They end where the wire enters the block. They are 0 for a clamp inside, and infinite for a wire that
-    meets no foam.
+    A length is 0 for a clamp inside the block. Both are infinite for a wire that does not meet the block.
 
     Args:
         start: Starts of the wires (T, 3) [m].
@@ -128,8 +129,8 @@ def kerf(context: Context) -> RuleOutcome:
             speeds = [_speeds_in_foam(context, wire, claim) for wire in wires if not wire.fault]
         speed = np.concatenate([*speeds, np.zeros(0)])
         if not len(speed):
-            what = f"{claim.segment} is not cut, so that its slot has no width"
-            findings.add(what, field=str(claim.segment))
+            message = f"{claim.segment} is not cut, so that its slot has no width"
+            findings.add(message, field=str(claim.segment))
             continue
         width = claim.kerf.at(speed)
         # ramps and corners of the replay may differ from the planned speed as far as the feed may
@@ -137,15 +138,15 @@ def kerf(context: Context) -> RuleOutcome:
         wide = claim.kerf.at(speed * MAX_FEED_FACTOR) > claim.upper
         fraction = np.maximum(width / claim.upper, claim.lower / np.maximum(width, 1e-9))
         findings.note_highest(fraction.max(), claim.segment, 1.0)
-        for bad, word in ((narrow, "narrow: the wire drags"), (wide, "wide: the foam burns")):
-            if bad.any():
-                k = int(np.argmax(np.where(bad, fraction, 0.0)))
-                what = (
+        for is_faulty, word in ((narrow, "narrow: the wire drags"), (wide, "wide: the foam burns")):
+            if is_faulty.any():
+                k = int(np.argmax(np.where(is_faulty, fraction, 0.0)))
+                message = (
                     f"at {mm(speed[k]):.2f} mm/s the slot of {claim.segment} is {mm(width[k]):.3f} mm "
                     f"{word}; allowed: {mm(claim.lower):g} to {mm(claim.upper):g} mm"
                 )
-                measure = measure_in_mm(width[k], claim.upper if bad is wide else claim.lower)
-                findings.add(what, measure, field=str(claim.segment))
+                measure = measure_in_mm(width[k], claim.upper if is_faulty is wide else claim.lower)
+                findings.add(message, measure, field=str(claim.segment))
     out = findings.outcome(float, "of the bounds")
     return dataclasses.replace(out, nothing="" if findings.where else "no such claim")
 
@@ -166,24 +167,26 @@ def rulings(context: Context) -> RuleOutcome:
         label = claim.segment.key
         is_cut = False
         for wire in context.get(WIRES):
-            rows = np.flatnonzero(wire.labels == label)
-            if wire.fault or wire.setup != context.setup_of(claim) or len(rows) < 2:
+            stations = np.flatnonzero(wire.labels == label)
+            if wire.fault or wire.setup != context.setup_of(claim) or len(stations) < 2:
                 continue
             is_cut = True
             speed = wire_speed(wire.points, context.motion.time[wire.sample], wire.inside)
-            points, speed, rows = interpolate_moves(wire.points, speed, rows)
+            points, speed, stations = interpolate_moves(wire.points, speed, stations)
             normal = guide_normals(claim)
             for name, guide, side in zip(("start", "end"), (claim.start, claim.end), normal, strict=True):
                 deviation, half = guide_deviation(points, speed, guide, side, claim)
                 findings.note_highest(deviation.max(), claim.segment, claim.tolerance)
                 for i in np.flatnonzero(deviation > claim.tolerance)[:20]:
-                    what = (
+                    message = (
                         f"the distance of the wire to the {name} line of {claim.segment} deviates by "
                         f"{mm(deviation[i]):.3f} mm; allowed: {mm(claim.tolerance):g} mm"
                     )
-                    at_wire(findings, wire, what, rows[i], measure_in_mm(deviation[i], claim.tolerance))
-                whole = np.flatnonzero(with_start_stations(wire.labels == label))
-                passes = wire.points[whole], np.diff(whole) == 1
+                    at_wire(
+                        findings, wire, message, stations[i], measure_in_mm(deviation[i], claim.tolerance)
+                    )
+                sheet_stations = np.flatnonzero(with_start_stations(wire.labels == label))
+                passes = wire.points[sheet_stations], np.diff(sheet_stations) == 1
                 _add_missed_points(findings, claim, name, guide, float(half.max()), passes)
         if not is_cut:
             findings.add(f"{claim.segment} is not cut", field=str(claim.segment))
@@ -199,11 +202,11 @@ def interpolate_moves(
     Args:
         points: Wires (T, P, 3) [m].
         speed: Their speeds (T, P) [m/s].
-        rows: Stations.
+        rows: Indices of the stations (S,).
 
     Returns:
-        Wires (N, P, 3) and speeds (N, P) every ``MAX_RULING_STEP_M``, and the station that each leads to
-        (N,).
+        Wires (N, P, 3) [m] and speeds (N, P) [m/s] at most ``MAX_RULING_STEP_M`` apart, and the index of the
+        station at the end of each one's move (N,).
     """
     previous = np.maximum(rows - 1, 0)
     step_length = np.linalg.norm(points[rows][:, [0, -1]] - points[previous][:, [0, -1]], axis=2).max(axis=1)
@@ -238,13 +241,20 @@ def _points_outward(
 ) -> BoolArray:
     """Return whether vectors (T, 3) from points on a guide line point away from the part.
 
-    The points are at the fraction (T,) of pieces ``k`` (T,). At a corner the normals of both its pieces
-    count.
+    At a corner of the guide line the sum of the normals of both its pieces decides.
+
+    Args:
+        vector: Vectors (T, 3).
+        k: Index of the piece of the guide line on which each point is (T,).
+        fraction: Position of each point on its piece, 0 to 1 (T,).
+        normal: Unit normals of the pieces away from the part, 0 for pieces without length (M - 1, 3).
+        closed: Whether the guide line is closed.
     """
     pieces = np.flatnonzero(normal.any(axis=1))
     if not len(pieces):
         return np.ones(len(k), dtype=np.bool_)
-    # pieces of a line may have no length where the other one turns a blunt edge: their neighbours count
+    # where only the other guide line turns a blunt edge, pieces have no length: their neighbours' normals
+    # count
     previous = np.searchsorted(pieces, np.where(fraction <= 0.0, k - 1, k), side="right") - 1
     following = np.searchsorted(pieces, np.where(fraction >= 1.0, k + 1, k), side="left")
     if closed:
@@ -257,9 +267,9 @@ def _points_outward(
 def guide_deviation(
     points: FloatArray, speed: FloatArray, guide: FloatArray, normal: FloatArray, claim: FollowsRulings
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the deviation (T,) [m] of the wire from half its kerf off a guide line, and that half kerf.
+    """Return the deviation of wires from half their kerf beside a guide line, and the half kerf (T,) [m].
 
-    The kerf (T,) counts at the point of the wire that is nearest to the guide line.
+    The kerf is that at the point of the wire that is nearest to the guide line.
 
     Args:
         points: Wires (T, P, 3) [m].
@@ -276,10 +286,10 @@ def guide_deviation(
     deviation, half = np.zeros(len(points)), np.zeros(len(points))
     step = max(1, _PAIR_BATCH_SIZE // max(len(guide), 1))
     for low in range(0, len(points), step):
-        part = slice(low, low + step)
-        relative = guide[None] - start[part, None]
-        on_wire = np.einsum("tmi,ti->tm", relative, along[part])
-        across = relative - on_wire[..., None] * along[part, None]
+        batch = slice(low, low + step)
+        relative = guide[None] - start[batch, None]
+        on_wire = np.einsum("tmi,ti->tm", relative, along[batch])
+        across = relative - on_wire[..., None] * along[batch, None]
         a, b = across[:, :-1], across[:, 1:]
         edge = b - a
         fraction = -dots(a, edge) / np.maximum(dots(edge, edge), 1e-30)
@@ -287,16 +297,16 @@ def guide_deviation(
         distance = np.linalg.norm(a + fraction[..., None] * edge, axis=2)
         row, k = np.arange(len(a)), np.argmin(distance, axis=1)
         wire_position = on_wire[row, k] + fraction[row, k] * (on_wire[row, k + 1] - on_wire[row, k])
-        at = np.clip(wire_position / length[part], 0.0, 1.0) * (points.shape[1] - 1)
+        at = np.clip(wire_position / length[batch], 0.0, 1.0) * (points.shape[1] - 1)
         left = np.minimum(at.astype(np.int64), points.shape[1] - 2)
-        batch_speed = speed[part]
+        batch_speed = speed[batch]
         local_speed = batch_speed[row, left] + (at - left) * (
             batch_speed[row, left + 1] - batch_speed[row, left]
         )
-        half[part] = 0.5 * claim.kerf.at(local_speed)
+        half[batch] = 0.5 * claim.kerf.at(local_speed)
         outward = -(a[row, k] + fraction[row, k, None] * edge[row, k])
         sign = np.where(_points_outward(outward, k, fraction[row, k], normal, closed), 1.0, -1.0)
-        deviation[part] = np.abs(sign * distance[row, k] - half[part])
+        deviation[batch] = np.abs(sign * distance[row, k] - half[batch])
     return deviation, half
 
 
@@ -310,26 +320,34 @@ def _add_missed_points(
 ) -> None:
     """Report points of a guide line that the wire does not pass as closely as a round wire can.
 
-    Also reports points at which a round wire with half a slot of ``half`` [m] leaves more than is allowed.
+    Points at which a round wire leaves more foam than is allowed are also reported.
+
+    Args:
+        findings: Findings of the rule.
+        claim: Claim on the rulings.
+        name: Name of the guide line, ``start`` or ``end``.
+        guide: Guide line (M, 3) [m].
+        half: Half the widest slot [m].
+        passes: Wires (T, P, 3) [m], and whether each wire and the next one are joined (T - 1,).
     """
     points, point_length = _guide_points(guide)
     distance = _sheet_distance(*passes, points)
     within = claim.tolerance + GUIDE_TOLERANCE_M
-    rows = np.flatnonzero(distance > half + within)
-    unreachable = unreachable_distance(claim, points[rows], half)
-    missed = rows[distance[rows] > half + within + unreachable]
+    distant = np.flatnonzero(distance > half + within)
+    unreachable = unreachable_distance(claim, points[distant], half)
+    missed = distant[distance[distant] > half + within + unreachable]
     if len(missed):
         missed_length = mm(len(missed) * point_length)
-        what = f"the wire does not pass {missed_length:.1f} mm of the {name} line of {claim.segment}"
-        findings.add(what, field=str(claim.segment))
-    left = float(unreachable.max(initial=0.0))
-    if left > claim.max_left + GUIDE_TOLERANCE_M:
-        k = int(rows[int(np.argmax(unreachable))])
-        what = (
+        message = f"the wire does not pass {missed_length:.1f} mm of the {name} line of {claim.segment}"
+        findings.add(message, field=str(claim.segment))
+    remaining = float(unreachable.max(initial=0.0))
+    if remaining > claim.max_left + GUIDE_TOLERANCE_M:
+        k = int(distant[int(np.argmax(unreachable))])
+        message = (
             f"at [{format_point_mm(points[k])}] mm of {claim.segment} a round wire leaves "
-            f"{mm(min(left, 1.0)):.2f} mm or more on the part; allowed: {mm(claim.max_left):g} mm"
+            f"{mm(min(remaining, 1.0)):.2f} mm or more on the part; allowed: {mm(claim.max_left):g} mm"
         )
-        findings.add(what, measure_in_mm(min(left, 1.0), claim.max_left), field=str(claim.segment))
+        findings.add(message, measure_in_mm(min(remaining, 1.0), claim.max_left), field=str(claim.segment))
 
 
 def _guide_points(guide: FloatArray) -> tuple[FloatArray, float]:
@@ -343,9 +361,9 @@ def _guide_points(guide: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _sheet_distance(points: FloatArray, joined: BoolArray, queries: FloatArray) -> FloatArray:
-    """Return the distance (K,) [m] at which the swept sheet passes each point (K, 3).
+    """Return the distance (K,) [m] from each point (K, 3) to the sheet that a straight wire sweeps.
 
-    The sheet consists of the moves between connected stations.
+    The sheet consists of the moves between joined stations.
     """
     start, end = points[:, 0], points[:, -1]
     directions = (end - start) / np.linalg.norm(end - start, axis=1, keepdims=True)
@@ -380,8 +398,8 @@ def slit(context: Context) -> RuleOutcome:
             if found_slit.length_in_part <= MIN_SLIT_LENGTH_M:
                 continue
             findings.note_highest(found_slit.length_in_part / found_slit.max_length, found_slit.segment)
-            for what, row, got, limit in _slit_faults(found_slit, found_slit.max_length):
-                at_wire(findings, wire, what, row, measure_in_mm(got, limit))
+            for message, station, value, limit in _slit_faults(found_slit, found_slit.max_length):
+                at_wire(findings, wire, message, station, measure_in_mm(value, limit))
     if not findings.where and not leads:
         return findings.outcome_without_value("no slit through the part and no stated lead")
     out = findings.outcome(float, "of what is allowed", 1.0)
@@ -389,7 +407,7 @@ def slit(context: Context) -> RuleOutcome:
 
 
 def _add_lead_issues(findings: Findings, wires: tuple[WireMotion, ...], claim: LeadsFrom) -> None:
-    """Report faults of the lead-in to a cut whose direction is stated."""
+    """Report a lead-in that deviates from its stated direction, or that is missing."""
     context = findings.context
     surface = next((c for c in context.claims_of(CutsSurface) if c.segment == claim.segment), None)
     setup = context.setup_of(claim)
@@ -403,35 +421,35 @@ def _add_lead_issues(findings: Findings, wires: tuple[WireMotion, ...], claim: L
         deviation, k = lead_deviation(claim, wire, lead_in)
         limit = claim.tolerance + SLIT_ROUNDING_M
         if deviation > limit:
-            what = (
+            message = (
                 f"the wire reaches {claim.segment} {mm(deviation):.2f} mm from the stated direction; "
                 f"allowed: {mm(limit):g} mm"
             )
-            at_wire(findings, wire, what, k, measure_in_mm(deviation, limit))
+            at_wire(findings, wire, message, k, measure_in_mm(deviation, limit))
     if not has_lead:
         findings.add(f"nothing leads to {claim.segment}", field=str(claim.segment))
 
 
 def _slit_faults(slit: Slit, allowed: float) -> Iterator[tuple[str, int, float, float]]:
-    """Yield the faults of a slit: text, station, value [m] and limit [m]."""
+    """Yield the faults of a slit: message, index of the station, value [m] and limit [m]."""
     first, last = int(slit.into.rows[0]), int(slit.out.rows[0])
     if slit.length_in_part > allowed:
-        what = (
+        message = (
             f"the slit to {slit.segment} is {mm(slit.length_in_part):.1f} mm long in the part; allowed, "
             f"because shorter slits exist: {mm(allowed):.1f} mm"
         )
-        yield what, first, slit.length_in_part, allowed
+        yield message, first, slit.length_in_part, allowed
     along = slit.excess_length_alongside
     if along > SLIT_ROUNDING_M:
-        what = (
+        message = (
             f"the slit to {slit.segment} runs {mm(along):.1f} mm farther along another contour than a "
             f"crossing needs; allowed: {mm(SLIT_ROUNDING_M):g} mm"
         )
-        yield what, first, along, SLIT_ROUNDING_M
-    wide = 2.0 * max(slit.into.half, slit.out.half) + SLIT_ROUNDING_M
-    if slit.lead_out_deviation > wide:
-        what = (
+        yield message, first, along, SLIT_ROUNDING_M
+    max_deviation = 2.0 * max(slit.into.half, slit.out.half) + SLIT_ROUNDING_M
+    if slit.lead_out_deviation > max_deviation:
+        message = (
             f"the wire leaves {slit.segment} through the part {mm(slit.lead_out_deviation):.2f} mm from the "
-            f"slit by which it came; allowed: {mm(wide):.2f} mm"
+            f"slit by which it came; allowed: {mm(max_deviation):.2f} mm"
         )
-        yield what, last, slit.lead_out_deviation, wide
+        yield message, last, slit.lead_out_deviation, max_deviation

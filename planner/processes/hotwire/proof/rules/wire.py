@@ -1,7 +1,7 @@
-"""Rules on the wire and its power.
+"""Rules on the shape, contact, speed and mounting of wires, and on their power.
 
-verify.wire_length, wire_stability, curvature, contact, stop_in_foam, feed, wire_mount. verify.wire_power: on
-and hot in the foam, off when hands are near.
+The rules are verify.wire_length, wire_stability, curvature, contact, stop_in_foam, feed, wire_mount and
+wire_power.
 """
 
 import dataclasses
@@ -25,9 +25,9 @@ from planner.proof.setups import JoinedPhase
 MAX_END_RESIDUAL_M = 1e-6
 """A wire's shape meets both clamps if the position error of its end is at most this [m]."""
 MAX_CHORD_FRACTION = 0.9999
-"""Maximum distance of the ends as a fraction of the wire's length. Beyond it the wire has no bow left."""
+"""Maximum distance of the ends as a fraction of the wire's length. Beyond it the wire is practically taut."""
 MAX_PATH_RATIO = 2.0
-"""Maximum ratio of the path round a corner to the straight one."""
+"""Maximum ratio of the path round a corner to the straight path that the speed bounds assume."""
 MELTING_DISTANCE_M = 1e-3
 """A stopped wire that is closer to foam than this [m] melts it."""
 
@@ -51,8 +51,8 @@ def wire_length(context: Context) -> RuleOutcome:
             message = f"the ends are {mm(distance):.3f} mm apart; the wire is {mm(claim.length):.3f} mm long"
             findings.add(message, measure_in_mm(distance, claim.length), index=k)
         if wire.path.residual.max() > MAX_END_RESIDUAL_M:
-            what = "no shape of the wire meets both clamps"
-            at_wire(findings, wire, what, int(np.argmax(wire.path.residual)))
+            message = "no shape of the wire meets both clamps"
+            at_wire(findings, wire, message, int(np.argmax(wire.path.residual)))
     claimed, mounted_count = len(context.claims_of(WireJoins)), len(mounted_phases(context))
     if mounted_count < claimed:
         findings.add(f"{claimed} bent wires are claimed; the programs move {mounted_count} together")
@@ -150,12 +150,14 @@ def feed(context: Context) -> RuleOutcome:
             if wire.setup != context.setup_of(claim):
                 continue
             in_segment = wire.labels[1:] == claim.segment.key
-            rows = np.flatnonzero(in_segment & np.isfinite(speed[1:])) + 1
-            if not len(rows):
+            stations = np.flatnonzero(in_segment & np.isfinite(speed[1:])) + 1
+            if not len(stations):
                 continue
-            ratio = np.maximum(fastest[rows] / claim.upper, claim.lower / np.maximum(slowest[rows], 1e-9))
+            ratio = np.maximum(
+                fastest[stations] / claim.upper, claim.lower / np.maximum(slowest[stations], 1e-9)
+            )
             findings.note_highest(ratio.max(), claim.segment, MAX_FEED_FACTOR)
-            for k in rows[ratio > MAX_FEED_FACTOR][:200]:
+            for k in stations[ratio > MAX_FEED_FACTOR][:200]:
                 actual, upper = mm(_worse_speed(float(slowest[k]), float(fastest[k]), claim)), mm(claim.upper)
                 message = (
                     f"the wire cuts at {actual:.2f} mm/s; allowed: {mm(claim.lower):g} to {upper:g} mm/s"
@@ -166,65 +168,72 @@ def feed(context: Context) -> RuleOutcome:
 
 
 def feed_speed(context: Context, wire: WireMotion) -> FloatArray:
-    """Return the speed (T,) [m/s] across the wire of its fastest point inside the block.
+    """Return the speed (T,) [m/s] of the wire's fastest point inside the block, on the move to each station.
 
-    It is the speed on the way to each station, NaN if no point is inside. Motion of the wire along itself
-    does not count.
+    Motion of the wire along itself does not count. The speed is NaN for the first station, and where no point
+    is inside at both ends of the move.
     """
     out = np.full(len(wire.sample), np.nan)
     if len(out) < 2 or not wire.inside.any():
         return out
     step = motion_across_wire(wire.points)
-    both = wire.inside[1:] & wire.inside[:-1]
+    is_inside = wire.inside[1:] & wire.inside[:-1]
     time = np.diff(context.motion.time[wire.sample])
-    fastest = np.where(both, step, -np.inf).max(axis=1)
-    good = np.isfinite(fastest) & (time > 0.0)
-    out[1:][good] = fastest[good] / time[good]
+    fastest = np.where(is_inside, step, -np.inf).max(axis=1)
+    is_valid = np.isfinite(fastest) & (time > 0.0)
+    out[1:][is_valid] = fastest[is_valid] / time[is_valid]
     return out
 
 
-def _worse_speed(mean: float, fastest: float, claim: FeedWindow) -> float:
-    """Return the one of two speeds that is farther outside a window."""
-    return float(fastest if fastest / claim.upper > claim.lower / max(mean, 1e-9) else mean)
+def _worse_speed(slowest: float, fastest: float, claim: FeedWindow) -> float:
+    """Return the one of two speeds [m/s] that is farther outside the feed window."""
+    return float(fastest if fastest / claim.upper > claim.lower / max(slowest, 1e-9) else slowest)
 
 
 def _speed_bounds(context: Context, wire: WireMotion, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return upper and lower bounds (T,), (T,) [m/s] of the speed of the wire's fastest point in the block.
 
-    They are ``speed`` (T,) unless trajectories drive the wire. Then the upper bound is multiplied by the
-    ratio of the tool's peak speed to its mean between stations, and the lower one by the ratio of its path to
-    the straight one, because stations lie on both sides of a corner.
+    Both are ``speed`` (T,) unless trajectories drive the wire. Then ``speed`` is multiplied by the ratio of
+    the tool's peak speed to its mean between stations for the upper bound. For the lower bound it is
+    multiplied by the ratio of the tool's path to the straight one, because stations on both sides of a corner
+    are closer than the path between them.
     """
     if len(speed) < 2:  # no move between stations
         return speed, speed
-    motion, peak_ratio, path_ratios = context.motion, np.ones(len(speed)), np.ones(len(speed))
+    motion = context.motion
+    peak_ratio, path_ratios = np.ones(len(speed)), np.ones(len(speed))
     longest = np.zeros(len(speed) - 1)
     for arm, speeds in tool_speeds(context).items():
         if arm not in wire.arms:
             continue
-        rows = np.arange(wire.sample[0], wire.sample[-1] + 1)
-        seen = inverse(context.stock_poses(wire.setup, rows)) @ motion.poses(arm, rows)
-        sample_speed = np.linalg.norm(np.diff(seen[:, :3, 3], axis=0), axis=1)
-        sample_speed /= np.maximum(np.diff(motion.time[rows]), 1e-9)
+        samples = np.arange(wire.sample[0], wire.sample[-1] + 1)
+        poses = inverse(context.stock_poses(wire.setup, samples)) @ motion.poses(arm, samples)
+        sample_speed = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+        sample_speed /= np.maximum(np.diff(motion.time[samples]), 1e-9)
+        # by how much the peak speed of the trajectory exceeds the largest speed from sample to sample, by
+        # node
         max_by_node = np.zeros(len(motion.node_stop))
-        np.maximum.at(max_by_node, motion.node[rows[1:]], sample_speed)  # by samples, of each node
+        np.maximum.at(max_by_node, motion.node[samples[1:]], sample_speed)
         bound = np.ones(len(max_by_node))
         bound[speeds.node] = speeds.peak / np.maximum(max_by_node[speeds.node], 1e-9)
-        row_index = wire.sample - wire.sample[0]
-        distance = np.linalg.norm(np.diff(seen[row_index, :3, 3], axis=0), axis=1)
+        station_samples = wire.sample - wire.sample[0]
+        distance = np.linalg.norm(np.diff(poses[station_samples, :3, 3], axis=0), axis=1)
         mean = distance / np.maximum(np.diff(motion.time[wire.sample]), 1e-9)
-        peak = np.maximum.reduceat(sample_speed, row_index[:-1]) * np.maximum(
+        peak = np.maximum.reduceat(sample_speed, station_samples[:-1]) * np.maximum(
             bound[motion.node[wire.sample[1:]]], 1.0
         )
         is_moving = (distance > MIN_PATH_FRACTION * longest) & (distance > STANDSTILL_M)
         peak_ratio[1:] = np.where(
             is_moving, np.maximum(peak_ratio[1:], peak / np.maximum(mean, 1e-9)), peak_ratio[1:]
         )
-        queries, at = motion.merged_samples, wire.sample + np.searchsorted(motion.between.sample, wire.sample)
-        query_rows = queries.row[at[0] : at[-1] + 1]
-        seen = inverse(context.stock_poses(wire.setup, query_rows)) @ motion.poses(arm, query_rows)
-        path_length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(seen[:, :3, 3], axis=0), axis=1)))
-        path_length = np.diff(path_length[at - at[0]])
+        queries, station_queries = (
+            motion.merged_samples,
+            wire.sample + np.searchsorted(motion.between.sample, wire.sample),
+        )
+        query_rows = queries.row[station_queries[0] : station_queries[-1] + 1]
+        poses = inverse(context.stock_poses(wire.setup, query_rows)) @ motion.poses(arm, query_rows)
+        path_length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)))
+        path_length = np.diff(path_length[station_queries - station_queries[0]])
         path_ratio = np.where(
             distance > MIN_PATH_FRACTION * longest, path_length / np.maximum(distance, 1e-9), 1.0
         )
@@ -252,7 +261,7 @@ def wire_mount(context: Context) -> RuleOutcome:
 
 
 def moving_span(context: Context, phase: JoinedPhase) -> tuple[int, int]:
-    """Return the positions of the first and last step of synchronised stages among a phase's steps."""
+    """Return the indices of the first and last step of synchronised motion in a phase, (0, 0) for none."""
     synchronised = [
         i
         for i, (number, _, step) in enumerate(context.steps_while_mounted(phase))
@@ -300,6 +309,7 @@ def _switching_times(context: Context, wire: WireMotion, signal: str) -> list[tu
 
 
 def _check_power_in_contact(findings: Findings, wire: WireMotion, signal: str, heat_up: float) -> None:
+    """Report a wire that touches the block without power, or before the power is on for ``heat_up`` [s]."""
     touching = np.flatnonzero(wire.depth > 0.0)
     if not len(touching):
         return
@@ -307,23 +317,24 @@ def _check_power_in_contact(findings: Findings, wire: WireMotion, signal: str, h
     for run in np.split(touching, np.flatnonzero(np.diff(touching) > 1) + 1):
         first, last = findings.context.motion.time[wire.sample[run[[0, -1]]]]
         switched_before = [(time, value) for time, value in switching if time <= first]
+        # the first change after the last one to off: from there the power is on, if there is such a change
         on = next((i for i in range(len(switched_before), 0, -1) if not switched_before[i - 1][1]), 0)
         if on == len(switched_before):
             at_wire(findings, wire, f"{signal} is not on when the wire touches the block", run[0])
         elif first - switched_before[on][0] < heat_up - 1e-6:
             heated_time = float(first - switched_before[on][0])
-            what = (
+            message = (
                 f"the wire touches the block {heated_time:.1f} s after {signal} is on; it needs {heat_up:g} s"
             )
-            at_wire(findings, wire, what, run[0], (heated_time, heat_up, "s"))
+            at_wire(findings, wire, message, run[0], (heated_time, heat_up, "s"))
         if any(not value and first < time < last for time, value in switching):
             at_wire(findings, wire, f"{signal} goes off while the wire is in the block", run[-1])
 
 
 def _check_power_at_hands(findings: Findings, phase: JoinedPhase, signal: str) -> None:
-    """Check that the power is off when the wire is mounted and taken off.
+    """Report power that is on when the operator mounts the wire, takes it off, or is asked between moves.
 
-    It must be heated while waiting, not while moving.
+    Between mounting and the first move the wire is heated, so questions with power are allowed there.
     """
     confirms = findings.context.confirmation_positions(phase)
     state: list[float] = []
@@ -337,8 +348,8 @@ def _check_power_at_hands(findings: Findings, phase: JoinedPhase, signal: str) -
         if state[confirms[0]] and confirms[0] < first:
             findings.add(f"{signal} is on when the operator mounts the wire")
         if any(state[i] and first < i < last for i in confirms):
-            what = f"{signal} is on while the operator is asked a question between moves"
-            findings.add(what, hint="ask before the arms move, or switch it off")
+            message = f"{signal} is on while the operator is asked a question between moves"
+            findings.add(message, hint="ask before the arms move, or switch it off")
         if state[confirms[-1]] and confirms[-1] > last:
             findings.add(f"{signal} is on when the operator takes the wire off")
     if value:
@@ -346,9 +357,9 @@ def _check_power_at_hands(findings: Findings, phase: JoinedPhase, signal: str) -
 
 
 def _check_power_elsewhere(findings: Findings, signal: str) -> None:
-    """Check that the power is off at the end of the job and at every other question.
+    """Report power that is on at the end of the job or at a question to the operator.
 
-    Questions that are part of mounting a bent wire are checked elsewhere.
+    `_check_power_at_hands` checks questions while a bent wire is mounted.
     """
     phases = findings.context.phases
     mounted = {number for phase in phases for number in range(phase.first, phase.last + 1)}
@@ -357,7 +368,7 @@ def _check_power_elsewhere(findings: Findings, signal: str) -> None:
         if isinstance(step, SignalStep) and step.signal.lower() == signal.lower():
             value = step.value
         if isinstance(step, MessageStep) and step.confirm and value and number not in mounted:
-            what = f"{signal} is on while the operator is asked a question"
-            findings.add_at_step(what, task, step, "switch it off first")
+            message = f"{signal} is on while the operator is asked a question"
+            findings.add_at_step(message, task, step, "switch it off first")
     if value:
         findings.add(f"{signal} is on when the programs end")

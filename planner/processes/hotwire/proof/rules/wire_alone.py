@@ -34,7 +34,11 @@ def wire_alone(context: Context) -> RuleOutcome:
 
 
 def _moves_with_power(context: Context) -> list[Issue]:
-    """Return issues on moves that are not allowed while a signal that powers a wire or spindle is on."""
+    """Return issues on moves that are not allowed while a signal that powers a wire or spindle is on.
+
+    These are moves of a single arm while a bent wire is mounted, or if the arm carries a powered tool, and
+    joint moves without a mounted wire.
+    """
     signals = {claim.signal.lower() for claim in context.contacts}
     only_edges = {
         (index, task.arm.name): any(not edge.meet for edge in find_edges(context, index, task.arm.name))

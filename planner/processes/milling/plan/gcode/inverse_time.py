@@ -1,7 +1,7 @@
 """Writer of G-code for a five-axis machine: inverse time feed (G93), tip and rotary axes in every block.
 
-X Y Z are those of the tip in the stock frame, so the machine has to control the tool centre point (on
-LinuxCNC switchable kinematics, elsewhere G43.4 or TRAORI). The program asks its operator to switch it on.
+X Y Z are those of the tip in the stock frame, so the machine has to control the tool centre point (switchable
+kinematics on LinuxCNC, elsewhere G43.4 or TRAORI). The program asks its operator to switch this control on.
 Rotary axes are counted as :mod:`planner.processes.milling.plan.gcode.state` states. Each block takes the time
 that the move takes in the plan. The machine's limits and bodies are not known here, and the program says so.
 """
@@ -23,20 +23,21 @@ from planner.targets import TargetAction, Targets
 AXIS_TOLERANCE_RAD: Final = 0.02 * DEG
 """Allowed deviation [rad] of the tool's axis from the plan between two blocks.
 
-Chosen: as the reader of such files.
+Chosen: equal to that of the reader of such files.
 """
 MAX_BISECTIONS: Final = 12
 """Maximum number of bisections of a move whose axis passes near that of a rotary axis."""
 POLE_SINE: Final = 5e-5
 """Sine of the tilt below which the tilt counts as zero.
 
-The axis that carries the tilt has any angle there, and noise of a mesh or of a plan must not rotate it.
+There the angle of the axis that carries the tilt is arbitrary, and noise of a mesh or of a plan must not
+change it.
 """
 MAX_FEED_PER_MIN: Final = 9999.0
 """Maximum feed word of a move [1/min].
 
-Controllers often have four digits for it (unverified). A move therefore takes at least 6 ms, which is longer
-than in the plan if the plan divides it finely or gives it no time.
+Controllers often have four digits for the feed word (unverified). A move therefore takes at least 6 ms, even
+if it takes less time in the plan.
 """
 
 
@@ -44,8 +45,8 @@ class UnreachedAxisError(ValueError):
     """The machine cannot point the tool in a required direction.
 
     Attributes:
-        row: Row of the path.
-        deviation: Deviation of the nearest direction [rad].
+        row: Index of the direction on the path.
+        deviation: Angle [rad] between this direction and the nearest one of the machine.
     """
 
     def __init__(self, row: int, deviation: float) -> None:
@@ -64,8 +65,8 @@ class MachinePath:
         tip: Positions of the tip (N, 3) [m].
         axis: Unit vectors from the tip to the spindle (N, 3).
         time: Times (N,) [s].
-        names: Names of the targets (N,).
-        actions: Actions at targets.
+        names: Names of the N targets.
+        actions: Actions at targets, in order.
         spindle_rpm: Spindle speed [1/min].
         signal: Output that switches the spindle.
     """
@@ -81,7 +82,7 @@ class MachinePath:
 
 
 def machine_path(operation: object, targets: Targets, values: FloatArray, time: FloatArray) -> MachinePath:
-    """Return what an operation mills as a path.
+    """Return the path of the tip in a milling operation.
 
     Args:
         operation: Operation of the problem.
@@ -90,22 +91,22 @@ def machine_path(operation: object, targets: Targets, values: FloatArray, time: 
         time: Times of the targets (N,) [s].
 
     Raises:
-        TandemError: ``problem.field`` for another process, a block that an arm holds, or cuts that are G-code
-            already.
+        TandemError: ``problem.field`` if the operation has another process, works on a block that an arm
+            holds, or has a cut from a G-code file.
     """
     if not isinstance(operation, Milling):
         named = f"'{getattr(operation, 'name', operation)}' ({getattr(operation, 'process', '?')})"
-        what = f"G-code is written for milling only, got the operation {named}; export that as .3dm"
-        raise issue_error("problem.field", what, field="output")
+        message = f"G-code is written for milling only, got the operation {named}; export that as .3dm"
+        raise issue_error("problem.field", message, field="output")
     arm = operation.arms[0]
-    if given := [cut.gcode.file.name for cut in operation.cuts if isinstance(cut, GCodeCut)]:
-        what = f"the operation '{operation.name}' cuts by {given[0]}, which is G-code; use that file"
-        raise issue_error("problem.field", what, field="output")
+    if file_names := [cut.gcode.file.name for cut in operation.cuts if isinstance(cut, GCodeCut)]:
+        message = f"the operation '{operation.name}' cuts by {file_names[0]}, which is G-code; use that file"
+        raise issue_error("problem.field", message, field="output")
     if targets.frame[arm] != "stock":
-        what = (
+        message = (
             f"the operation '{operation.name}': its targets are in the frame {targets.frame[arm]}, not stock"
         )
-        raise issue_error("problem.field", what, field="output")
+        raise issue_error("problem.field", message, field="output")
     pose = targets.poses(values)[arm]
     names = [targets.name(i) for i in range(targets.count)]
     tip, axis = pose[:, :3, 3], -pose[:, :3, 2]  # z of the tool points out of the spindle
@@ -133,11 +134,11 @@ def write_program(title: str, paths: Iterable[MachinePath], machine: Convention)
                 f"{error.deviation / DEG:.2f} deg at {path.names[error.row]}, allowed "
                 f"{AXIS_TOLERANCE_RAD / DEG:g} deg"
             )
-            what = (
+            message = (
                 f"a machine {machine.name} cannot point the tool as '{path.name}' does: deviation {deviation}"
             )
             hint = "name a machine with two rotary axes"
-            raise issue_error("problem.field", what, field="machine", hint=hint) from error
+            raise issue_error("problem.field", message, field="machine", hint=hint) from error
     head = [
         f"(job {_comment_text(title)})",
         f"(for a machine {machine.name}, rotary axes {' '.join(machine.letters)} in degrees)",
@@ -156,16 +157,17 @@ def write_program(title: str, paths: Iterable[MachinePath], machine: Convention)
 
 
 def rotary_angles(axis: FloatArray, machine: Convention) -> FloatArray:
-    """Return angles (N, 3) [rad] of A, B and C that point the tool, 0 for axes that do not exist.
+    """Return the angles (N, 3) [rad] of A, B and C that point the tool along a path of directions.
 
-    Each row is near the previous one. Of both initial tilts the one with less total rotation is used.
+    Angles are continuous from one direction to the next. Of the two solutions for the start, the one with
+    less total rotation is used. Axes that do not exist have the angle 0.
 
     Args:
-        axis: Unit vectors (N, 3).
+        axis: Unit vectors (N, 3) from the tip to the spindle.
         machine: Rotary axes of the machine.
 
     Raises:
-        UnreachedAxisError: A machine with one rotary axis cannot take a direction.
+        UnreachedAxisError: The machine has one rotary axis, which cannot take a direction.
     """
     best = min(
         (_track_angles(axis, machine, side) for side in (0, 1)),
@@ -182,23 +184,28 @@ def rotary_angles(axis: FloatArray, machine: Convention) -> FloatArray:
 
 
 def _track_angles(axis: FloatArray, machine: Convention, side: int) -> FloatArray:
-    """Return angles along a path that starts with one of the two tilts.
+    """Return angles (N, 3) [rad] along a path of directions (N, 3) that starts with one of two solutions.
 
-    While the tilt is zero, the axis that carries it rotates evenly to its next required angle. At the start
-    it stays there.
+    ``side`` (0 or 1) selects the solution for the first direction that is not at a pole. At a pole, where the
+    tilt is zero, the axis that carries the tilt rotates evenly to its next required angle. At poles at the
+    start of the path it has this angle already.
     """
     out = np.zeros((len(axis), 3))
-    free = _at_pole(axis, machine)
-    known = np.flatnonzero(~free)
+    at_pole = _at_pole(axis, machine)
+    tilted_rows = np.flatnonzero(~at_pole)
     last = np.zeros(3)
-    for row in known:
+    for row in tilted_rows:
         candidates = _nearest_solutions(axis[row], machine, last)
-        pick = min(side, len(candidates) - 1)
-        if row > known[0]:
-            pick = int(np.argmin([np.abs(candidate - last).sum() for candidate in candidates]))
-        out[row] = last = candidates[pick]
-    for row in np.flatnonzero(free):
-        last = np.array([np.interp(row, known, out[known, k]) for k in range(3)]) if len(known) else last
+        chosen = min(side, len(candidates) - 1)
+        if row > tilted_rows[0]:
+            chosen = int(np.argmin([np.abs(candidate - last).sum() for candidate in candidates]))
+        out[row] = last = candidates[chosen]
+    for row in np.flatnonzero(at_pole):
+        last = (
+            np.array([np.interp(row, tilted_rows, out[tilted_rows, k]) for k in range(3)])
+            if len(tilted_rows)
+            else last
+        )
         candidates = _nearest_solutions(axis[row], machine, last)
         out[row] = last = candidates[
             int(np.argmin([np.abs(candidate - last).sum() for candidate in candidates]))
@@ -207,13 +214,13 @@ def _track_angles(axis: FloatArray, machine: Convention, side: int) -> FloatArra
 
 
 def _nearest_solutions(vector: FloatArray, machine: Convention, last: FloatArray) -> list[FloatArray]:
-    """Return both solutions (3,) [rad], shifted by full turns to be next to the ``last`` one."""
-    both = _solutions(vector, machine, last)
-    return [solution + 2.0 * np.pi * np.round((last - solution) / (2.0 * np.pi)) for solution in both]
+    """Return the solutions (3,) [rad] for a direction, shifted by full turns to be next to ``last`` (3,)."""
+    solutions = _solutions(vector, machine, last)
+    return [solution + 2.0 * np.pi * np.round((last - solution) / (2.0 * np.pi)) for solution in solutions]
 
 
 def _at_pole(axis: FloatArray, machine: Convention) -> NDArray[np.bool_]:
-    """Return whether the tool (N,) is along the axis that carries the tilt; never for one rotary axis."""
+    """Return whether (N,) the tool is along the axis that carries the tilt; never with one rotary axis."""
     if len(machine.chain) == 1:
         return np.zeros(len(axis), dtype=np.bool_)
     about = ROTARY_NAMES.index(machine.chain[0][0])
@@ -221,9 +228,11 @@ def _at_pole(axis: FloatArray, machine: Convention) -> NDArray[np.bool_]:
 
 
 def _solutions(vector: FloatArray, machine: Convention, last: FloatArray) -> list[FloatArray]:
-    """Return angles (3,) [rad] that point along a vector: tilt next to the spindle first, then its carrier.
+    """Return all solutions for a direction, as angles (3,) [rad] of A, B and C.
 
-    At the pole of the carrier its ``last`` angle is kept.
+    First the tilt, the axis next to the spindle, follows from the direction, then the carrier, the axis that
+    carries the tilt. Two rotary axes have two solutions. At the pole of the carrier its ``last`` angle is
+    kept.
     """
     x, y, z = vector.tolist()
     letters = [letter for letter, _ in machine.chain]
@@ -237,7 +246,7 @@ def _solutions(vector: FloatArray, machine: Convention, last: FloatArray) -> lis
         horizontal = float(np.hypot(x, y))
         tilt = float(np.arctan2(horizontal if horizontal > POLE_SINE else 0.0, z))
         last_carrier = signs["C"] * float(last[2])
-        # A tilts +z towards -y, B towards +x; C then rotates the result to the required direction
+        # A tilts +z towards -y, B towards +x. C then rotates the result to the required direction.
         carrier = (
             (np.arctan2(x, -y) if letters[1] == "A" else np.arctan2(y, x))
             if horizontal > POLE_SINE
@@ -280,8 +289,8 @@ def divide_path(
         machine: Rotary axes of the machine.
 
     Returns:
-        Ends of B blocks: tips (B, 3) [m], angles (B, 3) [rad], times (B,) [s], and the targets (B,) to which
-        they belong. The first target is included.
+        Start and ends of the blocks of the program: tips (B, 3) [m], angles (B, 3) [rad], times (B,) [s], and
+        the index (B,) of the target that each block leads to. The first one is the first target.
     """
     positions = np.arange(len(path.tip), dtype=np.float64)
     block_angles = rotary_angles(path.axis, machine)
@@ -300,7 +309,7 @@ def divide_path(
 
 
 def _interpolate_axis(path: MachinePath, positions: FloatArray) -> FloatArray:
-    """Return unit vectors (B, 3) at fractional rows ``positions`` (B,), on great circles between targets."""
+    """Return unit vectors (B, 3) at fractional indices (B,) of the path, on great circles between targets."""
     last = len(path.axis) - 1
     previous = np.minimum(positions.astype(np.intp), max(last - 1, 0))
     start, end = path.axis[previous], path.axis[np.minimum(previous + 1, last)]
@@ -314,11 +323,13 @@ def _interpolate_axis(path: MachinePath, positions: FloatArray) -> FloatArray:
 
 
 def _operation_lines(path: MachinePath, machine: Convention) -> Iterator[str]:
+    """Yield the lines of one operation: questions, rapid moves to the start, then moves with actions."""
     tip, block_angles, time, target = divide_path(path, machine)
     used = [(letter, ROTARY_NAMES.index(letter)) for letter in machine.letters]
     degrees = block_angles / DEG
 
     def rotary(row: int) -> str:
+        """Return the words of the rotary axes of block ``row``."""
         return " ".join(f"{letter}{degrees[row, k]:.5f}" for letter, k in used)
 
     span = ", ".join(f"{letter} {degrees[:, k].min():.3f} to {degrees[:, k].max():.3f}" for letter, k in used)
@@ -347,6 +358,7 @@ def _operation_lines(path: MachinePath, machine: Convention) -> Iterator[str]:
 
 
 def _segment_comment(path: MachinePath, target: int, previous: int) -> Iterator[str]:
+    """Yield a comment with the segment of a target if the segment starts there."""
     segment = path.names[target].rpartition("/")[0]
     if target == previous:
         return
@@ -355,7 +367,7 @@ def _segment_comment(path: MachinePath, target: int, previous: int) -> Iterator[
 
 
 def _action_lines(action: TargetAction, path: MachinePath) -> Iterator[str]:
-    """Yield what happens at a stop, in standard G-code."""
+    """Yield the lines of an action at a target, in standard G-code."""
     if action.kind in ("on", "off") and action.signal == path.signal:
         yield f"M3 S{round(path.spindle_rpm, 3):.10g}" if action.kind == "on" else "M5"
     elif action.kind == "wait":
@@ -374,6 +386,6 @@ def _pause_lines(text: str) -> Iterator[str]:
 
 
 def _comment_text(text: str) -> str:
-    """Return text as a comment can hold it: printable ASCII without parentheses, on one line."""
-    kept = "".join(c if " " <= c <= "~" and c not in "()" else " " for c in text)
-    return " ".join(kept.split())
+    """Return text that a comment can contain: printable ASCII without parentheses, on one line."""
+    allowed = "".join(c if " " <= c <= "~" and c not in "()" else " " for c in text)
+    return " ".join(allowed.split())

@@ -1,7 +1,8 @@
 """A single line of G-code: its words, its G and M codes by modal group, and their effect.
 
-Modes come first, then dwell, motion and stop, as on controllers. Words are letters with numbers, without
-comments and white space. Codes that are not supported have a reason (`refusal_reason`).
+The effects of a line are executed in the order of controllers: first modes, then dwell, motion and stop. A
+word is a letter with a number. Comments and white space are removed. Codes that are not supported are refused
+with a reason (`refusal_reason`).
 """
 
 import dataclasses
@@ -22,16 +23,17 @@ from planner.processes.milling.plan.gcode.moves import (
 from planner.processes.milling.plan.gcode.state import INCH_M, Dialect, Modal, uses_tool
 
 Word = tuple[str, float]
+"""Letter and number of a word."""
 
 MAX_CHARACTERS: Final = 256
-"""Maximum number of characters of a line's words, as controllers allow (RS274/NGC).
+"""Maximum number of characters of a line's words, which is that of controllers (RS274/NGC).
 
-It also bounds the size of numbers.
+It also bounds the length of numbers.
 """
 COMMENT_PATTERN: Final = re.compile(r"\([^()]*\)|;.*")
 """Comments: in parentheses, or from a semicolon to the end of the line."""
 WORD_PATTERN: Final = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
-"""A letter and its number."""
+"""Pattern of a word: a letter and its number."""
 
 
 class LineError(ValueError):
@@ -43,7 +45,7 @@ class LineError(ValueError):
 
 
 def strip_line(line: str) -> str:
-    """Return the line in capitals without comments and white space, which have no meaning in a line.
+    """Return a line in capitals, without comments and white space, which have no meaning.
 
     Raises:
         LineError: A comment is not closed.
@@ -56,7 +58,7 @@ def strip_line(line: str) -> str:
 
 
 def parse_words(text: str) -> list[Word]:
-    """Return the words of a bare line in order, with their numbers as written.
+    """Return the words of a line that :func:`strip_line` returned, in order, with their numbers.
 
     Raises:
         LineError: The text is not a list of words, or too long.
@@ -77,23 +79,24 @@ def code_name(letter: str, value: float) -> str:
 
 
 def _syntax_error(text: str) -> LineError:
+    """Return the error about the first text of a line that is not a word."""
     position = 0
     while (match := WORD_PATTERN.match(text, position)) is not None:
         position = match.end()
     rest = text[position : position + 12]
     if rest[0] in "#[]=*<" or (len(rest) > 1 and rest[1] in "#["):
-        what = "parameters and expressions are not computed; let the CAM system write plain numbers"
-        return LineError(rest[0], f"got {rest!r}: {what}")
+        reason = "parameters and expressions are not computed; let the CAM system write plain numbers"
+        return LineError(rest[0], f"got {rest!r}: {reason}")
     if rest[0].isalpha() and rest[0].isascii():
-        what = "the word has no number, or one that is not written as 12, 12., .5 or -1.5; correct it"
-        return LineError(rest[0], f"got {rest!r}: {what}")
+        reason = "the word has no number, or one that is not written as 12, 12., .5 or -1.5; correct it"
+        return LineError(rest[0], f"got {rest!r}: {reason}")
     return LineError("", f"got {rest!r}, which is not a G-code word (a letter and a number); correct it")
 
 
 MOTION_CODES: Final = {"G0": 0, "G1": 1, "G2": 2, "G3": 3}
 """Motion modes: rapid, straight, arc clockwise, arc counterclockwise."""
 PLANE_CODES: Final = {"G17": 2, "G18": 1, "G19": 0}
-"""Planes by their normals: xy, zx, yz."""
+"""Index of the normal of each plane: G17 is xy, G18 zx, G19 yz."""
 
 MODAL_GROUPS: Final[dict[str, str]] = {
     **dict.fromkeys(MOTION_CODES, "motion"),
@@ -119,6 +122,7 @@ CODES_WITH_AXES: Final = frozenset({"G10", "G28", "G30", "G52", "G53", "G92"})
 ARGUMENT_LETTERS: Final = "DEHLPQ"
 """Words that belong to codes. They are skipped with a code that is not executed."""
 
+# Reasons why codes of each kind are refused, with the remedy.
 _CYCLE_REASON = "canned cycles are not supported; let the CAM system write them as moves"
 _OFFSET_REASON = "positions of the file are stated in the problem (origin, offsets); remove it"
 _HOME_REASON = "the robot moves home on its own safe path; remove the line, or name the code in skip"
@@ -129,7 +133,6 @@ _PATH_MODE_REASON = "the accuracy of corners follows from the problem's toleranc
 _COOLANT_REASON = "there is no signal for coolant; name it in skip and switch coolant by hand"
 _SPLINE_REASON = "only straight moves and arcs are read; let the CAM system write these"
 _SUBPROGRAM_REASON = "subprograms and variables are not read; let the CAM system write one plain program"
-"""Why codes of each kind are refused, and what to do."""
 
 REFUSALS: Final[dict[str, str]] = {
     **{f"G{n}": _CYCLE_REASON for n in (73, 74, 76, 81, 82, 83, 84, 85, 86, 87, 88, 89)},
@@ -143,18 +146,18 @@ REFUSALS: Final[dict[str, str]] = {
     "G70": "inches are G20; write that",
     "G71": "millimetres are G21; write that",
 }
-"""Why each of these codes is refused, and what to do."""
+"""Reason why each of these codes is refused, with the remedy."""
 
 
 def refusal_reason(name: str) -> str:
-    """Return why a code is not executed, and what to do."""
+    """Return the reason why a code is not executed, with the remedy."""
     return REFUSALS.get(name, "this code is not known; remove it, or name it in skip if it may be ignored")
 
 
 SECONDS_PER_MINUTE: Final = 60.0
-"""Feeds are stated per minute."""
+"""Number of seconds in a minute, because feeds are stated per minute."""
 RADIANS_PER_REVOLUTION: Final = 2.0 * math.pi
-"""Spindle speeds are stated in revolutions per minute."""
+"""Angle [rad] of a revolution, because spindle speeds are stated in revolutions per minute."""
 
 
 def execute(
@@ -180,7 +183,7 @@ def execute(
         stripped = stripped[1:]
     try:
         content = strip_line(stripped)
-        if content == "%":
+        if content == "%":  # the first % starts the program, the second one ends it
             is_over = modal.started or modal.marks > 0
             return dataclasses.replace(modal, marks=modal.marks + 1, ended=is_over)
         if not content or (content[0] == "O" and content[1:].isdigit()):
@@ -199,6 +202,7 @@ def execute(
 def _execute_words(
     line_words: list[Word], line: int, modal: Modal, dialect: Dialect, faults: LineFaults, out: MoveRecorder
 ) -> Modal:
+    """Execute the words of a line in the order of controllers, and return the state after them."""
     names, values = _split_words(line_words, line, dialect, faults)
     step = LineStep(values, line, dialect, faults, out)
     modal = _updated(modal, _mode_changes(names, modal, step))
@@ -228,9 +232,13 @@ def _updated(modal: Modal, change: dict[str, Any]) -> Modal:
 def _split_words(
     line_words: list[Word], line: int, dialect: Dialect, faults: LineFaults
 ) -> tuple[tuple[str, ...], dict[str, float]]:
-    """Return the names of the line's codes that are executed, and the values of its other words."""
+    """Return the names of the line's codes that are executed, and the values of its other words.
+
+    Words that belong to a code that is not executed are left out. Faults are recorded.
+    """
     names: dict[str, str] = {}
     values: dict[str, float] = {}
+    # Whether a code is not executed, and whether it takes the axis words of the line with it.
     refused = dropped = False
     for letter, value in line_words:
         if letter in "GM":
@@ -253,8 +261,10 @@ def _split_words(
             faults.add("gcode.syntax", letter, line, message)
         else:
             values[letter] = value
-    out = (AXIS_LETTERS + ROTARY_LETTERS if dropped else "") + (ARGUMENT_LETTERS if refused else "")
-    values = {letter: value for letter, value in values.items() if letter not in out} if out else values
+    left_out = (AXIS_LETTERS + ROTARY_LETTERS if dropped else "") + (ARGUMENT_LETTERS if refused else "")
+    values = (
+        {letter: value for letter, value in values.items() if letter not in left_out} if left_out else values
+    )
     return tuple(names.values()), values
 
 
@@ -283,15 +293,17 @@ def _mode_changes(names: tuple[str, ...], modal: Modal, step: LineStep) -> dict[
 
 
 def _find_offset(name: str, modal: Modal, step: LineStep) -> Any:
-    known = step.dialect.offsets.get(int(name[1:]))
-    if known is None:
+    """Return the offset (3,) [m] of a code such as G54, the active one if the problem does not state it."""
+    offset = step.dialect.offsets.get(int(name[1:]))
+    if offset is None:
         message = f"{name}: the problem does not state this offset; add it to offsets, or remove the code"
         step.fault("gcode.offset", name, message)
         return modal.offset
-    return known
+    return offset
 
 
 def _number_changes(modal: Modal, step: LineStep) -> dict[str, Any]:
+    """Return the changes of the state by the words F, S and T of a line."""
     change: dict[str, Any] = {}
     feed, speed, tool = (step.values.get(word) for word in "FST")
     if feed is not None and feed <= 0.0:
@@ -324,6 +336,7 @@ def _number_changes(modal: Modal, step: LineStep) -> dict[str, Any]:
 
 
 def _change_tool(names: tuple[str, ...], modal: Modal, step: LineStep) -> Modal:
+    """Return the state after M6, if the line has it. The spindle then runs as the problem states."""
     if "M6" not in names:
         return modal
     if modal.chosen is None:
@@ -341,7 +354,7 @@ def _change_tool(names: tuple[str, ...], modal: Modal, step: LineStep) -> Modal:
 
 
 def _spindle_change(names: tuple[str, ...], modal: Modal, step: LineStep) -> dict[str, Any]:
-    """Return the spindle's speed after the line. A new S applies immediately while it runs."""
+    """Return the change of the spindle's speed by a line. While it runs, a new S applies immediately."""
     direction = math.copysign(1.0, modal.spindle) if modal.spindle else 0.0
     if "M5" in names:
         return {"spindle": 0.0}
@@ -355,6 +368,7 @@ def _spindle_change(names: tuple[str, ...], modal: Modal, step: LineStep) -> dic
 
 
 def _add_dwell(modal: Modal, step: LineStep) -> None:
+    """Record the dwell of a G4, or its fault."""
     wait, unit = step.values.get("P"), step.dialect.dwell
     if wait is None or wait < 0.0:
         step.fault("gcode.mode", "G4", "G4 needs a P of 0 or above; add it")
@@ -369,12 +383,12 @@ def _add_dwell(modal: Modal, step: LineStep) -> None:
 
 
 def _check_stray_words(names: tuple[str, ...], modal: Modal, step: LineStep, moving: bool) -> None:
-    """Report words that have no meaning on their line."""
-    arc = modal.motion in (2, 3)
+    """Report words that have no meaning on their line. ``moving``: whether the line has words of a move."""
+    is_arc = modal.motion in (2, 3)
     allowed = set(AXIS_LETTERS + ROTARY_LETTERS + CENTRE_LETTERS + "FNST") | (
         {"P"} if "G4" in names else set()
     )
-    allowed |= {"R"} if arc else set()
+    allowed |= {"R"} if is_arc else set()
     allowed |= {"H", "D"} if any(MODAL_GROUPS[name] == "length" for name in names) else set()
     for letter in sorted(step.values.keys() - allowed):
         message = f"{letter} has no meaning here; remove it, or correct the codes of its line"

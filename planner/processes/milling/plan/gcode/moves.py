@@ -1,7 +1,8 @@
 """Moves of G-code lines: straight moves, and arcs in the three planes, collected as arrays.
 
-Arcs are given by centre or by radius, and become points within a chord error. Arrays (`MoveRows`) are in the
-file's own words. Faults are collected line by line: repetitions are counted, and the first lines are kept.
+Arcs are given by centre or by radius, and become points within a chord error. Arrays (`MoveRows`) have
+positions and angles in the file's frame. Faults are collected line by line: of repeated faults, the first
+lines are kept and all are counted.
 """
 
 import dataclasses
@@ -29,18 +30,20 @@ from planner.processes.milling.plan.tool_path import ARC, CUT
 from planner.processes.milling.plan.tool_path import RAPID as RAPID_MOVE
 
 EventKind = Literal["pause", "dwell"]
+"""Kind of an event: a pause, which the operator ends, or a dwell of a stated time."""
 
 RAPID_ROW, CUT_ROW, ARC_ROW = 0, 1, 2
+"""Numbers of the kinds of moves in arrays."""
 ROW_KINDS = (RAPID_MOVE, CUT, ARC)
-"""Kinds of moves by their numbers in arrays."""
+"""Kinds of moves, indexed by these numbers."""
 
 
 @dataclasses.dataclass(frozen=True)
 class GCodeEvent:
-    """Something between two moves.
+    """A pause or dwell between two moves.
 
     Attributes:
-        row: Number of rows before it.
+        row: Number of moves before it.
         kind: ``pause``, which the operator ends (M0, M1), or ``dwell`` (G4).
         line: Line of the file, from 1.
         seconds: Duration of a dwell [s].
@@ -54,7 +57,7 @@ class GCodeEvent:
 
 @dataclasses.dataclass(frozen=True)
 class MoveRows:
-    """N moves.
+    """N moves as arrays.
 
     Attributes:
         position: Positions at their ends (N, 3) [m] in the file's frame.
@@ -76,7 +79,7 @@ class MoveRows:
 
 
 class MoveRecorder:
-    """Collects rows and events of a block, from single moves and from whole stretches."""
+    """Collects the moves and events of a block of lines, from single moves and from whole stretches."""
 
     def __init__(self) -> None:
         self.events: list[GCodeEvent] = []
@@ -107,15 +110,17 @@ class MoveRecorder:
         self._count += len(rows.line)
 
     def event(self, kind: EventKind, line: int, seconds: float = 0.0) -> None:
-        """Add something that happens after the moves so far."""
+        """Add an event that happens after the moves so far."""
         self.events.append(GCodeEvent(len(self), kind, line, seconds))
 
     def rows(self) -> MoveRows:
         """Return all moves so far, in order."""
         self._flush()
         if not self._batches:
-            empty, whole = np.zeros(0), np.zeros(0, dtype=np.int64)
-            return MoveRows(np.zeros((0, 3)), np.zeros((0, 3)), empty, whole, empty, whole, whole)
+            no_values, no_numbers = np.zeros(0), np.zeros(0, dtype=np.int64)
+            return MoveRows(
+                np.zeros((0, 3)), np.zeros((0, 3)), no_values, no_numbers, no_values, no_numbers, no_numbers
+            )
         return MoveRows(
             **{
                 field.name: np.concatenate([getattr(rows, field.name) for rows in self._batches])
@@ -124,6 +129,7 @@ class MoveRecorder:
         )
 
     def _flush(self) -> None:
+        """Convert the single moves that were added to arrays."""
         if self._pending:
             table = np.array(self._pending, dtype=np.float64)
             kind, tool, line = (table[:, i].astype(np.int64) for i in (7, 9, 10))
@@ -138,7 +144,7 @@ MAX_LINES_NAMED: Final = 3
 MAX_FAULTS: Final = 50
 """Maximum number of different faults of one file that are reported.
 
-A file that is not G-code has one on each line.
+A file that is not G-code may have a different fault on each line.
 """
 
 
@@ -179,11 +185,11 @@ class LineFaults:
             count: Number of lines that have it.
             severity: Severity of the issue.
         """
-        known = self._faults.get((code, word))
-        if known is not None:
-            known.count += count
-            if len(known.lines) < MAX_LINES_NAMED:
-                known.lines.append(line)
+        earlier_fault = self._faults.get((code, word))
+        if earlier_fault is not None:
+            earlier_fault.count += count
+            if len(earlier_fault.lines) < MAX_LINES_NAMED:
+                earlier_fault.lines.append(line)
         elif len(self._faults) < MAX_FAULTS:
             self._faults[code, word] = _LineFault(message, severity, [line], count)
         else:
@@ -198,16 +204,17 @@ class LineFaults:
         """Return all faults in the order of the file, each with its first line."""
         out = [self._issue(*key, fault) for key, fault in self._faults.items()]
         if self.omitted:
-            what = f"{self.omitted} more faults of other kinds are not listed; correct these first"
-            out.append(Issue("gcode.syntax", what, file=str(self.file)))
+            message = f"{self.omitted} more faults of other kinds are not listed; correct these first"
+            out.append(Issue("gcode.syntax", message, file=str(self.file)))
         return tuple(out)
 
     def _issue(self, code: str, word: str, fault: _LineFault) -> Issue:
+        """Return a fault as an issue, with its first lines and the number of others."""
         message = fault.message
         if fault.count > 1:
-            more = fault.count - len(fault.lines)
+            other_count = fault.count - len(fault.lines)
             shown = ", ".join(str(line) for line in fault.lines)
-            message += f" [lines {shown}{f' and {more} more' if more else ''}]"
+            message += f" [lines {shown}{f' and {other_count} more' if other_count else ''}]"
         return Issue(
             code,
             message,
@@ -220,16 +227,18 @@ class LineFaults:
 
 
 Point = Sequence[float]
+"""Coordinates x, y, z [m] of a point."""
 
 RADIUS_TOLERANCE_M: Final = 2e-5
 """Allowed difference of the radii at both ends of an arc [m]."""
 RADIUS_TOLERANCE_FRACTION: Final = 1e-3
-"""Allowed difference of the radii as a fraction of the radius, if that is more.
+"""Allowed difference of the radii as a fraction of the radius, if that is more than
+:data:`RADIUS_TOLERANCE_M`.
 
 Files are rounded to 1 um or 0.0001 inch. A wrong centre differs by millimetres.
 """
 POINT_TOLERANCE_M: Final = 1e-9
-"""Positions closer than this [m] are one."""
+"""Distance [m] up to which positions count as equal."""
 MAX_ARC_PIECE_RAD: Final = math.radians(30.0)
 """Maximum angle of a piece of an arc [rad]."""
 
@@ -262,15 +271,16 @@ def arc_centre(start: Point, end: Point, radius: float, normal: int, clockwise: 
             f"R is {size * 1e3:.4f} mm, but the ends are {chord * 1e3:.4f} mm apart, allowed is twice R; "
             f"correct the end, or give an R of {math.ceil(0.5e7 * chord) / 1e4:.4f} mm or more"
         )
+    # The centre is at this height above the chord, on the left of it for positive ``side``.
     height = math.sqrt(max(size * size - 0.25 * chord * chord, 0.0))
     side = height if (radius > 0.0) != clockwise else -height
     return (0.5 * (start[a] + end[a]) - side * up / chord, 0.5 * (start[b] + end[b]) + side * across / chord)
 
 
 def arc_sweep(start: Point, end: Point, centre: tuple[float, float], normal: int, clockwise: bool) -> float:
-    """Return the angle [rad] from start to end, positive counterclockwise seen from +``normal``.
+    """Return the angle [rad] of an arc from start to end, positive counterclockwise seen from +``normal``.
 
-    It is a full revolution if both coincide.
+    It is a full revolution if start and end coincide.
 
     Args:
         start: Start of the arc [m].
@@ -303,7 +313,10 @@ def arc_sweep(start: Point, end: Point, centre: tuple[float, float], normal: int
 
 
 def _centre_hint(start: Point, end: Point, centre: tuple[float, float], a: int, b: int) -> str:
-    """Return the nearest centre at equal distance from both ends, as words of an incremental centre."""
+    """Return a text with the nearest centre at equal distance from both ends, as incremental words I J K.
+
+    ``a`` and ``b`` are the indices of the axes of the plane. The text is "" if start and end coincide.
+    """
     chord = end[a] - start[a], end[b] - start[b]
     square = chord[0] ** 2 + chord[1] ** 2
     if square <= POINT_TOLERANCE_M**2:
@@ -335,8 +348,8 @@ def arc_points(
     first = math.hypot(start[a] - centre[0], start[b] - centre[1])
     last = math.hypot(end[a] - centre[0], end[b] - centre[1])
     size = max(first, last)
-    widest = 2.0 * math.acos(max(1.0 - chord / size, math.cos(0.5 * MAX_ARC_PIECE_RAD)))
-    count = max(math.ceil(abs(sweep) / widest - 1e-9), 1)
+    max_piece = 2.0 * math.acos(max(1.0 - chord / size, math.cos(0.5 * MAX_ARC_PIECE_RAD)))
+    count = max(math.ceil(abs(sweep) / max_piece - 1e-9), 1)
     fraction = np.arange(1, count + 1) / count
     angle = math.atan2(start[b] - centre[1], start[a] - centre[0]) + fraction * sweep
     radius = first + fraction * (last - first)
@@ -367,10 +380,10 @@ PLANE_NAMES: Final = {2: "xy (G17)", 1: "zx (G18)", 0: "yz (G19)"}
 
 @dataclasses.dataclass(frozen=True)
 class LineStep:
-    """A line whose modes are set and whose motion is to be executed.
+    """A line while it is executed.
 
     Attributes:
-        values: Values of its words.
+        values: Values of its words by their letters, without codes.
         line: Number of the line, from 1.
         dialect: What the problem states about the file.
         faults: Collects faults.
@@ -389,9 +402,9 @@ class LineStep:
 
 
 def execute_move(modal: Modal, step: LineStep) -> Modal:
-    """Execute the move of a line, add its rows, and return the state after it.
+    """Execute the move of a line, record it, and return the state after it.
 
-    After a fault the state is as if the line had none.
+    Values that are missing are reported and replaced by usual ones, so that the next lines can be read.
 
     Args:
         modal: State before the move.
@@ -445,6 +458,7 @@ def execute_move(modal: Modal, step: LineStep) -> Modal:
 
 
 def _target_position(modal: Modal, step: LineStep) -> Triple:
+    """Return the position [m] at the end of a line's move. Axes without a word keep their coordinate."""
     unit = modal.unit or 1e-3
     out = []
     for axis, old, shift in zip(AXIS_LETTERS, modal.position, modal.offset, strict=True):
@@ -463,7 +477,7 @@ def _target_position(modal: Modal, step: LineStep) -> Triple:
 
 
 def _target_rotation(modal: Modal, step: LineStep, motion: int) -> Triple:
-    """Return the new I J K or angles.
+    """Return I J K, or the angles of A B C [rad], at the end of a line's move.
 
     I J K of a straight move is the tool axis, that of an arc its centre.
     """
@@ -491,6 +505,7 @@ def _target_rotation(modal: Modal, step: LineStep, motion: int) -> Triple:
 
 
 def _rotary_reason(word: str, dialect: Dialect) -> str:
+    """Return the message about a rotary word that the stated machine does not have."""
     letters = "" if dialect.convention is None else dialect.convention.letters
     suitable = " or ".join(
         name for name, convention in KINEMATICS.items() if {word, *letters} <= {*convention.letters}
@@ -509,6 +524,7 @@ def _rotary_reason(word: str, dialect: Dialect) -> str:
 
 
 def _check_cut(modal: Modal, step: LineStep) -> bool:
+    """Report faults of a cut before its move, and return whether its start is known."""
     if modal.spindle == 0.0:
         message = "a cut while the spindle is stopped; write M3 or M4 with S before, or state spindle_rpm"
         step.fault("gcode.spindle", "cut", message)
@@ -523,7 +539,7 @@ def _check_cut(modal: Modal, step: LineStep) -> bool:
 
 
 def _cut_feed(modal: Modal, step: LineStep, length: float) -> float:
-    """Return the speed [m/s] of a cut of ``arc_length`` [m]."""
+    """Return the speed [m/s] of a cut over ``length`` [m], infinite after a fault."""
     no_feed = math.inf
     if modal.feed_mode == "inverse_time":
         if "F" not in step.values:
@@ -546,6 +562,7 @@ def _cut_feed(modal: Modal, step: LineStep, length: float) -> float:
 
 
 def _add_arc(modal: Modal, after: Modal, step: LineStep, clockwise: bool) -> None:
+    """Record an arc from the position of state ``modal`` to that of state ``after`` as straight pieces."""
     normal = modal.plane
     if normal is None:
         message = (
@@ -576,7 +593,7 @@ def _add_arc(modal: Modal, after: Modal, step: LineStep, clockwise: bool) -> Non
 def _find_centre(
     modal: Modal, step: LineStep, normal: int, end: Triple, clockwise: bool
 ) -> tuple[float, float]:
-    """Return the centre [m] in the plane.
+    """Return the two coordinates [m] in the plane of the centre of an arc, from I J K or R.
 
     Raises:
         ArcError: The centre is missing or contradictory.
@@ -597,8 +614,8 @@ def _find_centre(
     if not given_axes:
         raise ArcError("an arc without a centre; give I J K or R")
     if modal.absolute_centre and len(given_axes) < 2:
-        both = " and ".join(CENTRE_LETTERS[i] for i in sorted(plane))
-        raise ArcError(f"an absolute centre (G90.1) needs both {both}; add the one that is missing")
+        axis_names = " and ".join(CENTRE_LETTERS[i] for i in sorted(plane))
+        raise ArcError(f"an absolute centre (G90.1) needs both {axis_names}; add the one that is missing")
     base = modal.offset if modal.absolute_centre else modal.position
     first, second = (base[i] + values.get(CENTRE_LETTERS[i], 0.0) * unit for i in plane)
     return first, second

@@ -1,12 +1,12 @@
 """Reader of G-code: a file, block by block in bounded memory, as the path of a cutter in the stock frame.
 
-**Regular lines** are long stretches of straight moves with words in the usual order. They are read at once. A
+**Regular lines** are straight moves with words in the usual order. Long stretches of them are read at once. A
 line is regular if it has, each at most once and in this order, N, G0 or G1, X Y Z, the words that rotate the
-tool, and F. `planner.processes.milling.plan.gcode.lines` reads all other lines one by one, and gives the same
-result for regular lines.
+tool, and F. `planner.processes.milling.plan.gcode.lines` reads all other lines one by one. For regular lines
+it has the same result.
 
-**Conversion** (`convert_moves`) turns moves in a file's own words into the path of a cutter: axes from I J K
-or angles, in the stock frame.
+**Conversion** (`convert_moves`) converts moves in a file's own frame and words to the path of a cutter in the
+stock frame, with tool axes from I J K or from angles.
 """
 
 import dataclasses
@@ -44,9 +44,10 @@ from planner.processes.milling.plan.gcode.state import (
 from planner.processes.milling.plan.tool_path import ToolPath, join_paths
 
 BytesArray = NDArray[np.bytes_]
+"""Array of byte strings."""
 
 MIN_STRETCH_LINES: Final = 8
-"""Number of lines of a stretch below which arrays are slower than single lines."""
+"""Number of lines of a stretch below which reading it at once is slower than reading single lines."""
 NUMBER_PATTERN: Final = rb"([-+]?(?:\d++\.?+\d*+|\.\d++))"
 """A number without an exponent, as bytes. The quantifiers are possessive, so that nothing is tried twice."""
 
@@ -56,9 +57,9 @@ class LinePattern:
     """Pattern of regular lines.
 
     Attributes:
-        letters: Letters of its words.
-        line: One line, with a group for each letter.
-        stretch: Any number of lines.
+        letters: Letters of the words of a line, in order.
+        line: Pattern of one line, with a group for the number of each letter.
+        stretch: Pattern of one or more lines.
     """
 
     letters: str
@@ -75,19 +76,22 @@ def line_pattern(rotation_words: str) -> LinePattern:
     letters = "G" + "XYZ" + rotation_words + "F"
     numbers = {letter: rb"0?([01])" if letter == "G" else NUMBER_PATTERN for letter in letters}
     gap = rb"[ \t]*+"
-    inside = b"".join(
+    words = b"".join(
         rb"(?:[%c%c]%b%b)?+" % (ord(letter), ord(letter.lower()), number, gap)
         for letter, number in numbers.items()
     )
-    line = gap + rb"(?:[Nn]\d++" + gap + rb")?+" + inside + rb"\r?+\n"
-    whole = re.compile(
+    line = gap + rb"(?:[Nn]\d++" + gap + rb")?+" + words + rb"\r?+\n"
+    stretch = re.compile(
         rb"(?:" + line.replace(NUMBER_PATTERN, NUMBER_PATTERN.replace(rb"([-", rb"(?:[-")) + rb")++"
     )
-    return LinePattern(letters, re.compile(line), whole)
+    return LinePattern(letters, re.compile(line), stretch)
 
 
 def allows_regular(modal: Modal, dialect: Dialect) -> bool:
-    """Return whether regular lines mean straight moves to absolute positions at feeds per minute."""
+    """Return whether regular lines may be read at once in a state.
+
+    They are then straight moves from a known position to absolute positions, at feeds per minute.
+    """
     return (
         modal.unit is not None
         and modal.absolute is True
@@ -184,12 +188,16 @@ def read_regular(
 def _held_values(
     column: BytesArray, given: BoolArray, scale: float, shift: float, initial: float
 ) -> FloatArray:
-    """Return the values (N,) of a word, each held until the next; ``initial`` holds until the first one."""
-    last = np.maximum.accumulate(np.where(given, np.arange(len(column)), -1))
+    """Return the value (N,) of a word on each line. A value holds until the next line with the word.
+
+    ``column`` (N,) has the numbers as written, ``given`` (N,) tells which lines have the word. A value is its
+    number times ``scale`` plus ``shift``. Before the first one ``initial`` holds.
+    """
+    last_given = np.maximum.accumulate(np.where(given, np.arange(len(column)), -1))
     values = np.full(len(column), initial)
     if given.any():
         values[given] = column[given].astype(np.float64) * scale + shift
-        values = np.where(last >= 0, values[last], initial)
+        values = np.where(last_given >= 0, values[last_given], initial)
     return values
 
 
@@ -213,17 +221,17 @@ class RegularFeeds:
 
 
 def _check_regular(feeds: RegularFeeds, modal: Modal, faults: LineFaults) -> None:
-    """Add the faults that regular lines can have, with the same messages as single lines."""
+    """Record the faults that regular lines can have, with the same messages as for single lines."""
     cutting, numbers = feeds.is_cutting, feeds.line
-    low = feeds.is_given & (feeds.feed <= 0.0)
-    if low.any():
-        first = int(np.argmax(low))
+    not_positive = feeds.is_given & (feeds.feed <= 0.0)
+    if not_positive.any():
+        first = int(np.argmax(not_positive))
         message = f"feed must be positive, got F{float(feeds.word[first]):g}; correct it"
-        faults.add("gcode.feed", "F", int(numbers[first]), message, int(low.sum()))
-    unfed = cutting & np.isnan(feeds.feed)
-    if unfed.any():
+        faults.add("gcode.feed", "F", int(numbers[first]), message, int(not_positive.sum()))
+    without_feed = cutting & np.isnan(feeds.feed)
+    if without_feed.any():
         message = "a cut without a feed; write F before, or state feed_mm_min"
-        faults.add("gcode.feed", "F", int(numbers[np.argmax(unfed)]), message, int(unfed.sum()))
+        faults.add("gcode.feed", "F", int(numbers[np.argmax(without_feed)]), message, int(without_feed.sum()))
     if modal.spindle == 0.0 and cutting.any():
         message = "a cut while the spindle is stopped; write M3 or M4 with S before, or state spindle_rpm"
         first = int(numbers[np.argmax(cutting)])
@@ -237,14 +245,16 @@ def _triple(row: FloatArray) -> Triple:
 MAX_COORDINATE_M: Final = 100.0
 """Maximum absolute coordinate [m]. Larger values indicate a wrong unit."""
 AXIS_LENGTH_TOLERANCE: Final = 0.01
-"""Allowed deviation of the length of I J K from 1. Three decimals are within it, an arc's centre is not."""
+"""Allowed deviation of the length of I J K from 1. An axis with three decimals is within it, an arc's centre
+is not.
+"""
 AMBIGUOUS_ROTATION_COSINE: Final = np.cos(np.deg2rad(179.0))
 """Cosine of the rotation of a tool axis in one move (179 degrees) beyond which its direction is ambiguous."""
 
 
 @dataclasses.dataclass(frozen=True)
 class LastMove:
-    """The last move before a block, in file words.
+    """End of the last move before a block, in the file's own frame and words.
 
     Attributes:
         position: Position (3,) [m].
@@ -305,10 +315,10 @@ def convert_moves(
 
 
 def _divide_rotations(rows: MoveRows, last: LastMove | None, dialect: Dialect) -> tuple[MoveRows, IntArray]:
-    """Divide moves so that evenly changing angles and an evenly rotating tool axis agree.
+    """Divide moves so finely that evenly changing angles agree with an evenly rotating tool axis.
 
     Returns:
-        The divided moves, and the number of pieces up to the end of each original move (N,).
+        The divided moves, and the number (N,) of pieces up to the end of each original move.
     """
     count = len(rows.line)
     if dialect.convention is None:
@@ -353,6 +363,7 @@ def _tool_axes(rows: MoveRows, dialect: Dialect, faults: LineFaults) -> FloatArr
 
 
 def _stock_path(rows: MoveRows, axis: FloatArray, dialect: Dialect) -> ToolPath:
+    """Return moves with tool axes (N, 3) in the file's frame as a path in the stock frame."""
     rotation, origin = dialect.frame[:3, :3], dialect.frame[:3, 3]
     kind = tuple(np.array(ROW_KINDS, dtype=object)[rows.kind].tolist())
     tip, along = rows.position @ rotation.T + origin, axis @ rotation.T
@@ -362,6 +373,7 @@ def _stock_path(rows: MoveRows, axis: FloatArray, dialect: Dialect) -> ToolPath:
 def _add_faults(
     wrong: BoolArray, rows: MoveRows, faults: LineFaults, code: str, word: str, message: str
 ) -> None:
+    """Record one fault for all lines with a wrong move; ``wrong`` has a flag (N,) for each move."""
     if wrong.any():
         lines = np.unique(rows.line[wrong])
         faults.add(code, word, int(lines[0]), message, len(lines))
@@ -431,10 +443,10 @@ def read_blocks(dialect: Dialect, faults: LineFaults | None = None) -> Iterator[
         modal, line = _execute_chunk(chunk, line, modal, dialect, collected, out)
         tools.add(modal.tool)
         if len(out) or out.events:
-            settled: BlockPath = convert_moves(out, last, dialect, collected)
-            last = settled.last
-            rows += len(settled.path)
-            yield GCodeBlock(settled.path, settled.events)
+            converted: BlockPath = convert_moves(out, last, dialect, collected)
+            last = converted.last
+            rows += len(converted.path)
+            yield GCodeBlock(converted.path, converted.events)
     if rows == 0 and not collected.errors:
         collected.add("gcode.empty", "", line - 1, _no_moves_reason(dialect, tools))
     if collected.errors:
@@ -442,6 +454,7 @@ def read_blocks(dialect: Dialect, faults: LineFaults | None = None) -> Iterator[
 
 
 def _no_moves_reason(dialect: Dialect, tools: set[int]) -> str:
+    """Return the message about a file without moves. ``tools`` are those that were in the spindle."""
     if dialect.tool is None:
         return "the file has no moves; give the G-code of the job"
     others = ", ".join(str(tool) for tool in sorted(tools - {0})) or "none"
@@ -475,10 +488,11 @@ def _execute_chunk(
 
 
 def _read_chunks(dialect: Dialect) -> Iterator[bytes]:
+    """Yield the file in chunks of whole lines, which end with a line feed only."""
     path = dialect.file
     if not is_file(path):
-        what = f"{path}: no such G-code file; check the path, which starts at the problem file's folder"
-        raise issue_error("problem.missing_file", what, file=str(path), field=f"{dialect.field}.file")
+        message = f"{path}: no such G-code file; check the path, which starts at the problem file's folder"
+        raise issue_error("problem.missing_file", message, file=str(path), field=f"{dialect.field}.file")
     line = 1
     try:
         with path.open("rb") as stream:
@@ -508,11 +522,12 @@ def _normalise_newlines(text: bytes) -> bytes:
 
 
 def _check_text(chunk: bytes, path: object) -> bytes:
+    """Return a chunk of the file, after checking that it is text of one byte per character."""
     if b"\0" in chunk or chunk[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise _unreadable(path, "it has bytes that do not occur in text, as in UTF-16 or a binary file")
     return chunk
 
 
 def _unreadable(path: object, reason: str, line: int | None = None) -> TandemError:
-    what = f"{path}: cannot be read as G-code: {reason}; save it as plain text"
-    return issue_error("gcode.syntax", what, file=str(path), line=line)
+    message = f"{path}: cannot be read as G-code: {reason}; save it as plain text"
+    return issue_error("gcode.syntax", message, file=str(path), line=line)

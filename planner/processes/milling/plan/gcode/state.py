@@ -1,6 +1,6 @@
-"""State of a G-code controller: modes, rotary axes, and what the problem states in addition to the file.
+"""State of a G-code controller: modes, rotary axes, and statements of the problem in addition to the file.
 
-`Modal` is what a controller keeps from line to line, `Dialect` what the problem states.
+`Modal` is the state that a controller keeps from line to line. `Dialect` has the statements of the problem.
 
 **Rotary axes** (`Convention`): how their angles rotate the tool relative to the part. Each convention states
 which axes carry the tool and which carry the part, from the machine's frame outwards. Angles are positive by
@@ -20,6 +20,7 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray, IntArray
 
+# Names of the conventions of rotary axes, which are explained at KINEMATICS.
 ConventionName = Literal[
     "head_a",
     "head_b",
@@ -36,7 +37,7 @@ ConventionName = Literal[
 ]
 
 ROTARY_NAMES: Final = "ABC"
-"""Rotary axes about x, y and z."""
+"""Letters of the rotary axes about x, y and z."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,10 +110,11 @@ def find_convention(name: str, reverse: str) -> Convention:
 
 
 def piece_counts(rotations: FloatArray, tolerance: float) -> IntArray:
-    """Return into how many equal pieces (N,) moves are divided so that the axis stays near the great circle.
+    """Return the number (N,) of equal pieces into which moves are divided.
 
-    The axis moves on the unit sphere with an acceleration of at most s^2, where s is the sum of the angles'
-    speeds. Over a piece of duration t it therefore deviates from its chord by at most (s t)^2 / 8.
+    In each piece the axis must stay near the great circle between its ends. The axis moves on the unit sphere
+    with an acceleration of at most s^2, where s is the sum of the angles' speeds. Over a piece of duration t
+    it therefore deviates from its chord by at most (s t)^2 / 8.
 
     Args:
         rotations: Changes of the angles (N, 3) [rad].
@@ -124,7 +126,9 @@ def piece_counts(rotations: FloatArray, tolerance: float) -> IntArray:
 
 
 FeedMode = Literal["per_minute", "inverse_time", "per_rev"]
+"""Meaning of F: G94, G93 or G95."""
 Triple = tuple[float, float, float]
+"""Three values about x, y and z."""
 
 UNKNOWN_POSITION: Triple = (math.nan, math.nan, math.nan)
 """Position before the first move of a file."""
@@ -136,7 +140,7 @@ INCH_M = 0.0254
 
 @dataclasses.dataclass(frozen=True)
 class Dialect:
-    """What the problem states about a file, in SI units. None is left to the file.
+    """Statements of the problem about a file, in SI units. A value of None is left to the file.
 
     Attributes:
         file: The file.
@@ -150,7 +154,7 @@ class Dialect:
         spindle: Spindle speed [rad/s].
         absolute_centre: Whether arc centres are absolute.
         dwell: Duration of one P of a G4 [s].
-        rotation_words: Words that rotate the tool: "IJK", those of ``find_convention``, or none.
+        rotation_words: Letters of the words that rotate the tool: "IJK", those of ``convention``, or "".
         convention: Rotary axes of the machine.
         to_spindle: +1 if I J K points to the spindle, -1 if it points to the tip.
         block_delete: Whether lines with / are left out.
@@ -206,7 +210,7 @@ class Modal:
         offset: Active offset [m].
         chosen: Tool that T selects.
         tool: Tool in the spindle, 0 if no line names it.
-        gap: Whether moves were left out since the last one that is kept.
+        gap: Whether moves of other tools were left out since the last move that is used.
         marks: Number of % lines so far.
         started: Whether a line had words.
         ended: Whether the program has ended.

@@ -1,10 +1,10 @@
-"""Rules on milling: what the swept cutter leaves and takes, its path, its feed, its spindle.
+"""Rules on milling: milled surfaces and spared faces, the path of the cutter, its feed and its spindle.
 
-- verify.milled, verify.mill_gouge: surfaces that are made, and faces that are spared.
-- verify.mill_path: curves that the cutter follows; ruled surfaces that it passes with its flank, leads
-  included; faces that it passes with its end.
+- verify.milled, verify.mill_gouge: surfaces that are milled, and faces that are spared.
+- verify.mill_path: curves that the cutter follows; ruled surfaces along which it passes with its flank, leads
+  included; faces over which it passes with its end.
 - verify.mill_feed: the feed of the tip.
-- verify.spindle: up to speed where the cutter is in the block.
+- verify.spindle: the spindle is up to speed where the cutter is in the block.
 """
 
 import dataclasses
@@ -87,12 +87,12 @@ def _check_flanks(findings: Findings, milling: MillingMotion) -> None:
             for fault in result.faults:
                 findings.add(f"{segment}: {fault}", field=str(segment))
             for i in evenly_spaced_rows(result.deviation > 1.0, MAX_ISSUES):
-                what = (
+                message = (
                     f"in {segment} the cutter is {result.criterion[i]}, {result.deviation[i]:.2f} times what "
                     "is "
                 )
-                what += f"allowed, {mm(claim.tolerance):g} mm"
-                findings.add_at_sample(what, claim.arm, track.rows[rows[i]])
+                message += f"allowed, {mm(claim.tolerance):g} mm"
+                findings.add_at_sample(message, claim.arm, track.rows[rows[i]])
             for phase, _ in _axial_speeds(claim):
                 _check_lead(findings, milling, index, claim, number, phase)
 
@@ -100,6 +100,7 @@ def _check_flanks(findings: Findings, milling: MillingMotion) -> None:
 def _check_lead(
     findings: Findings, milling: MillingMotion, index: int, claim: MillsFlank, number: int, phase: Phase
 ) -> None:
+    """Check the lead-in or lead-out (``phase``) of pass ``number`` along a ruled surface."""
     segment = claim.segments[number].at(phase)
     lead = _find_lead(milling, index, claim, number, phase)
     if lead is None:
@@ -109,44 +110,49 @@ def _check_lead(
     for fault in result.faults:
         findings.add(f"{segment}: {fault}", field=str(segment))
     for i in evenly_spaced_rows(result.deviation > 1.0, MAX_ISSUES):
-        what = f"in {segment} the tip is neither on the straight continuation of its pass nor on the move up "
-        what += f"along the axis: deviation {result.deviation[i]:.2f} times what is allowed"
-        findings.add_at_sample(what, claim.arm, track.rows[rows[i]])
+        message = (
+            f"in {segment} the tip is neither on the straight continuation of its pass nor on the move up "
+        )
+        message += f"along the axis: deviation {result.deviation[i]:.2f} times what is allowed"
+        findings.add_at_sample(message, claim.arm, track.rows[rows[i]])
     if claim.lead_length is None:
         stock = findings.context.stock_at(index)
         inside = in_block(track.tip, track.axis, claim.cutter.overhang, claim.cutter.radius, stock)[rows]
         for i in np.flatnonzero(inside & result.is_axial & ~result.is_lateral)[:1]:
-            what = (
+            message = (
                 f"in {segment} the cutter enters the block along its axis, but it has to enter from the side"
             )
-            findings.add_at_sample(what, claim.arm, track.rows[rows[i]])
+            findings.add_at_sample(message, claim.arm, track.rows[rows[i]])
 
 
 def _find_lead(
     milling: MillingMotion, index: int, claim: MillsFlank, number: int, phase: Phase
 ) -> tuple[ReplayedToolPath, IntArray, LeadResult] | None:
-    """Return the track of a lead, its rows in the order away from the pass, and how it keeps the claim."""
+    """Return the track of a lead, the indices of its samples away from the pass, and its deviation.
+
+    It is None if the motion does not have the pass or its lead.
+    """
     segment = claim.segments[number]
-    main = milling.track(index, claim.arm, (segment.key,))
+    pass_track = milling.track(index, claim.arm, (segment.key,))
     track = milling.track(index, claim.arm, (segment.at(phase).key,))
-    if len(main.rows) < 2 or len(track.rows) < 2:
+    if len(pass_track.rows) < 2 or len(track.rows) < 2:
         return None
     forward, back = slice(None), slice(None, None, -1)
     order, outward = (forward, back) if phase == "in" else (back, forward)
-    tip, axis = main.tip[order], main.axis[order]
+    tip, axis = pass_track.tip[order], pass_track.axis[order]
     is_beyond = np.linalg.norm(tip[1:] - tip[0], axis=1) > surface_passes.END_LENGTH_M
-    pair = [0, min(int(np.argmax(np.append(is_beyond, True))) + 1, len(tip) - 1)]
+    end_rows = [0, min(int(np.argmax(np.append(is_beyond, True))) + 1, len(tip) - 1)]
     rows = np.arange(len(track.rows))[outward]
     result = surface_passes.check_lead(
-        claim, number, (tip[pair], axis[pair]), track.tip[rows], track.axis[rows]
+        claim, number, (tip[end_rows], axis[end_rows]), track.tip[rows], track.axis[rows]
     )
     return track, rows, result
 
 
 def lead_feeds(milling: MillingMotion, index: int, segment: Segment, count: int) -> FloatArray:
-    """Return the maximum feed (T - 1,) [m/s] from each of T samples of a lead to the next.
+    """Return the maximum feed (T - 1,) [m/s] from each of T samples of a flank cut's lead to the next.
 
-    It is infinite for other segments.
+    It is infinite if the segment is not such a lead.
 
     Args:
         milling: Milling of the proof.
@@ -160,10 +166,10 @@ def lead_feeds(milling: MillingMotion, index: int, segment: Segment, count: int)
             for phase, axial_speed in _axial_speeds(claim):
                 if setup != index or segment.key != pass_segment.at(phase).key:
                     continue
-                known = _find_lead(milling, index, claim, number, phase)
-                if known is None:
+                found_lead = _find_lead(milling, index, claim, number, phase)
+                if found_lead is None:
                     continue
-                _, rows, lead = known
+                _, rows, lead = found_lead
                 limit = np.empty(count)
                 limit[rows] = np.where(
                     lead.is_axial,
@@ -184,6 +190,7 @@ FACE_STEP_M = 1e-3
 
 
 def _check_faces(findings: Findings, milling: MillingMotion) -> None:
+    """Check all passes over faces."""
     for index, claim in milling.faces:
         face = MilledFace(claim)
         for segment in claim.segments:
@@ -195,23 +202,27 @@ def _check_faces(findings: Findings, milling: MillingMotion) -> None:
             for criterion, deviation in face.deviations(tip, axis).items():
                 findings.note_highest(deviation.max(), segment)
                 for i in evenly_spaced_rows(deviation > 1.0, MAX_ISSUES):
-                    what = (
+                    message = (
                         f"in {segment} the cutter is {criterion}, {deviation[i]:.2f} times what is allowed, "
                     )
-                    what += f"{mm(claim.tolerance):g} mm"
-                    findings.add_at_sample(what, claim.arm, rows[i])
+                    message += f"{mm(claim.tolerance):g} mm"
+                    findings.add_at_sample(message, claim.arm, rows[i])
 
 
 NOTHING_MILLED = "nothing is milled"
-"""Why rules about milling have not run."""
+"""Reason why rules about milling examine nothing."""
 FACET_ERROR_M = 5e-5
-"""Deviation [m] that facets, and gaps between samples, may hide."""
+"""Penetration [m] that is allowed in addition, because facets and the track between samples are
+approximations.
+"""
 _MAX_FACE_POINTS = 30_000
-"""Approximate maximum number of points of a face."""
+"""Approximate maximum number of points at which a milled surface is examined."""
 _MIN_SPACING_M = 0.4e-3
 """Minimum distance of face points [m]."""
 _GOUGE_SPACING_FACTOR = 1.6
-"""Distance of samples for gouges as a factor of the usual one. They then hide a quarter of the tolerance."""
+"""Distance of samples for gouges as a factor of that of :func:`_sample_step`. Between them the tool may be
+deeper by a quarter of the tolerance.
+"""
 
 
 @rule("verify.milled", MillsSurface)
@@ -228,11 +239,11 @@ def milled(context: Context) -> RuleOutcome:
         face = cut_face(milling, index, claim)
         faces.append(face)
         if face.share < claim.min_fraction:
-            what = (
+            message = (
                 f"{face.title}: {100 * face.share:.2f} % of the surface are within "
                 f"{mm(claim.tolerance):g} mm, required {100 * claim.min_fraction:g} %"
             )
-            findings.add(what, measure_in_percent(face.share, claim.min_fraction), field=face.title)
+            findings.add(message, measure_in_percent(face.share, claim.min_fraction), field=face.title)
     if not faces:
         return findings.outcome_without_value(NOTHING_MILLED)
     worst = min(faces, key=lambda face: face.share - face.wanted_share)
@@ -243,9 +254,10 @@ def milled(context: Context) -> RuleOutcome:
 
 
 def cut_face(milling: MillingMotion, index: int, claim: MillsSurface) -> CutFace:
-    """Return what the swept cutting part leaves of a surface (positive) or cuts too deep (negative).
+    """Return the simulated surface with its deviation from a claimed surface.
 
-    The deviation is NaN where the cutter is never near.
+    The deviation is positive where the swept cutting part leaves material, negative where it cuts too deep,
+    and NaN where it never comes near.
 
     Args:
         milling: Milling of the proof.
@@ -261,8 +273,9 @@ def cut_face(milling: MillingMotion, index: int, claim: MillsSurface) -> CutFace
     area = 0.5 * np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
     points = pieces.mean(axis=1)
     if claim.margin:
-        kept = shapely.contains_xy(plan_area(corners, claim.margin + 0.5 * size), points[:, 0], points[:, 1])
-        points, area = points[kept], area[kept]
+        area_in_plan = plan_area(corners, claim.margin + 0.5 * size)
+        is_inside = shapely.contains_xy(area_in_plan, points[:, 0], points[:, 1])
+        points, area = points[is_inside], area[is_inside]
     labels = tuple(segment.key for segment in claim.segments)
     track = milling.track(index, claim.arm, labels)
     solid = solids(claim.cutter)[0]
@@ -282,12 +295,13 @@ def cut_face(milling: MillingMotion, index: int, claim: MillsSurface) -> CutFace
 
 
 def _sample_step(solid: ToolSolid, tolerance: float) -> float:
-    """Return the distance between samples [m] at which a round tool hides a tenth of the tolerance.
+    """Return the distance between samples [m] of a round tool.
 
-    It is s in s^2 / 8 r.
+    Between samples at the distance s a tool of radius r leaves ridges of the height s^2 / (8 r), here a tenth
+    of the tolerance.
     """
-    narrow = solid.radius if solid.corner == 0.0 else 0.5 * solid.radius
-    return float(np.clip(np.sqrt(0.8 * narrow * tolerance), 0.3e-3, 3e-3))
+    radius = solid.radius if solid.corner == 0.0 else 0.5 * solid.radius
+    return float(np.clip(np.sqrt(0.8 * radius * tolerance), 0.3e-3, 3e-3))
 
 
 @rule("verify.mill_gouge", SparesPart)
@@ -308,13 +322,13 @@ def mill_gouge(context: Context) -> RuleOutcome:
                 findings.excess, findings.limit = max(findings.excess, 0.0), allowed
                 findings.where = str(claim.segments[0])
                 continue
-            at = context.motion.node_segment[context.motion.node[rows[result.min_sample]]]
-            findings.note_excess(-result.min_distance, allowed, f"{solid.name} in {at}")
+            segment = context.motion.node_segment[context.motion.node[rows[result.min_sample]]]
+            findings.note_excess(-result.min_distance, allowed, f"{solid.name} in {segment}")
             for i in range(0, len(result.distances), max(1, len(result.distances) // MAX_ISSUES)):
-                what = f"the {solid.name} is {mm(-result.distances[i]):.3f} mm in the part at "
-                what += f"{format_point_mm(result.points[i])} mm, allowed {mm(allowed):.3f} mm"
+                message = f"the {solid.name} is {mm(-result.distances[i]):.3f} mm in the part at "
+                message += f"{format_point_mm(result.points[i])} mm, allowed {mm(allowed):.3f} mm"
                 findings.add_at_sample(
-                    what, claim.arm, rows[result.samples[i]], measure_in_mm(-result.distances[i], allowed)
+                    message, claim.arm, rows[result.samples[i]], measure_in_mm(-result.distances[i], allowed)
                 )
     return findings.excess_outcome(NOTHING_MILLED)
 
@@ -322,7 +336,10 @@ def mill_gouge(context: Context) -> RuleOutcome:
 def _gouge_queries(
     milling: MillingMotion, index: int, claim: SparesPart
 ) -> Iterator[tuple[GougeQuery, IntArray]]:
-    """Yield what a face is compared with, and the rows of the motion at the samples of each."""
+    """Yield the queries of a spared face, one for each piece and sharp edge of the tool.
+
+    Each comes with the samples of the motion for its positions.
+    """
     labels = tuple(part.key for segment in claim.segments for part in segment.all_phases)
     track = milling.track(index, claim.arm, labels)
     if not len(track.rows):
@@ -347,9 +364,9 @@ def _gouge_queries(
 
 
 def _evaluate_queries(milling: MillingMotion, queries: Sequence[GougeQuery]) -> Iterator[GougeResult | int]:
-    """Yield what is inside of each, in order.
+    """Yield the results of queries in order.
 
-    Every other one is submitted to the executor, perhaps another process.
+    Every other query is submitted to the executor, which may run it in another process.
     """
     submitted = (milling.executor if len(queries) > 1 else SERIAL).submit(evaluate_queries, queries[1::2])
     results = list(evaluate_queries(queries[::2]))
@@ -364,12 +381,12 @@ def _too_many(claim: SparesPart, solid: ToolSolid, count: int, size: float) -> I
 
     Nothing is proven of such a face.
     """
-    what = (
+    message = (
         f"near the {solid.name} the face would have to be checked at {count} points, {mm(size):.2f} mm "
         f"apart, allowed {MAX_FACE_POINTS}. Split the cut, or use a larger tolerance"
     )
     name = str(claim.segments[0])
-    return Issue("verify.mill_gouge", what, field=name, value=float(count), limit=float(MAX_FACE_POINTS))
+    return Issue("verify.mill_gouge", message, field=name, value=float(count), limit=float(MAX_FACE_POINTS))
 
 
 @rule("verify.mill_path", MillsAlong, MillsProgram, Engraves, MillsFlank, MillsOver)
@@ -385,28 +402,28 @@ def mill_path(context: Context) -> RuleOutcome:
     _check_faces(findings, milling)
     for index, claim in milling.curves:
         track = milling.track(index, claim.arm, (claim.segment.key,))
-        known = milling.path_deviation(index, claim)
-        if known is None and _is_short(claim):
+        comparison = milling.path_deviation(index, claim)
+        if comparison is None and _is_short(claim):
             continue
-        if known is None:
+        if comparison is None:
             findings.add(f"{claim.segment} is not milled", field=str(claim.segment))
             continue
-        rows, result = known
+        rows, result = comparison
         distance, angle = result.distance, result.angle
         allowed_distance = claim.tolerance + WRITTEN_ROUNDING_M
         findings.note_highest(max(distance.max() / allowed_distance, angle.max() / claim.turn), claim.segment)
         for i in evenly_spaced_rows((distance > allowed_distance) | (angle > claim.turn), MAX_ISSUES):
-            what = (
+            message = (
                 f"in {claim.segment} the tip is {mm(distance[i]):.3f} mm off its "
                 f"curve{_line_text(claim, result, i)} and the axis {np.rad2deg(angle[i]):.2f} deg, allowed "
                 f"{mm(claim.tolerance):g} mm, {np.rad2deg(claim.turn):.2f} deg"
             )
             findings.add_at_sample(
-                what, claim.arm, track.rows[rows[i]], measure_in_mm(distance[i], claim.tolerance)
+                message, claim.arm, track.rows[rows[i]], measure_in_mm(distance[i], claim.tolerance)
             )
         if result.missed_count:
-            word = f"{result.missed_count} of {len(claim.tip)} points are never passed, or not in order"
-            findings.add(f"{claim.segment}: {word}", field=str(claim.segment))
+            fault = f"{result.missed_count} of {len(claim.tip)} points are never passed, or not in order"
+            findings.add(f"{claim.segment}: {fault}", field=str(claim.segment))
     out = findings.outcome(float, "of what is allowed", 1.0 if findings.where else None)
     return dataclasses.replace(out, nothing="" if findings.where else NOTHING_MILLED)
 
@@ -418,6 +435,7 @@ def _is_short(claim: MillsAlong) -> bool:
 
 
 def _line_text(claim: MillsAlong, deviation: PathDeviation, i: int) -> str:
+    """Return a text with the line of the G-code file at sample ``i``, "" if the path comes from no file."""
     if claim.line is None:
         return ""
     point = min(int(np.searchsorted(deviation.point_positions, deviation.position[i])), len(claim.line) - 1)
@@ -425,19 +443,20 @@ def _line_text(claim: MillsAlong, deviation: PathDeviation, i: int) -> str:
 
 
 def _check_unclaimed(findings: Findings, milling: MillingMotion) -> None:
-    """Report moves of segments that mill without a claim, and claimed ones that never occur."""
+    """Report segments that mill without a claim, and segments with a claim on a surface that never occur."""
     motion, arm = findings.context.motion, findings.context.job.tasks[0].arm.name
     seen: set[str] = set()
     for node, (segment, name) in enumerate(zip(motion.node_segment, motion.node_label, strict=True)):
         if segment.kind == MILL and name not in milling.labels and name not in seen:
-            what = f"the programs mill in {segment}, but the problem has no claim on it"
-            findings.add_at_node(what, arm, node)
+            message = f"the programs mill in {segment}, but the problem has no claim on it"
+            findings.add_at_node(message, arm, node)
         seen.add(name)
     for name in sorted({segment.key for _, c in milling.surfaces for segment in c.segments} - seen):
         findings.add(f"{name} is never milled", field=name)
 
 
 def _cutter_issues(milling: MillingMotion, index: int, claim: MillsSurface | SparesPart) -> list[Issue]:
+    """Return an issue if the mounted cutter differs from the claimed one."""
     mounted, claimed = milling.mounted_cutter(index, claim.arm), claim.cutter
     if (
         mounted is not None
@@ -450,15 +469,15 @@ def _cutter_issues(milling: MillingMotion, index: int, claim: MillsSurface | Spa
         and np.shape(mounted.holder_outline) == np.shape(claimed.holder_outline)
     ):
         return []
-    what = f"the cutter of the tool of {claim.arm} in setup {index + 1} differs from the claimed one"
-    return [Issue("verify.milled", what, arm=claim.arm)]
+    message = f"the cutter of the tool of {claim.arm} in setup {index + 1} differs from the claimed one"
+    return [Issue("verify.milled", message, arm=claim.arm)]
 
 
 @rule("verify.mill_feed", FeedWindow, MillsAlong, MillsProgram, Engraves, MillsFlank, MillsOver)
 def mill_feed(context: Context) -> RuleOutcome:
     """The tip never exceeds the maximum feed at its position on the path, leads included."""
     milling, findings = context.get(MILLING), Findings("verify.mill_feed", context, worst=0.0)
-    claims = [c for c in context.feeds if c.segment.kind == MILL]
+    claims = [claim for claim in context.feeds if claim.segment.kind == MILL]
     for claim in claims:
         index = context.setup_of(claim)
         arm = _milling_arm(milling, index, claim)
@@ -475,8 +494,8 @@ def mill_feed(context: Context) -> RuleOutcome:
         findings.note_highest(fraction.max(), claim.segment, MAX_FEED_FACTOR)
         for k in evenly_spaced_rows(fraction > MAX_FEED_FACTOR, MAX_ISSUES):
             speed_mm, allowed_mm = mm(float(speed[k])), mm(float(limit[k]))
-            what = f"the tip moves at {speed_mm:.2f} mm/s in {claim.segment}, allowed {allowed_mm:g}"
-            findings.add_at_sample(what, arm, track.rows[k + 1], (speed_mm, allowed_mm, "mm/s"))
+            message = f"the tip moves at {speed_mm:.2f} mm/s in {claim.segment}, allowed {allowed_mm:g}"
+            findings.add_at_sample(message, arm, track.rows[k + 1], (speed_mm, allowed_mm, "mm/s"))
     with_feed = {claim.segment.key for claim in claims}
     for label in sorted(_milled_labels(context) - with_feed):
         findings.add(f"{label} has no feed", field=label)
@@ -485,17 +504,18 @@ def mill_feed(context: Context) -> RuleOutcome:
 
 
 def _path_feeds(milling: MillingMotion, index: int, segment: Segment, count: int) -> FloatArray:
-    """Return the maximum feed (T - 1,) [m/s] from each of T samples of a segment to the next.
+    """Return the maximum feed (T - 1,) [m/s] from each of T samples of a segment to the next, by its claimed
+    path.
 
-    It follows from the claimed path, and is infinite without one.
+    It is infinite without a claimed path.
     """
     out = np.full(count - 1, np.inf)
     for setup, claim in milling.curves:
         if setup != index or claim.segment.key != segment.key or len(claim.feed) < 2:
             continue
-        known = milling.path_deviation(index, claim)
-        if known is not None:
-            out = np.minimum(out, max_feeds(claim, known[0], known[1], count))
+        comparison = milling.path_deviation(index, claim)
+        if comparison is not None:
+            out = np.minimum(out, max_feeds(claim, comparison[0], comparison[1], count))
     return out
 
 
@@ -506,39 +526,44 @@ def spindle(context: Context) -> RuleOutcome:
     motion = context.motion
     seen = False
     for index, setup in enumerate(context.setups):
-        claims = [c for c in context.setup_claims[index].contacts if MILL in c.kinds]
+        claims = [claim for claim in context.setup_claims[index].contacts if MILL in claim.kinds]
         for arm in setup.cell.arms:
             if not isinstance(arm.tool, Mill) or arm.name not in motion.tcp:
                 continue
             rows, node, time = milling.samples_in_block(index, arm.name, arm.tool.cutter)
-            judged = [
-                c.spindle_rule[1] for c in context.claims if c.spindle_rule and c.spindle_rule[0] == arm.name
+            # Segments of these kinds have a rule on the spindle of their own.
+            kinds_with_rule = [
+                claim.spindle_rule[1]
+                for claim in context.claims
+                if claim.spindle_rule and claim.spindle_rule[0] == arm.name
             ]
-            if judged:
-                other = ~np.isin(motion.node_kind[motion.node[rows]], judged)
+            if kinds_with_rule:
+                other = ~np.isin(motion.node_kind[motion.node[rows]], kinds_with_rule)
                 rows, node, time = rows[other], node[other], time[other]
             if not len(rows):
                 continue
             seen = True
             for i in np.flatnonzero(motion.node_kind[motion.node[rows]] != MILL)[:1]:
-                what = f"the cutter is in the block in {motion.node_label[node[i]]}, where nothing is milled"
-                findings.add_at_sample(what, arm.name, rows[i])
+                message = (
+                    f"the cutter is in the block in {motion.node_label[node[i]]}, where nothing is milled"
+                )
+                findings.add_at_sample(message, arm.name, rows[i])
             if not claims:
-                what = f"{arm.name} mills in setup {index + 1}, which has no claim on the spindle"
-                findings.add_at_sample(what, arm.name, rows[0])
+                message = f"{arm.name} mills in setup {index + 1}, which has no claim on the spindle"
+                findings.add_at_sample(message, arm.name, rows[0])
             for claim in claims:
                 on = motion.signal_on_time(claim.signal, context.controller_task_names((arm.name,)), time)
                 for i in np.flatnonzero(on < claim.heat_up - 1e-6)[:1]:
-                    got = f"for {on[i]:.1f} s" if on[i] >= 0.0 else "not"
-                    what = f"the cutter is in the block and {claim.signal} is {got} on, required "
-                    what += f"{claim.heat_up:g} s"
+                    duration = f"for {on[i]:.1f} s" if on[i] >= 0.0 else "not"
+                    message = f"the cutter is in the block and {claim.signal} is {duration} on, required "
+                    message += f"{claim.heat_up:g} s"
                     measure = (float(max(on[i], 0.0)), claim.heat_up, "s")
-                    findings.add_at_sample(what, arm.name, rows[i], measure)
+                    findings.add_at_sample(message, arm.name, rows[i], measure)
     return findings.outcome_without_value("" if seen else NOTHING_MILLED)
 
 
 def _milling_arm(milling: MillingMotion, index: int, claim: FeedWindow) -> str:
-    """Return the arm that mills a segment in a setup, by the claims on it; empty if there is none."""
+    """Return the name of the arm that mills a segment according to the claims of a setup, "" if none does."""
     segment = claim.segment.key
     for setup, claim_of_setup in milling.by_setup:
         names = (

@@ -26,11 +26,11 @@ from planner.proof.rule import MAX_FEED_FACTOR, RuleOutcome, measured_issue, mm,
 FOLLOWS: Final = "verify.follows"
 """Code of this rule."""
 FEED_ROUNDING: Final = 1.002
-"""Factor by which moves may be faster than the feed, because their times are rounded."""
+"""Factor by which moves may be faster than the feed, because their times in programs are rounded."""
 FULL_REVOLUTION_RAD: Final = 2.0 * np.pi
 """One revolution [rad]."""
 OWN_TARGET_TOLERANCE: Final = (1e-5, float(np.deg2rad(0.01)))
-"""Usual distance [m, rad] between a pose and its own target."""
+"""Maximum distance [m] and angle [rad] of a pose from its target, if each pose has a target of its own."""
 
 
 @rule("verify.follows", FollowsPoses, FollowsTable)
@@ -57,6 +57,7 @@ def follows(context: Context) -> RuleOutcome:
 
 
 def _check_poses(findings: Findings, index: int, claim: FollowsPoses) -> None:
+    """Check that an arm passes the claimed poses in the setup ``index``."""
     rows, paths = _tool_paths(findings.context, index, (claim.arm,), claim.frame)
     if not len(rows):
         _report_no_motion(findings, (claim.arm,))
@@ -67,15 +68,15 @@ def _check_poses(findings: Findings, index: int, claim: FollowsPoses) -> None:
 
 
 def _check_table(findings: Findings, index: int, claim: FollowsTable) -> None:
-    """Check a table, which the proof reads itself, with the ranges of free axes and the feeds."""
+    """Check that arms pass the poses of a table, which the proof reads itself, in ranges and with feeds."""
     context = findings.context
     operation = next(op for op in context.problem.operations if op.name == claim.operation)
     file = operation.file  # type: ignore[attr-defined]
     try:
         table = pose_passing.read_pose_table(file, claim.arms)
     except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
-        what = f"{file.name}: the proof cannot read the poses ({type(error).__name__}: {error})"
-        findings.add(f"{what}; write the table again", file=str(file))
+        message = f"{file.name}: the proof cannot read the poses ({type(error).__name__}: {error})"
+        findings.add(f"{message}; write the table again", file=str(file))
         return
     rows, paths = _tool_paths(context, index, claim.arms, claim.frame)
     if not len(rows):
@@ -86,8 +87,11 @@ def _check_table(findings: Findings, index: int, claim: FollowsTable) -> None:
     tolerance = (claim.position_tol, claim.angle_tol)
     # usually each pose has its own target, which defines the values of free axes and the feed there
     bounds = [_free_ranges(claim, arm) for arm in claim.arms]
-    narrow = min(tolerance[0], OWN_TARGET_TOLERANCE[0]), min(tolerance[1], OWN_TARGET_TOLERANCE[1])
-    for search_tolerance in (narrow, tolerance):
+    narrow_tolerance = (
+        min(tolerance[0], OWN_TARGET_TOLERANCE[0]),
+        min(tolerance[1], OWN_TARGET_TOLERANCE[1]),
+    )
+    for search_tolerance in (narrow_tolerance, tolerance):
         match = match_poses(paths, poses, twists, search_tolerance, bounds)
         if match.is_matched.all():
             break
@@ -108,22 +112,25 @@ def _check_table(findings: Findings, index: int, claim: FollowsTable) -> None:
 def _tool_paths(
     context: Context, index: int, arms: tuple[str, ...], frame: str
 ) -> tuple[IntArray, list[FloatArray]]:
-    """Return targets (R,) of a setup from or to which arms move straight, and the tools' poses there.
+    """Return the program targets of a setup at which all arms have a known pose, and these poses.
 
-    Poses (R, 4, 4) are in the frame ``frame``. An arm rests while another one moves to its position alone.
+    An arm that rests while another one moves alone keeps the pose of its last target. The targets (R,) are
+    indices of the motion's nodes, the poses (R, 4, 4) [m] of each arm's TCP are in the frame ``stock`` or
+    ``world``. Both are empty if an arm has no program.
     """
     motion = context.motion
     rows = np.flatnonzero(context.spans.of_stage[motion.node_stage] == index)
     if any(arm not in motion.node_tcp for arm in arms):
         return rows[:0], []
-    last = np.zeros((len(arms), len(rows)), dtype=np.int64)
-    for last_known, arm in zip(last, arms, strict=True):
-        known = np.isfinite(motion.node_tcp[arm][rows, 0, 0])
-        last_known[:] = np.maximum.accumulate(np.where(known, np.arange(len(rows)), -1))
-    has_started = (last >= 0).all(axis=0)
+    # for each arm and target the last target at or before it at which the arm has a pose, -1 for none
+    last_own = np.zeros((len(arms), len(rows)), dtype=np.int64)
+    for arm_last_own, arm in zip(last_own, arms, strict=True):
+        has_pose = np.isfinite(motion.node_tcp[arm][rows, 0, 0])
+        arm_last_own[:] = np.maximum.accumulate(np.where(has_pose, np.arange(len(rows)), -1))
+    has_started = (last_own >= 0).all(axis=0)
     paths = [
-        motion.node_tcp[arm][rows[last_known[has_started]]]
-        for last_known, arm in zip(last, arms, strict=True)
+        motion.node_tcp[arm][rows[arm_last_own[has_started]]]
+        for arm_last_own, arm in zip(last_own, arms, strict=True)
     ]
     rows = rows[has_started]
     if frame == "stock" and len(rows):
@@ -133,20 +140,25 @@ def _tool_paths(
 
 
 def _report_no_motion(findings: Findings, arms: tuple[str, ...]) -> None:
-    who = f"arm {arms[0]} never moves" if len(arms) == 1 else f"arms {' and '.join(arms)} never move together"
-    findings.add(who, arm=arms[0])
+    message = (
+        f"arm {arms[0]} never moves" if len(arms) == 1 else f"arms {' and '.join(arms)} never move together"
+    )
+    findings.add(message, arm=arms[0])
 
 
 def _report_missed(findings: Findings, match: PoseMatch, arms: tuple[str, ...], within: float) -> bool:
-    """Report poses that are missed, and the largest distance. Return whether there are any."""
-    who, issue_count = " and ".join(arms), len(findings.issues)
+    """Report poses that are missed, and the largest distance. Return whether any pose is missed."""
+    arm_names, issue_count = " and ".join(arms), len(findings.issues)
     for i in np.flatnonzero(~match.is_matched[: match.checked_count]).tolist():
         distance, angle = match.deviation[i].tolist()
-        message = f"pose {i + 1} of {who} is missed by {mm(distance):.4f} mm and {np.rad2deg(angle):.4f} deg"
+        message = (
+            f"pose {i + 1} of {arm_names} is missed by {mm(distance):.4f} mm and {np.rad2deg(angle):.4f} deg"
+        )
         findings.add(message, measure_in_mm(distance, within), arm=arms[0], index=i)
     if match.checked_count < len(match.is_matched):
         message = (
-            f"so many poses of {who} are missed that those from {match.checked_count + 1} on are not checked"
+            f"so many poses of {arm_names} are missed that those from {match.checked_count + 1} on are not "
+            "checked"
         )
         findings.add(message, arm=arms[0], index=match.checked_count)
     findings.note_highest(match.deviation[: match.checked_count, 0].max(initial=0.0))
@@ -154,7 +166,7 @@ def _report_missed(findings: Findings, match: PoseMatch, arms: tuple[str, ...], 
 
 
 def _free_ranges(claim: FollowsTable, arm: str) -> FloatArray:
-    """Return the ranges (F, 2) of the free axes of an arm [m, rad]."""
+    """Return the lower and upper bounds (F, 2) [rad or m] of the free axes of an arm."""
     ranges = [(axis.lower, axis.upper) for axis in claim.free if arm in axis.arms]
     return np.array(ranges, dtype=np.float64).reshape(-1, 2)
 
@@ -174,19 +186,20 @@ def _check_range(
     value: FloatArray,
     shared_values: dict[str, FloatArray],
 ) -> None:
-    """Check that the value (P,) of a free axis is in its range, and equal to that of the arm that shares it.
+    """Check that the values (P,) of a free axis are in its range, and equal for arms that share it.
 
-    ``shared_values`` has the values of shared axes of other arms.
+    ``shared_values`` has the values of the axes of arms that were checked before. Those of this one are
+    added.
     """
     unit, scale = ("deg", np.rad2deg(1.0)) if axis.is_rotation else ("mm", 1e3)
-    within = claim.angle_tol if axis.is_rotation else claim.position_tol
+    tolerance = claim.angle_tol if axis.is_rotation else claim.position_tol
     middle, half = 0.5 * (axis.lower + axis.upper), 0.5 * (axis.upper - axis.lower)
     offset = value - middle
     if axis.is_rotation:
         offset = offset - FULL_REVOLUTION_RAD * np.round(offset / FULL_REVOLUTION_RAD)
     beyond = np.abs(offset) - half
     name = f"{'rotation about' if axis.is_rotation else 'slide along'} {'xyz'[axis.axis]}"
-    if beyond.max() > within:
+    if beyond.max() > tolerance:
         i = int(np.argmax(beyond))
         got = float(middle + offset[i]) * scale
         allowed = f"{axis.lower * scale:g} to {axis.upper * scale:g} {unit}"
@@ -197,21 +210,21 @@ def _check_range(
     difference = value - shared_values.setdefault(key, value)
     if axis.is_rotation:
         difference = difference - FULL_REVOLUTION_RAD * np.round(difference / FULL_REVOLUTION_RAD)
-    if np.abs(difference).max() > 2.0 * within:
+    if np.abs(difference).max() > 2.0 * tolerance:
         i = int(np.argmax(np.abs(difference)))
         message = f"pose {i + 1}: {' and '.join(axis.arms)} share the {name}, but their values differ by "
         message += f"{abs(difference[i]) * scale:.4f} {unit}"
-        measure = float(abs(difference[i])) * scale, 2.0 * within * scale, unit
+        measure = float(abs(difference[i])) * scale, 2.0 * tolerance * scale, unit
         findings.add(message, measure, arm=arm, index=i)
 
 
 def _check_feeds(findings: Findings, claim: FollowsTable, table: PoseTable, node: IntArray) -> None:
-    """Check that the tools are no faster than their feeds, on cubics of trajectories at every instant.
+    """Check that the tools are no faster than their feeds, on average between poses and at every instant.
 
-    ``node`` (P,) is the target that matches each pose.
+    ``node`` (P,) is the index of the target among the motion's nodes that matches each pose.
     """
     motion = findings.context.motion
-    times = np.cumsum(motion.node_duration)[node]  # exact; samples are too far apart for short moves
+    times = np.cumsum(motion.node_duration)[node]  # exact, while samples are too far apart for short moves
     lengths = [np.linalg.norm(np.diff(table.poses[arm][:, :3, 3], axis=0), axis=1) for arm in claim.arms]
     durations = np.diff(times)
     feed = np.where(np.isnan(table.feed), np.nan if claim.feed is None else claim.feed, table.feed)[1:]
@@ -219,10 +232,13 @@ def _check_feeds(findings: Findings, claim: FollowsTable, table: PoseTable, node
     speed = np.where(moved, np.max(lengths, axis=0) / np.maximum(durations, 1e-9), 0.0)
     peak = peak_tool_speeds(findings.context)
     peak_speeds = np.array([peak[a:b].max(initial=0.0) for a, b in itertools.pairwise((node + 1).tolist())])
-    for speeds, slack, words in ((speed, FEED_ROUNDING, "at"), (peak_speeds, MAX_FEED_FACTOR, "at up to")):
-        for i in np.flatnonzero(~(speeds <= slack * feed))[:20].tolist():
+    for speeds, tolerance_factor, preposition in (
+        (speed, FEED_ROUNDING, "at"),
+        (peak_speeds, MAX_FEED_FACTOR, "at up to"),
+    ):
+        for i in np.flatnonzero(~(speeds <= tolerance_factor * feed))[:20].tolist():
             got, allowed = mm(speeds[i]), mm(feed[i])
-            message = f"on the way to pose {i + 2} the tool moves {words} {got:.2f} mm/s, allowed "
+            message = f"on the way to pose {i + 2} the tool moves {preposition} {got:.2f} mm/s, allowed "
             message += f"{allowed:.2f} mm/s"
             findings.add(message, (got, allowed, "mm/s"), arm=claim.arms[0], index=i + 1)
 
@@ -235,9 +251,10 @@ def _min_feed_issues(
     paths: list[FloatArray],
     target: IntArray,
 ) -> list[Issue]:
-    """Return where the tools are slower than the minimum feed, or stop where they must not.
+    """Return issues where the tools are slower than the minimum feed, or stop where they must not.
 
-    ``target`` (P,) are the indices in ``rows`` (R,) and ``paths`` that match the poses.
+    ``rows`` (R,) are the targets of the ``paths`` (R, 4, 4) [m], ``target`` (P,) the index of the one that
+    matches each pose.
     """
     min_feed = np.where(np.isnan(table.min_feed), claim.feed_min, table.min_feed)
     if not (min_feed[1:] > 0.0).any():

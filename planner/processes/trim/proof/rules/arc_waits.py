@@ -1,4 +1,4 @@
-"""Waits for the arc of a torch, and the watchdog while it moves."""
+"""Checks of program texts: waits for the arc of a torch, and the watchdog while the torch moves."""
 
 from collections.abc import Collection, Iterator
 
@@ -21,15 +21,15 @@ LINGER_FACTOR = 3.0
 
 
 LINGER_TIME_S = 0.5
-"""Additional duration on such a stretch [s], because the torch stops at corners."""
+"""Additional duration on a short stretch [s], because the torch stops at corners."""
 
 
 LINGER_KERF_FACTOR = 3.0
-"""Length of such a stretch in kerfs."""
+"""Length of a short stretch, in kerfs."""
 
 
 MIN_STRETCH_M = 3e-3
-"""Minimum length of such a stretch [m]."""
+"""Minimum length of a short stretch [m]."""
 
 
 WAIT_ROUNDING_S = 0.001
@@ -37,14 +37,17 @@ WAIT_ROUNDING_S = 0.001
 
 
 def missing_waits(context: Context, sheet: TrimmedSheet, other_slots: Collection[str]) -> Iterator[Issue]:
-    """Yield missing waits for the arc between its start and the next move, in the program text.
+    """Yield an issue for each start of the arc after which the program does not wait for the arc.
 
-    Programs of other arms must not start the arc, because they cannot wait for it.
+    The wait has to come before the next move.
+
+    Programs of other arms must not start the arc, because they cannot wait for it. Nothing is required if the
+    claim states no input.
 
     Args:
         context: Context of the proof.
         sheet: Claim with the motion.
-        other_slots: Slots of other operations, which have their own waits.
+        other_slots: Keys of the slots of other operations, which have their own waits.
     """
     claim = sheet.claim
     if claim.ok_signal is None:
@@ -77,6 +80,7 @@ def _slot_key(move: MoveStep) -> str:
 
 
 def _is_arc_wait(step: WaitStep, claim: TrimsSheet) -> bool:
+    """Return whether a step waits for the arc's input, and aborts the program if it takes too long."""
     return (
         step.signal.lower() == (claim.ok_signal or "").lower()
         and step.value == 1.0
@@ -88,23 +92,24 @@ def _is_arc_wait(step: WaitStep, claim: TrimsSheet) -> bool:
 
 
 def _missing_wait_issue(task: TaskText, step: ProgramStep, claim: TrimsSheet) -> Issue:
-    what = (
+    message = (
         f"after {claim.signal} the torch moves without a wait for {claim.ok_signal} of at most "
         f"{claim.timeout:g} s, "
     )
-    return step_issue("verify.trim_arc", what + "which aborts the program if no arc burns", task, step)
+    return step_issue("verify.trim_arc", message + "which aborts the program if no arc burns", task, step)
 
 
 def missing_watchdogs(context: Context, sheet: TrimmedSheet, other_slots: Collection[str]) -> Iterator[Issue]:
-    """Yield moves of a torch without a watchdog, in programs that continue in the slot after a pause.
+    """Yield an issue for each start of the arc after which the torch moves without a correct watchdog.
 
-    The watchdog has to check output and input, and that the torch does not rest longer than allowed, but as
-    long as it does in the replay.
+    Only languages whose programs continue in the slot after a pause need one. It has to check output and
+    input, and to abort if the torch rests longer than allowed, but not if it rests only as long as in the
+    replay.
 
     Args:
         context: Context of the proof.
         sheet: Claim with the motion.
-        other_slots: Slots of other operations, which have their own watchdogs.
+        other_slots: Keys of the slots of other operations, which have their own watchdogs.
     """
     claim = sheet.claim
     for task in context.job.tasks:
@@ -125,12 +130,14 @@ def missing_watchdogs(context: Context, sheet: TrimmedSheet, other_slots: Collec
 def _watchdog_issues(
     task: TaskText, start_step: ProgramStep, watchdog: GuardStep | None, sheet: TrimmedSheet
 ) -> Iterator[Issue]:
-    """Yield faults of the watchdog of a torch that moves, from where it was ``start_step`` on."""
+    """Yield an issue if there is no watchdog once the torch moves after ``start_step``, or if it is wrong."""
     claim = sheet.claim
     signals = claim.signal.lower(), (claim.ok_signal or "").lower()
     if watchdog is None or (watchdog.signal.lower(), watchdog.input.lower()) != signals:
-        what = f"the torch moves with {claim.signal} on, and nothing checks that it burns: after a pause the "
-        yield step_issue("verify.trim_arc", what + "program would continue in the slot", task, start_step)
+        message = (
+            f"the torch moves with {claim.signal} on, and nothing checks that it burns: after a pause the "
+        )
+        yield step_issue("verify.trim_arc", message + "program would continue in the slot", task, start_step)
         return
     stretch = max(LINGER_KERF_FACTOR * claim.kerf, MIN_STRETCH_M)
     max_stop = LINGER_FACTOR * stretch / (claim.min_feed_fraction * claim.feed) + LINGER_TIME_S
@@ -138,12 +145,12 @@ def _watchdog_issues(
         (longest_stay(sheet.slot_track(key), watchdog.min_distance) for key in sheet.slots), default=0.0
     )
     if not longest < watchdog.max_still_time <= max_stop or watchdog.min_distance < MIN_WATCH_DISTANCE_M:
-        what = (
+        message = (
             f"the program ends if the torch stays within {mm(watchdog.min_distance):g} mm for "
             f"{watchdog.max_still_time:g} s, "
         )
-        what += (
+        message += (
             f"required {mm(MIN_WATCH_DISTANCE_M):g} mm or more, and more than {longest:.2f} s, up to "
             f"{max_stop:.2f} s"
         )
-        yield step_issue("verify.trim_arc", what, task, watchdog)
+        yield step_issue("verify.trim_arc", message, task, watchdog)

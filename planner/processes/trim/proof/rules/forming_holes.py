@@ -1,4 +1,4 @@
-"""verify.forming_holes: what is formed, and its tools, stay away from cuts that were made before.
+"""verify.forming_holes: formed areas and forming tools stay away from cuts that were made before.
 
 A hole that no later forming comes near keeps its position, so its edge is where the part has it. The proof
 reads the curves itself and replays the tools from the program text.
@@ -27,18 +27,17 @@ from planner.proof.rule import RuleOutcome, measured_issue, mm, rule, sample_iss
 FORMING_HOLES = "verify.forming_holes"
 """Code of this rule."""
 NO_HOLES = "no sheet is formed that was cut before"
-"""Why it has not run."""
+"""Reason why the rule has not run."""
 WHOLE_SHEET_MODES = ("adsif", "tpif")
-"""Modes that move the whole sheet, so that an earlier cut is at another height.
-
-Their tools press all of the sheet, or their die moves its rim.
+"""Modes that move the whole sheet, so that an earlier cut is at another height: the tools press all of the
+sheet, or the die moves its rim.
 """
 FACET_ERROR_M = 0.05e-3
-"""Deviation of facets of a border, and of chords of a curve [m]."""
+"""Possible error [m] of distances, because borders consist of facets and curves of chords."""
 
 
 CHORD_ERROR_M = 0.01e-3
-"""Deviation of straight pieces of a tool's path [m]."""
+"""Maximum deviation of straight pieces from a tool's path [m]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,8 +48,8 @@ class _CutHole:
         outline: Outline.
         vertices: Its vertices in plan (K, 2) [m].
         ring: The outline in plan as a Shapely geometry.
-        edge_offset: Possible distance in plan of the cut's edge on the other face [m]: that of a cut through
-            the flat sheet at maximum tilt, because formed sheets get thinner.
+        edge_offset: Maximum distance in plan between the edges of the cut on both faces [m]: the length of a
+            cut through the flat sheet at maximum tilt, because formed sheets get thinner.
     """
 
     outline: TrimOutline
@@ -91,15 +90,16 @@ def forming_holes(context: Context) -> RuleOutcome:
 
 
 def _find_holes(claim: TrimsSheet) -> tuple[list[_CutHole], list[Issue]]:
+    """Read the outlines of a claim as cuts, with issues of those that cannot be read."""
     holes, issues = [], []
-    across = float(np.hypot(claim.thickness, claim.thickness * np.tan(claim.cone)))
+    cut_length = float(np.hypot(claim.thickness, claim.thickness * np.tan(claim.cone)))
     for outline in claim.outlines:
         try:
-            flat = plan_curve(outline)
-            holes.append(_CutHole(outline, flat, shapely.LinearRing(flat), across))
+            vertices = plan_curve(outline)
+            holes.append(_CutHole(outline, vertices, shapely.LinearRing(vertices), cut_length))
         except UnreadError as error:
-            what = f"{outline.name} cannot be read a second time: {error}"
-            issues.append(Issue(FORMING_HOLES, what, field=outline.name))
+            message = f"{outline.name} cannot be read a second time: {error}"
+            issues.append(Issue(FORMING_HOLES, message, field=outline.name))
     return holes, issues
 
 
@@ -110,17 +110,22 @@ def _check_hole(
     formed_group: tuple[PartShapes, Sequence[Claim]],
     hole: _CutHole,
 ) -> tuple[float, list[Issue]]:
-    """Return how near [m] what an operation forms, and its tools, come to a curve, and issues."""
+    """Return the minimum distance [m] in plan of formed areas and tools from a cut, and issues.
+
+    ``index`` is that of the operation's setup, ``formed_group`` has its shapes and claims.
+    """
     shapes, group = formed_group
     part, name = shapes.part, hole.outline.name
     if not hole.outline.drops_inside:
-        what = f"the sheet was cut along {name}, outside of which everything drops, and is formed after that"
-        return 0.0, [Issue(FORMING_HOLES, what, field=name)]
+        message = (
+            f"the sheet was cut along {name}, outside of which everything drops, and is formed after that"
+        )
+        return 0.0, [Issue(FORMING_HOLES, message, field=name)]
     if part.mode in WHOLE_SHEET_MODES:
-        what = (
+        message = (
             f"the sheet was cut along {name}, and is formed in {part.mode} after that, which moves all of it"
         )
-        return 0.0, [Issue(FORMING_HOLES, what, field=name)]
+        return 0.0, [Issue(FORMING_HOLES, message, field=name)]
     issues: list[Issue] = []
     min_distance = np.inf
     for _, feature in shapes.own_features:
@@ -128,12 +133,14 @@ def _check_hole(
             distance = max(_forming_distance(shape, hole) - hole.edge_offset, 0.0)
             min_distance = min(min_distance, distance)
             if distance < part.hole_margin - FACET_ERROR_M:
-                what = (
+                message = (
                     f"{shape.claim.segment} moves the sheet {mm(distance):.2f} mm from the edges of {name}, "
                     f"cut before, required {mm(part.hole_margin):g} mm"
                 )
                 issues.append(
-                    measured_issue(FORMING_HOLES, what, measure_in_mm(distance, part.hole_margin), field=name)
+                    measured_issue(
+                        FORMING_HOLES, message, measure_in_mm(distance, part.hole_margin), field=name
+                    )
                 )
     passes = [
         formed_pass
@@ -150,7 +157,7 @@ def _check_hole(
 
 
 def _forming_distance(shape: FormedShape, hole: _CutHole) -> float:
-    """Return the distance [m] in plan of what is moved from a curve, 0 for what is inside or around it."""
+    """Return the distance [m] in plan of a formed area from a curve, 0 inside or around it."""
     plan = shape.corners[shape.raised][:, :, :2]
     if not len(plan):
         return np.inf
@@ -163,31 +170,28 @@ def _forming_distance(shape: FormedShape, hole: _CutHole) -> float:
 def _tool_distance(
     context: Context, part: FormsPart, formed_pass: FormedPass, hole: _CutHole
 ) -> tuple[float, list[Issue]]:
-    """Return the distance [m] in plan of the tools of a pass from the edges of a cut while they form."""
+    """Return the minimum distance [m] in plan of a pass's tools from the edges of a cut, and issues."""
     track, min_distance = formed_pass.track, np.inf
     issues: list[Issue] = []
-    parts = straight_pieces(track, CHORD_ERROR_M)
-    is_forming = track.is_forming[parts.first]
-    first, last, margins = (
-        parts.first[is_forming],
-        parts.last[is_forming],
-        parts.deviation[is_forming] + hole.edge_offset,
-    )
-    radius = dict(zip(part.arms, part.radii, strict=True))
+    pieces = straight_pieces(track, CHORD_ERROR_M)
+    is_forming = track.is_forming[pieces.first]
+    first, last = pieces.first[is_forming], pieces.last[is_forming]
+    margins = pieces.deviation[is_forming] + hole.edge_offset
+    radius_by_arm = dict(zip(part.arms, part.radii, strict=True))
     for column, arm in enumerate(track.arms):
-        if arm not in radius or not len(first):
+        if arm not in radius_by_arm or not len(first):
             continue
         ends = np.stack([track.centre[rows, column][:, :2] for rows in (first, last)], axis=1)
-        distances = shapely.distance(shapely.linestrings(ends), hole.ring) - margins - radius[arm]
+        distances = shapely.distance(shapely.linestrings(ends), hole.ring) - margins - radius_by_arm[arm]
         distances = np.where(encloses(hole.vertices, ends[:, 0]), 0.0, np.maximum(distances, 0.0))
         k = int(np.argmin(distances))
         min_distance = min(min_distance, float(distances[k]))
         if distances[k] < part.hole_margin - FACET_ERROR_M:
-            what = (
+            message = (
                 f"in {formed_pass.claim.segment} the tool of {arm} comes within "
                 f"{mm(float(distances[k])):.2f} mm of "
             )
-            what += f"the edges of {hole.outline.name}, cut before, required {mm(part.hole_margin):g} mm"
+            message += f"the edges of {hole.outline.name}, cut before, required {mm(part.hole_margin):g} mm"
             row, measure = int(track.rows[first[k]]), measure_in_mm(distances[k], part.hole_margin)
-            issues.append(sample_issue(FORMING_HOLES, what, context.motion, arm, row, measure))
+            issues.append(sample_issue(FORMING_HOLES, message, context.motion, arm, row, measure))
     return float(min_distance), issues

@@ -1,7 +1,7 @@
 """The rule on sheets that a knife trims.
 
-verify.trim_knife: depth and tilt of the blade, its alignment with the curve, that its edge is ahead, and that
-it enters and leaves along its axis without rotation.
+verify.trim_knife checks depth and tilt of the blade, its alignment with the curve, that its edge is ahead,
+and that it enters and leaves the sheet along its axis without rotation.
 """
 
 import numpy as np
@@ -56,44 +56,44 @@ def trim_knife(context: Context) -> RuleOutcome:
 
 
 def _check_alignment(slot: MeasuredCut, knife: TrimBlade) -> None:
-    """Check that the blade is aligned with its curve where its tip is behind the face."""
+    """Check that the blade is aligned with its curve wherever its tip is behind the face."""
     blade = blade_path(slot.sheet, knife, slot.key)
     errors = np.where(blade.deep > SAMPLING_ERROR_M, blade.heading_errors(), 0.0)
     fraction = errors / (knife.heading_tolerance + ANGLE_ERROR_RAD + slot.sheet.sheet.normal_error)
     faulty = np.flatnonzero(fraction > 1.0)
     for k in faulty[np.argsort(-fraction[faulty], kind="stable")][:MAX_ISSUES]:
-        what = f"the blade is rotated {np.rad2deg(errors[k]):.1f} deg from its curve inside the sheet, "
-        what += (
+        message = f"the blade is rotated {np.rad2deg(errors[k]):.1f} deg from its curve inside the sheet, "
+        message += (
             f"allowed {np.rad2deg(knife.heading_tolerance):g} deg, and no rotation there at a sharp corner"
         )
-        slot.add(what, blade.rows[k])
+        slot.add(message, blade.rows[k])
     slot.note(fraction.max())
 
 
 def _check_direction(slot: MeasuredCut, knife: TrimBlade) -> None:
-    """Check that the knife moves with its edge ahead."""
+    """Check that the knife moves with its edge ahead wherever it is in the sheet."""
     blade = blade_path(slot.sheet, knife, slot.key)
     step = np.diff(blade.feet.foot, axis=0)
     advance = (step * blade.ahead[1:]).sum(axis=1)
     in_sheet = (blade.deep[1:] > SAMPLING_ERROR_M) & (np.linalg.norm(step, axis=1) > MIN_ADVANCE_M)
     for k in np.flatnonzero(in_sheet & (advance <= 0.0))[:1]:
-        what = "the knife moves backwards in the sheet, but its edge has to be ahead"
-        slot.add(what, blade.rows[k + 1])
+        message = "the knife moves backwards in the sheet, but its edge has to be ahead"
+        slot.add(message, blade.rows[k + 1])
 
 
 def _check_exit_rotation(slot: MeasuredCut, knife: TrimBlade) -> None:
-    """Check that the knife is not rotated on its way out until it is above the sheet."""
-    work = slot.sheet
-    track = work.slot_track(Segment(TRIM, slot.key.split("/", 1)[1]).at("out").key)
+    """Check that the knife does not rotate on its way out until it is above the sheet."""
+    trimmed = slot.sheet
+    track = trimmed.slot_track(Segment(TRIM, slot.key.split("/", 1)[1]).at("out").key)
     if not len(track.rows):
         return
-    depth = work.project(track.tip, track.axis)[1]
+    depth = trimmed.project(track.tip, track.axis)[1]
     rotation = np.arccos(np.clip(track.x_axis @ track.x_axis[0], -1.0, 1.0))
     fraction = np.where(depth > 0.0, rotation, 0.0) / (knife.heading_tolerance + ANGLE_ERROR_RAD)
     for k in np.flatnonzero(fraction > 1.0)[:1]:
-        what = (
+        message = (
             f"the knife rotates by {np.rad2deg(rotation[k]):.1f} deg while it is {mm(float(depth[k])):.2f} "
             "mm in the sheet on its way out, but it has to be lifted first"
         )
-        slot.add(what, track.rows[k])
+        slot.add(message, track.rows[k])
     slot.note(fraction.max())
