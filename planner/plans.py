@@ -190,25 +190,32 @@ class Plan:
         return self._sample_times(np.append(steps, self.duration) if self.operations else steps)
 
     def _sample_times(self, time: FloatArray) -> PlanSamples:
-        """Sample the plan at times (K,) [s], ascending, within its duration."""
+        """Sample the plan at times (K,) [s], ascending, within its duration.
+
+        Joint angles are interpolated linearly between targets. They are NaN for an arm that takes no part in
+        the operation at that time. The target of a sample is the first one at or after its time.
+        """
         # operations follow one another without a gap on the clock of the plan
-        lengths = [operation.time[-1] - operation.time[0] for operation in self.operations]
-        ends = np.cumsum(lengths)
-        operation = np.minimum(np.searchsorted(ends, time, side="left"), max(len(lengths) - 1, 0))
+        durations = [operation.time[-1] - operation.time[0] for operation in self.operations]
+        ends = np.cumsum(durations)
+        operation = np.minimum(np.searchsorted(ends, time, side="left"), max(len(durations) - 1, 0))
         target = np.zeros(len(time), dtype=np.int64)
-        joints = {
+        joint_counts = {
             arm: path.shape[1] for operation_plan in self.operations for arm, path in operation_plan.q.items()
         }
-        q = {arm: np.full((len(time), count), np.nan) for arm, count in joints.items()}
-        for number, operation_plan in enumerate(self.operations):
-            in_operation = operation == number
-            clock = time[in_operation] - (ends[number] - lengths[number]) + operation_plan.time[0]
+        q = {arm: np.full((len(time), count), np.nan) for arm, count in joint_counts.items()}
+        for index, operation_plan in enumerate(self.operations):
+            in_operation = operation == index
+            start = ends[index] - durations[index]
+            operation_time = time[in_operation] - start + operation_plan.time[0]
             target[in_operation] = np.clip(
-                np.searchsorted(operation_plan.time, clock, side="left"), 0, len(operation_plan.time) - 1
+                np.searchsorted(operation_plan.time, operation_time, side="left"),
+                0,
+                len(operation_plan.time) - 1,
             )
             for arm, path in operation_plan.q.items():
                 q[arm][in_operation] = np.stack(
-                    [np.interp(clock, operation_plan.time, joint) for joint in path.T], axis=1
+                    [np.interp(operation_time, operation_plan.time, joint) for joint in path.T], axis=1
                 )
         return PlanSamples(time, operation, target, q)
 

@@ -364,7 +364,7 @@ class BentWire:
 
     Attributes:
         material: Name in the table of materials.
-        length: Hot length between the clamps [m].
+        length: Hot length [m]: the part between the clamps, which is heated.
         thickness: Diameter, or thickness of a strip [m].
         width: Width of a strip [m], None for a round wire.
         temperature: Temperature while it cuts [C].
@@ -893,7 +893,9 @@ Smaller than other clearances because it depends only on the arm's own axes and 
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """Limits that motion and proof share. The defaults are those of problem files.
+    """Limits that motion and proof share, with margins. The defaults are those of problem files.
+
+    A margin is the distance by which a plan stays inside a limit.
 
     Attributes:
         clearance: Clearance [m] between bodies.

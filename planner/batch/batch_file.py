@@ -250,9 +250,10 @@ def _base_document(spec: BatchFile, document: Document) -> Document:
 
 
 def _read_table(path: Path, document: Document) -> list[dict[str, Any]]:
-    """Return the rows of a CSV file, as values by the path in the heading.
+    """Return the rows of the CSV file of a batch, each as values by the field path in the heading.
 
-    Values are read as YAML, empty cells are left out. ``document`` is the batch file, for the line of issues.
+    Each row becomes one or more jobs. Values are read as YAML. Empty cells and empty lines are left out.
+    ``document`` is the batch file, for the line of issues.
 
     Raises:
         TandemError: ``batch.csv``.

@@ -105,7 +105,14 @@ class ClusterPlanners:
             raise
 
     def _connect(self, address: str, count: int) -> Any:
-        """Return a client that receives the events of the workers. A local cluster is started."""
+        """Return a client of the cluster, which receives the events of the workers.
+
+        ``address`` is that of a scheduler, or "local" to start a cluster of ``count`` workers on this
+        machine.
+
+        Raises:
+            TandemError: ``batch.cluster`` if the cluster cannot be reached or has no workers.
+        """
         import dask
         from distributed import Client, LocalCluster
 
@@ -272,7 +279,7 @@ class ClusterPlanners:
         return submitted.result_folder.publish(result)
 
     def _failure_result(self, submitted: _SubmittedJob) -> JobResult:
-        """Publish and return the result of a job whose worker disappeared or raised an error."""
+        """Publish and return the result "crashed" of a job whose worker disappeared or raised an error."""
         name = submitted.job.name
         with _connection_errors_reported(name):
             error = submitted.future.exception()

@@ -84,7 +84,7 @@ EQUALITY_TOLERANCE = 1e-9
 
 
 @dataclasses.dataclass(frozen=True)
-class FigurePair:
+class MetricPair:
     """A value of two results, None where it is unknown.
 
     Attributes:
@@ -140,7 +140,7 @@ class PlanComparison:
 
     first: SavedResult
     second: SavedResult
-    figures: tuple[FigurePair, ...]
+    figures: tuple[MetricPair, ...]
     segments: tuple[SegmentChange, ...]
     issues: Mapping[str, tuple[int, int]]
 
@@ -159,10 +159,10 @@ class JobPair:
     first: JobResult | None
     second: JobResult | None
 
-    def figure(self, name: str) -> FigurePair:
+    def figure(self, name: str) -> MetricPair:
         """Return a value of both results. ``planning_s`` is the planning time [s]."""
         values = [None if done is None else _figure_of(done, name) for done in (self.first, self.second)]
-        return FigurePair(name, *values)
+        return MetricPair(name, *values)
 
     @property
     def issues(self) -> Mapping[str, tuple[int, int]]:
@@ -192,7 +192,7 @@ def compare_plans(first: Path, second: Path) -> PlanComparison:
         first_result,
         second_result,
         tuple(
-            FigurePair(name, first_result.figures.get(name), second_result.figures.get(name))
+            MetricPair(name, first_result.figures.get(name), second_result.figures.get(name))
             for name in names
         ),
         tuple(_segment_changes(first_result.plan.operations, second_result.plan.operations)),
@@ -308,9 +308,11 @@ def _segment_change(
     first: OperationPlan | None,
     second: OperationPlan | None,
 ) -> SegmentChange | None:
-    """Compare a segment of an operation in two plans. None if it is equal within `EQUALITY_TOLERANCE`.
+    """Return how a segment of an operation differs in two plans, or None if it does not.
 
-    The ranges of its targets and the operations are None in a plan without this segment.
+    The segment is equal if joints [rad], positions [m] and duration [s] differ by at most
+    `EQUALITY_TOLERANCE`, with the same arms. Joints and positions are not compared if the numbers of targets
+    differ. The ranges of its targets and the operations are None in a plan without this segment.
     """
     seconds = _seconds(first, first_run), _seconds(second, second_run)
     counts = _count(first_run), _count(second_run)
@@ -510,9 +512,11 @@ def summary_page(title: str, rows: Sequence[BatchRow], out: Path, seconds: float
 def _job_rows(
     row: BatchRow, paths: Sequence[str], shown_figures: Sequence[str], out: Path, width: int
 ) -> str:
-    """Return the HTML table row of a job, and a second one for its issues if it has any.
+    """Return the HTML table row of a job in the summary, and a second row for its issues if it has any.
 
-    The columns are the varied fields ``paths`` and the values ``shown_figures``. ``width`` is their number.
+    The columns are: thumbnail, name, status, the varied fields ``paths``, the values ``shown_figures``, and
+    the planning time. ``width`` is the number of all columns. Thumbnail and name link to the report in the
+    folder ``out``, if there is one.
     """
     report = f"{row.item.name}/report.html"
     thumbnail_bytes = thumbnail(out / report)
@@ -534,6 +538,7 @@ def _job_rows(
     main_issue = most_severe_issue(row.done)
     if not row.done.issues:
         return result_row
+    # the second row leaves the column of thumbnails free
     text = html.escape(issue_counts(row))
     if main_issue is not None:
         text += f": <code>{main_issue.code}</code> {html.escape(main_issue.message)}"

@@ -101,36 +101,44 @@ def _reference_forest(
         for folder, panel in panels
     }
     references: dict[str, str] = {}
-    roots = [root for part in _connected_parts(neighbours) for root in _choose_roots(neighbours, part, done)]
+    roots = [
+        root for group in _connected_groups(neighbours) for root in _choose_roots(neighbours, group, done)
+    ]
     for panel, predecessor in _breadth_first(neighbours, roots).items():
         if predecessor != panel:
             references[panels[panel]] = panels[predecessor]
     return references
 
 
-def _connected_parts(neighbours: Mapping[PanelKey, Sequence[PanelKey]]) -> Iterator[list[PanelKey]]:
+def _connected_groups(neighbours: Mapping[PanelKey, Sequence[PanelKey]]) -> Iterator[list[PanelKey]]:
     """Yield each connected group of panels, in the order of a breadth-first search from its first panel."""
     seen: set[PanelKey] = set()
     for panel in neighbours:
         if panel not in seen:
-            part = list(_breadth_first(neighbours, [panel]))
-            seen.update(part)
-            yield part
+            group = list(_breadth_first(neighbours, [panel]))
+            seen.update(group)
+            yield group
 
 
 def _choose_roots(
-    neighbours: Mapping[PanelKey, Sequence[PanelKey]], part: Sequence[PanelKey], done: Collection[PanelKey]
+    neighbours: Mapping[PanelKey, Sequence[PanelKey]], group: Sequence[PanelKey], done: Collection[PanelKey]
 ) -> list[PanelKey]:
     """Choose the roots of a connected group: the panels that are ``done`` or planned without a reference.
 
-    All other panels are at most ``MAX_RINGS`` steps from a root. As long as a panel is farther away, the
-    farthest one is taken, and the panel ``MAX_RINGS`` steps before it becomes a root. On a tree this gives
-    the smallest number of roots. Finally, each root is moved to the middle of the panels nearest to it.
+    All other panels are at most ``MAX_RINGS`` steps from a root. As long as some panels are farther away, the
+    one of them that is farthest from the first panel of the group is taken. The panel ``MAX_RINGS`` steps
+    before it, on the path from the first panel, becomes a root. On a tree this gives the smallest number of
+    roots. Finally, each root that is not ``done`` is moved to the middle of the panels nearest to it.
+
+    Args:
+        neighbours: Neighbours of each panel.
+        group: Panels of the group, in the order of a breadth-first search from the first one.
+        done: Panels with results, of this and other groups.
     """
-    predecessors = _breadth_first(neighbours, [part[0]])
-    done_panels = [panel for panel in part if panel in done]
-    roots, covered = done_panels, set(_breadth_first(neighbours, done_panels, MAX_RINGS))
-    for panel in reversed(part):
+    predecessors = _breadth_first(neighbours, [group[0]])
+    roots = [panel for panel in group if panel in done]
+    covered = set(_breadth_first(neighbours, roots, MAX_RINGS))
+    for panel in reversed(group):
         if panel in covered:
             continue
         for _ in range(MAX_RINGS):

@@ -236,9 +236,10 @@ OnEvent = Callable[[JobEvent], None]
 def run_batch(
     items: Sequence[BatchItem], out: Path, planners: Planners, settings: BatchSettings, on_event: OnEvent
 ) -> list[BatchRow]:
-    """Plan all items into ``out`` and return the rows in the order of the items.
+    """Plan all items into ``out`` and return their rows of the summary, in the order of the items.
 
-    If interrupted, only running jobs are lost.
+    An item waits for the item whose plan is its reference plan. Items on which the longest chains of others
+    wait are planned first. If the batch is interrupted, only running jobs are lost.
 
     Args:
         items: The items.
@@ -400,9 +401,11 @@ def _submit(
     versions: Mapping[str, str],
     reference: Path | None,
 ) -> BatchRow | None:
-    """Submit an item with the result folder of its reference plan, and return None.
+    """Submit an item to the planners, with the result folder of its reference plan or None.
 
-    If the item cannot be read or written, or if an earlier result is kept, return its row instead.
+    Returns:
+        None if the item was submitted. If it cannot be read or written, or if an earlier result is kept, its
+        row in the summary.
     """
     folder, record_path = out / item.name, out / RECORDS_FOLDER / f"{item.name}.json"
     try:
@@ -434,8 +437,9 @@ def _earlier_result(
 ) -> JobResult | None:
     """Return the recorded result of a job if another attempt would end in the same way, else None.
 
-    The job must be identical, and its result complete. A crashed or cancelled job is planned again, and so is
-    one that reached a limit, if the limit is higher now.
+    The job must be identical, and its result complete: with a report, or with a plan if verified jobs get no
+    reports. A crashed or cancelled job is planned again. A job that reached a limit is planned again if the
+    limit is higher now, absent, or was not recorded.
     """
     record = JobRecord.read(record_path)
     if record is None or record[1].get("identity") != identity:

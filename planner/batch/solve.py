@@ -61,7 +61,16 @@ def solve_job(order: JobOrder, on_progress: pipeline.Progress, on_issues: OnIssu
 def _solve_problem(
     order: JobOrder, names: "UserFileNames", on_progress: pipeline.Progress, on_issues: OnIssues
 ) -> tuple[JobState, tuple[Issue, ...], Mapping[str, float]]:
-    """Return state, issues and metrics. Unexpected errors and those of a full disk are raised."""
+    """Plan the problem of a job, or divide or report on its element, and save the result.
+
+    Returns:
+        State, issues and metrics of the job. A problem that cannot be read or planned is such a state, with a
+        report of its issues.
+
+    Raises:
+        TandemError: The disk is full.
+        Exception: Any unexpected error, which the caller reports as a crash.
+    """
     source, result = order.source, order.result
     problem = None
     try:

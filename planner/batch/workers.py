@@ -132,6 +132,7 @@ class WorkerProcess:
         return f"{outcome} ({error_line})" if error_line else outcome
 
     def _last_error_line(self) -> str:
+        """Return the last line that the worker wrote to standard error, cut to 200 characters."""
         size = self._error_output.seek(0, os.SEEK_END)
         self._error_output.seek(max(0, size - MAX_ERROR_TAIL_BYTES))
         lines = [line.strip() for line in self._error_output.read().decode("utf-8", "replace").splitlines()]
@@ -420,7 +421,10 @@ class BatchWorkers:
             raise issue_error("batch.worker", message, hint="check memory and the installation")
 
     def _check_limits(self) -> None:
-        """End jobs that exceed their time or memory, at most once per `WATCH_INTERVAL_S`."""
+        """End jobs that exceed their limit of time or memory. This is checked once per `WATCH_INTERVAL_S`.
+
+        A job that exceeds its memory in a worker with earlier jobs is started again in a fresh worker.
+        """
         if time.monotonic() - self._last_watch < WATCH_INTERVAL_S:
             return
         self._last_watch = time.monotonic()
@@ -472,7 +476,10 @@ class BatchWorkers:
         self._events.append(JobFinished(order.job.name, result))
 
     def _end_issue(self, state: JobState, order: _QueuedJob, exit_reason: str = "") -> Issue:
-        """Return the issue of a failed or cancelled job. ``exit_reason`` is how its worker ended."""
+        """Return the issue of a job that reached a limit, was cancelled, or crashed.
+
+        ``exit_reason`` says how the worker of a crashed job ended, as part of a sentence.
+        """
         job = order.job
         if state == "timeout":
             message = f"{job.name}: planning was stopped at its time limit of {job.timeout_s:g} s"

@@ -1,5 +1,7 @@
 """Solids of a cell's bodies: their representation in Drake, their poses, and distances of points from them.
 
+A body is a link, a tool, the stock, its support or an obstacle. Its solids are its collision shapes.
+
 Poses and signed distances to convex solids, exact inside and outside, are computed in NumPy, batched. Which
 pairs of bodies are not checked for clearance, and why, is decided once when a cell is built, and shown in the
 report.
@@ -28,7 +30,7 @@ from planner.tooling import working_solid
 
 
 def drake_shape(shape: Shape, solid: bool) -> DrakeShape:
-    """Return Drake's shape.
+    """Return Drake's shape of a shape.
 
     Args:
         shape: The shape.
@@ -74,7 +76,7 @@ class MinClearance:
     pair: tuple[tuple[str, str], ...]
 
     def worst(self) -> int:
-        """Return the index of the smallest distance."""
+        """Return the index of the configuration with the smallest distance."""
         return int(np.argmin(self.distance))
 
 
@@ -163,7 +165,10 @@ def hull_points(solid: Solid) -> FloatArray:
 
 
 def signed_distance(solid: Solid, points: FloatArray) -> FloatArray:
-    """Return distances (...,) [m] of points (..., 3) in the shape's frame to its surface, negative inside."""
+    """Return the distances (...,) [m] of points (..., 3) from the surface of a solid, negative inside.
+
+    The points are in the frame of the solid's shape.
+    """
     kind, size = solid.shape.kind, solid.shape.size
     if kind == "sphere":
         return np.asarray(np.linalg.norm(points, axis=-1) - size[0])
@@ -188,6 +193,7 @@ def _hull_distance(solid: Solid, points: FloatArray) -> FloatArray:
     flat = points.reshape(-1, 3)
     out = (flat @ planes[:, :3].T + planes[:, 3]).max(axis=1)
     outside = np.flatnonzero(out > 0.0)
+    # points outside, in parts of about 200 000 pairs of point and triangle to limit memory
     for part in np.array_split(outside, max(1, len(outside) * len(triangles) // 200_000)):
         out[part] = _triangle_distance(flat[part, None], triangles[None]).min(axis=1)
     return np.asarray(out.reshape(points.shape[:-1]))
@@ -196,8 +202,8 @@ def _hull_distance(solid: Solid, points: FloatArray) -> FloatArray:
 def _triangle_distance(p: FloatArray, triangle: FloatArray) -> FloatArray:
     """Return distances (...,) of points (..., 3) to triangles (..., 3, 3).
 
-    The distance is that to the plane if the projection of the point is inside the triangle, else that to the
-    nearest edge.
+    If the projection of a point is inside the triangle, the distance is that from the plane. Otherwise it is
+    that from the nearest edge.
     """
     a, b, c = triangle[..., 0, :], triangle[..., 1, :], triangle[..., 2, :]
     normal = np.cross(b - a, c - a)

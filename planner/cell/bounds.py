@@ -123,7 +123,7 @@ class ClearanceBounds:
         return dataclasses.replace(self, ease=ease.reshape(len(bodies), len(bodies)))
 
     def without_bodies(self, ignore: frozenset[frozenset[str]]) -> "ClearanceBounds":
-        """Return bounds without the pairs of bodies in ``ignore``."""
+        """Return bounds without the pairs of bodies in ``ignore``. Results are kept for later calls."""
         if not ignore:
             return self
         if ignore not in self._without_bodies_cache:
@@ -140,7 +140,8 @@ class ClearanceBounds:
     def always_near_pairs(self, poses: Mapping[str, FloatArray]) -> tuple[SolidPair, ...]:
         """Return pairs of solids of one arm that its build keeps close to each other.
 
-        There are two kinds. Pairs of the first kind are within :data:`MAX_KEPT_DISTANCE_M` in more than
+        They are removed from the checks, because their distance says nothing about a posture. There are two
+        kinds. Pairs of the first kind are within :data:`MAX_KEPT_DISTANCE_M` in more than
         :data:`MIN_NEAR_FRACTION` of the poses and never touch. Pairs of the second kind are often within
         :data:`MAX_NEAR_DISTANCE_M`. Of these, only as many are returned as needed so that the remaining pairs
         of the same two bodies are close in at most :data:`MIN_NEAR_FRACTION` of the poses.
@@ -255,8 +256,8 @@ class ClearanceBounds:
     ) -> tuple[FloatArray, FloatArray]:
         """Return lower and upper bounds (B,) [m] of the smallest distance of any checked pair.
 
-        If bodies overlap, the bounds only have the true sign and are no depths. Distances above ``limit`` are
-        not computed: both bounds are then infinite or above it.
+        If bodies overlap, the bounds have the true sign but are not depths. Distances above ``limit`` are not
+        computed: both bounds are then infinite or above it.
 
         Args:
             poses: Body poses (B | 1, 4, 4), by body.
@@ -317,7 +318,7 @@ class ClearanceBounds:
         best = np.full(placement.rows, limit)
         pair = np.full((placement.rows, 2), -1, dtype=np.intp)
         is_overlap = np.zeros(placement.rows, dtype=np.bool_)
-        leading = np.flatnonzero(np.diff(row, prepend=-1))
+        leading = np.flatnonzero(np.diff(row, prepend=-1))  # first pair of each row: smallest lower bound
         is_remaining = np.ones(len(row), dtype=np.bool_)
         is_remaining[leading] = False
         # first the pair of each row that is probably closest, which rules out most others; then the others
@@ -328,6 +329,7 @@ class ClearanceBounds:
             rows, first_solid, second_solid = row[selected], first[selected], second[selected]
             gap, direction, _ = self._measure(placement, rows, first_solid, second_solid)
             gap = gap + self.ease[first_solid, second_solid]
+            # of each row the pair with the smallest distance, if it is below the smallest so far
             closest = np.lexsort((gap, rows))
             closest = closest[np.diff(rows[closest], prepend=-1) != 0]
             closest = closest[gap[closest] < best[rows[closest]]]
@@ -337,7 +339,10 @@ class ClearanceBounds:
         return best, pair, is_overlap
 
     def is_apart(self, poses: Mapping[str, FloatArray], padding: float) -> BoolArray:
-        """Return whether (B,) all solids are farther apart than ``padding`` [m], for finite poses."""
+        """Return for each of B rows whether all solids are farther apart than ``padding`` [m].
+
+        The poses must be finite.
+        """
         placement = self._make_placement(poses)
         boxes = self._close_boxes(placement, padding + DISTANCE_TOLERANCE_M)
         out = np.ones(placement.rows, dtype=np.bool_)
@@ -348,10 +353,10 @@ class ClearanceBounds:
     def stays_apart(
         self, poses: Mapping[str, FloatArray], padding: float, change: FloatArray, lever: FloatArray
     ) -> BoolArray:
-        """Return whether (B,) all solids certainly stay farther apart than a padding while joints change.
+        """Return for each of B rows whether all solids certainly stay apart while joints change.
 
-        A joint that moves both solids of a pair does not change their distance, so each pair has its own
-        required distance.
+        Apart means farther than ``padding``. False means that it is not certain. A joint that moves both
+        solids of a pair does not change their distance, so each pair has its own required distance.
 
         Args:
             poses: Finite body poses (B | 1, 4, 4), by body.
@@ -405,9 +410,10 @@ class ClearanceBounds:
         second: IndexArray,
         required: FloatArray,
     ) -> BoolArray:
-        """Return whether (B,) all pairs (M,) are farther apart than their required distance (M,) [m].
+        """Return for each of B rows whether all of its pairs are farther apart than required.
 
-        Pairs are sorted by row, with the probably closest one of each row first.
+        The M pairs and their required distances (M,) [m] are sorted by row, with the probably closest pair of
+        each row first.
         """
         out = np.ones(placement.rows, dtype=np.bool_)
         leading = np.diff(row, prepend=-1) != 0
@@ -458,7 +464,10 @@ class ClearanceBounds:
     def _pairs_within(
         self, placement: "_Placement", boxes: "_CloseBoxes", limit: float, rows: BoolArray
     ) -> tuple[IndexArray, IndexArray, IndexArray, FloatArray]:
-        """Return the pairs of :meth:`_close_pairs` in the selected ``rows`` (B,)."""
+        """Return the pairs of :meth:`_close_pairs` in the rows for which ``rows`` (B,) is true.
+
+        ``boxes`` are the close boxes of all rows, for the same ``limit``.
+        """
         capsules = self._close_capsules(placement, limit, rows)
         boxes = boxes if rows.all() else boxes.select(np.flatnonzero(rows[boxes.row]))
         box_low = self._sampled_box_bounds(boxes)[0]
@@ -481,15 +490,23 @@ class ClearanceBounds:
         other: IndexArray,
         settled: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Measure pairs of solids in rows (M,); the result is that of :func:`measure_distances`.
+        """Measure M pairs of solids, each in one row; the result is that of :func:`measure_distances`.
 
-        ``settled`` (M,) [m] is the threshold of that function.
+        Args:
+            placement: Placed solids.
+            row: (M,) rows.
+            first_solid: (M,) first solids, as indices in ``all_solids``.
+            other: (M,) second solids.
+            settled: (M,) [m] threshold of that function.
         """
         first, second = (self._solid_poses(placement, row, which) for which in (first_solid, other))
         return measure_distances(self.cores, first_solid, other, first, second, settled)
 
     def _make_placement(self, poses: Mapping[str, FloatArray]) -> "_Placement":
-        """Place all solids at body poses (B | 1, 4, 4) with one matrix product for all capsules and balls."""
+        """Place all solids at body poses (B | 1, 4, 4) with one matrix product for all capsules and balls.
+
+        A body whose pose is not finite gets NaN in that row, and other bodies are not affected.
+        """
         rows = max(len(pose) for pose in poses.values())
         body_poses = np.empty((rows, 3, len(self.bodies), 4))
         for k, body in enumerate(self.bodies):
@@ -499,6 +516,7 @@ class ClearanceBounds:
             is_invalid: BoolArray = np.asarray(~np.isfinite(body_poses).all(axis=(1, 3)))
             finite_poses = np.where(is_invalid[:, None, :, None], 0.0, body_poses)
             transformed = (finite_poses.reshape(3 * rows, -1) @ self._pose_matrix).reshape(rows, 3, -1)
+            # body of each column: centres of capsules, axes of capsules, centres of balls
             column_body = np.concatenate([self.body_index, self.body_index, np.arange(len(self.bodies))])
             np.copyto(transformed, np.nan, where=is_invalid[:, None, column_body])
         ends = [len(self.solids), 2 * len(self.solids)]
@@ -524,7 +542,7 @@ class ClearanceBounds:
         return out.reshape(4 * bodies, -1)
 
     def _solid_poses(self, placement: "_Placement", row: IndexArray, which: IndexArray) -> FloatArray:
-        """Return world poses (M, 4, 4) of some of ``all_solids`` in rows (M,)."""
+        """Return the world poses (M, 4, 4) of the solids ``which`` (M,) in rows (M,)."""
         body = np.zeros((len(row), 4, 4))
         body[:, 3, 3] = 1.0
         moving = which < len(self.solids)
@@ -625,7 +643,10 @@ class ClearanceBounds:
 
     @functools.cached_property
     def _bounding_balls(self) -> tuple[FloatArray, FloatArray]:
-        """Balls around the solids of each of ``bodies``: centres (P, 3) in the body and radii (P,) [m]."""
+        """Balls around the solids of each of ``bodies``: centres (P, 3) in the body and radii (P,) [m].
+
+        They rule out most pairs of bodies before any capsule is compared.
+        """
         middle, radius = np.zeros((len(self.bodies), 3)), np.zeros(len(self.bodies))
         for k in range(len(self.bodies)):
             solids = np.flatnonzero(self.body_index == k)
@@ -905,6 +926,9 @@ def make_bounds(
 ) -> ClearanceBounds:
     """Return the bounds of a cell's solids.
 
+    Boxes and meshes of bodies that stand still are compared as boxes, all other solids as capsules. Pairs of
+    solids of one body and pairs of two such boxes are not compared.
+
     Args:
         solids: All collision solids.
         filtered: Pairs of bodies that are not checked, with reasons.
@@ -992,7 +1016,8 @@ def _enclosing_capsules(solid: Solid) -> tuple[FloatArray, float, float, float, 
         half, radius = float(size[order[2]]), float(np.hypot(size[order[0]], size[order[1]]))
         thin = float(size[order[0]]) if kind == "box" else -np.inf
     # Around: the rim of a body of half length h and radius r is hypot(r, h - a) from the end of an axis of
-    # half length a. Inside: a capsule of the smallest half size, as long as the body.
+    # half length a. The axis ends 0.4 r before the end of the body. Inside: a capsule of the smallest half
+    # size, as long as the body.
     around = max(0.0, half - 0.4 * radius)
     return axis, around, float(np.hypot(radius, half - around)), max(0.0, half - max(thin, 0.0)), thin
 

@@ -83,7 +83,7 @@ def edge_clearance(
     measured = []
     # First the points of the chain, then the pieces between two points that may be closer.
     for k, solid in enumerate(solids):
-        chain = _chain_for(chains, solid, flanges)
+        chain = _edge_chain_for(chains, solid, flanges)
         frame = poses[solid.body] @ solid.shape.pose
         local = (chain.points - frame[..., None, :3, 3]) @ frame[..., :3, :3]
         value = _point_distances(solid, local, chain, best)
@@ -111,10 +111,11 @@ def is_edge_clear(
     padding: float,
     against: Against = "all",
 ) -> BoolArray:
-    """Return whether (B,) the distance that :func:`edge_clearance` measures is at least a padding.
+    """Return for each of B rows whether the distance of :func:`edge_clearance` is at least a padding.
 
-    Solids are skipped if no point of the chain comes near their bounding sphere. Pieces are not measured if
-    they cannot come close enough, or if their chain is too close already.
+    This takes less time than to measure the distance. Solids are skipped if no point of the chain comes near
+    their bounding sphere. Pieces are not measured if they cannot come close enough, or if their chain is too
+    close already.
 
     Args:
         model: The cell.
@@ -136,7 +137,7 @@ def is_edge_clear(
         rows = np.flatnonzero(may_be_close[k] & (best - radius >= padding))
         if not len(rows):
             continue
-        chain = _chain_for(chains, solid, flanges)
+        chain = _edge_chain_for(chains, solid, flanges)
         frame = np.broadcast_to(poses[solid.body] @ solid.shape.pose, (len(points), 4, 4))
         subset = _Chain(chain.points[rows], chain.skip[rows])
         local = (subset.points - frame[rows, None, :3, 3]) @ frame[rows, :3, :3]
@@ -169,10 +170,10 @@ def _near_bounding_spheres(
     flanges: Mapping[str, str],
     limit: float,
 ) -> BoolArray:
-    """Return whether (S, B) any point of the edge comes close to the sphere around each solid.
+    """Return for S solids and B rows whether a point of the edge comes close to the sphere around the solid.
 
-    Close means within ``limit`` [m] plus the longest step of the chain, because a piece between two points
-    may come closer than its ends.
+    Other solids need not be measured. Close means within ``limit`` [m] plus the longest step of the chain,
+    because a piece between two points may come closer than its ends.
 
     Args:
         solids: S solids.
@@ -184,7 +185,9 @@ def _near_bounding_spheres(
     rows = len(chains[""].points)
     out = np.zeros((len(solids), rows), dtype=np.bool_)
     for chain in {id(chain): chain for chain in chains.values()}.values():
-        solid_indices = [k for k, solid in enumerate(solids) if _chain_for(chains, solid, flanges) is chain]
+        solid_indices = [
+            k for k, solid in enumerate(solids) if _edge_chain_for(chains, solid, flanges) is chain
+        ]
         if not solid_indices:
             continue
         centre = np.empty((rows, 3, len(solid_indices)))
@@ -243,14 +246,14 @@ def _flanges(model: CellModel) -> dict[str, str]:
     return {arm: f"link_{robot.axes}" for arm, robot in model.robots.items()}
 
 
-def _chain_for(chains: Mapping[str, _Chain], solid: Solid, flanges: Mapping[str, str]) -> _Chain:
+def _edge_chain_for(chains: Mapping[str, _Chain], solid: Solid, flanges: Mapping[str, str]) -> _Chain:
     """Return the chain that is compared with a solid. ``flanges``: the last link of each arm."""
     arm, _, link = solid.body.partition("/")
     return chains.get(arm if link in ("tool", flanges.get(arm)) else "", chains[""])
 
 
 def _clip_end(points: FloatArray, length: float, last: bool) -> _Chain:
-    """Return the chain without an arc length [m] at its first or last end.
+    """Return the chain of ``points`` (B, P, 3) [m] without an arc length [m] at its first or last end.
 
     Points within that length are skipped, except the one next to the cut, which moves to the cut.
     """
@@ -345,7 +348,7 @@ BOUND_ERROR: Final = 1e-4
 def is_free(
     model: CellModel, q: Mapping[str, FloatArray], padding: float, ignore: Pairs = frozenset()
 ) -> BoolArray:
-    """Return whether (B,) every pair of bodies, except those in ``ignore``, is farther apart than a padding.
+    """Return for each of B configurations whether all pairs of bodies are farther apart than a padding.
 
     A configuration that is not finite is not free.
 
@@ -372,7 +375,9 @@ def stays_free(
     levers: FloatArray,
     ignore: Pairs = frozenset(),
 ) -> BoolArray:
-    """Return whether (B,) bodies are certainly farther apart than a padding while joints change.
+    """Return for each of B configurations whether bodies certainly stay apart while joints change.
+
+    Apart means farther than ``padding``. False means that it is not certain.
 
     Args:
         model: The cell.
@@ -423,6 +428,7 @@ def solid_levers(model: CellModel) -> FloatArray:
                 points = transform(placed[solid.body][0] @ solid.shape.pose, bounding_corners(solid))
                 points -= origin[count - 1]
                 # lever of joint j < n, the last: sum of |o_(k+1) - o_k|, k = j to n - 1, plus max |p - o_n|
+                # summed from the last link back to the first
                 along_links = np.cumsum(links[: count - 1][::-1])[::-1]
                 out[k, first : first + count - 1] = along_links + lengths(points).max()
                 out[k, first + count - 1] = lengths(np.cross(axes[count - 1], points)).max()
@@ -629,13 +635,17 @@ def distance_gradients_at(
 def _gradients(
     model: CellModel, rows: FloatArray, reach: float, bounds: ClearanceBounds
 ) -> Iterator[DistanceGradients]:
-    """Yield the result of :func:`distance_gradients_at` for each configuration (B, nq) of one batch."""
+    """Yield the result of :func:`distance_gradients_at` for each configuration (B, nq) of one batch.
+
+    Each pair of solids has an entry, except that solids that overlap have one entry for both bodies.
+    """
     q = _by_arm(model, rows)
     row, solids, gap, direction, point = bounds.measure_all(model.poses(q), reach)
     index = {name: int(model.body(name).index()) for name in dict.fromkeys(s.body for s in bounds.all_solids)}
     bodies = np.array([index[s.body] for s in bounds.all_solids], dtype=np.intp)[solids].reshape(-1, 2)
     pair = np.sort(bodies, axis=1)
     is_overlap = np.asarray(~direction.any(axis=1))
+    # by row and pair of bodies; within a pair overlapping solids first, then by distance
     order = np.lexsort((gap, ~is_overlap, pair[:, 1], pair[:, 0], row))
     key = np.column_stack([row, pair])[order]
     is_repeated = (np.diff(key, axis=0, prepend=-1) == 0).all(axis=1) & is_overlap[order]
@@ -670,7 +680,14 @@ class _DistanceLines:
 def _distance_slopes(
     model: CellModel, q: Mapping[str, FloatArray], bodies: Sequence[str], lines: _DistanceLines
 ) -> FloatArray:
-    """Return gradients (M, nq) [m/rad] of distances along lines. ``bodies`` are those of all solids."""
+    """Return the gradients (M, nq) [m/rad] of the distances along M lines by all joints.
+
+    Args:
+        model: The cell.
+        q: Joints of all arms by arm (B, J) [rad].
+        bodies: Body of each of all solids.
+        lines: The lines, each in one of the B configurations.
+    """
     row = lines.row
     out = np.zeros((len(row), model.home.size))
     for arm, part in model.columns.items():
@@ -757,7 +774,11 @@ def _overlap_depth(query: Any, first: Any, other: Any) -> float:
 
 
 def _standing_pairs(model: CellModel) -> list[tuple[str, str]]:
-    """Return the pairs of fixed bodies that :func:`find_overlaps` checks."""
+    """Return the pairs of fixed bodies that :func:`find_overlaps` checks.
+
+    A stock that no arm holds is checked against bases, obstacles and its support. Bases are checked against
+    each other and against the support. A clamped sheet is not checked against its support, which clamps it.
+    """
     bases = [f"{arm}/base_link" for arm in model.arms]
     obstacles = [obstacle.name for obstacle in model.cell.obstacles]
     pairs = [("stock", other) for other in [*bases, *obstacles]] if model.stock.held_by is None else []
@@ -793,7 +814,10 @@ def _names(model: CellModel, a: int, b: int) -> tuple[str, str]:
 
 @contextmanager
 def _ignored_pairs(model: CellModel, ignore: Pairs) -> Iterator[None]:
-    """Filter pairs in the checker within this block. Pairs of fixed bodies are filtered anyway."""
+    """Leave pairs of bodies out of the checks of Drake's checker within a ``with`` block.
+
+    The checker leaves out pairs of fixed bodies in any case.
+    """
     checker = model.at_rows(0).checker
     original = np.array(checker.GetFilteredCollisionMatrix())
     changed = original.copy()

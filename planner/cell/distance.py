@@ -73,7 +73,7 @@ class Cores:
 
 
 def make_cores(solids: Sequence[Solid]) -> Cores:
-    """Return the cores of solids."""
+    """Return the cores of solids, which :func:`measure_distances` compares."""
     count = len(solids)
     half, disc, rounding = np.zeros((count, 3)), np.zeros(count), np.zeros(count)
     kind = [solid.shape.kind for solid in solids]
@@ -151,7 +151,10 @@ def _segment_distances(
     other_pose: FloatArray,
     threshold: FloatArray | None,
 ) -> _DistanceLines:
-    """Measure the distances of cores that are points or segments along the z of their frames."""
+    """Measure the distances of cores that are points or segments along the z of their frames.
+
+    The arguments are those of :func:`measure_distances`, for pairs of this kind only.
+    """
     del threshold  # closed forms need no search
     along = pose[:, :3, 2]
     half = cores.half[first, 2], cores.half[second, 2]
@@ -180,7 +183,7 @@ def segment_vectors(
     # s = c t - u.w, for a given s at t = c s + v.w. Candidates with s or t at its end cover all cases.
     cosine, ca, cb = dots(along, across), dots(along, w), dots(across, w)
     sine2 = 1.0 - cosine * cosine
-    is_parallel = sine2 < 1e-12
+    is_parallel = sine2 < 1e-12  # nearly parallel: below 1e-6 rad
     inner = np.clip(np.where(is_parallel, -ca, (cosine * cb - ca) / np.where(is_parallel, 1.0, sine2)), -a, a)
     # for nearly parallel segments the formula cancels out; then the ends are as close as any point
     s = np.stack([inner, a, -a, np.clip(cosine * b - ca, -a, a), np.clip(-cosine * b - ca, -a, a)])
@@ -200,7 +203,11 @@ def _segment_box_distances(
     other_pose: FloatArray,
     threshold: FloatArray | None,
 ) -> _DistanceLines:
-    """Measure the distances of a segment and a box, in either order, in the frame of the box."""
+    """Measure the distances of pairs of a segment and a box. In a pair, either of them may come first.
+
+    They are computed in the frame of the box, and the results are in the world. The arguments are those of
+    :func:`measure_distances`.
+    """
     del threshold  # closed forms need no search
     is_box_first = cores.is_box[first]
     segment, box = np.where(is_box_first, second, first), np.where(is_box_first, first, second)
@@ -262,7 +269,12 @@ def _gjk_distances(
     other_pose: FloatArray,
     threshold: FloatArray | None,
 ) -> _DistanceLines:
-    """Measure the distances of cores by GJK: lower bounds with directions and points, 0 if they overlap."""
+    """Measure the distances of cores by GJK, for pairs without a closed form.
+
+    The results are lower bounds with their directions and points. Distance and direction are 0 if the cores
+    overlap. With thresholds (M,) [m], a pair is done once it is known on which side of its threshold the
+    distance of the solids lies.
+    """
     count = len(first)
     gap, direction, point = np.zeros(count), np.zeros((count, 3)), pose[:, :3, 3].copy()
     active = np.arange(count)
@@ -283,7 +295,8 @@ def _gjk_distances(
         low = dots(v, support) / norm
         better = low > gap[active]
         gap[active[better]], direction[active[better]] = low[better], v[better] / norm[better, None]
-        started = used[active].any(axis=1)
+        started = used[active].any(axis=1)  # in the first step ``nearest`` is only a guess, not a point
+        # a pair is done if both bounds agree, or if one of them decides on which side of the threshold it is
         continues = ~(started & (norm - gap[active] < DISTANCE_TOLERANCE_M))
         if threshold is not None:
             continues &= ~(started & (norm <= core_threshold[active])) & (

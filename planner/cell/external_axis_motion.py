@@ -407,7 +407,11 @@ def travel_speeds(problem: Problem, poses: Sequence[FloatArray]) -> dict[str, fl
 
 
 def _whole_percent_speed(speed: float, axis_speed: float, mover: Arm) -> float:
-    """Round a speed down to whole percents of the axis' speed, at least 1 %, if ``mover`` is a KUKA arm."""
+    """Return the speed that a program of the arm ``mover`` states for an axis.
+
+    KRL states whole percents of the axis' maximum ``axis_speed``, so the speed is rounded down to them, to at
+    least 1 %. Other languages state the speed itself.
+    """
     if mover.data.family != "KUKA":
         return speed
     return max(1.0, float(np.floor(100.0 * speed / axis_speed + 1e-9))) / 100.0 * axis_speed
@@ -479,6 +483,9 @@ def _check_by_samples(
     ignore: clearance.Pairs = frozenset(),
 ) -> AxisMotionCheck:
     """Check a motion by samples whose spacing is the excess of the current distance over the required one.
+
+    The spacing is at least :data:`MIN_STEP_M`. The check ends at the first sample at which bodies are too
+    close.
 
     Args:
         motion: The motion.
@@ -568,7 +575,7 @@ def _extents(cores: distance.Cores, placed: FloatArray, direction: FloatArray) -
 def _supporting_shapes(
     model: CellModel, base_solids: list[Solid], fixed: list[Solid], upright: FloatArray, direction: FloatArray
 ) -> BoolArray:
-    """Return whether (F,) a base stands and slides on each fixed shape.
+    """Return for each of F fixed shapes whether a base stands and slides on it, so that it is not checked.
 
     These are shapes of obstacles that end below the foot of the base, so that the base comes no closer to
     them while it moves. At least one shape of the obstacle is closer to the base than
@@ -599,7 +606,7 @@ def _supporting_shapes(
 def _sliding_shapes(
     model: CellModel, moving: list[Solid], fixed: list[Solid], axis: LinearAxis, value: float
 ) -> BoolArray:
-    """Return whether (R, F) each carried shape slides along each fixed shape.
+    """Return for R carried and F fixed shapes whether one slides along the other, as in a bearing.
 
     Such shapes are less than :data:`MAX_STANDING_GAP_M` apart over the whole range of the axis, and a plane
     along the motion separates them. Both shapes are convex, so shapes that are that close at both ends of the
@@ -636,14 +643,24 @@ def _sliding_shapes(
 
 
 def _bearing_shapes(model: CellModel, moving: list[Solid], fixed: list[Solid], axis: RotaryAxis) -> BoolArray:
-    """Return whether (R, F) each shape of plate and bracket is borne by each fixed shape.
+    """Return for R moving and F fixed shapes whether the fixed one bears the moving one in the tilt bearing.
 
-    ``model`` has the tilt at 0. Such shapes are less than :data:`MAX_STANDING_GAP_M` apart, and the tilt
-    cannot bring them closer. Either one of them is rotationally symmetric about the tilt axis, such as a
-    shaft or its seat. Or the fixed one starts along the axis where the other ends, their distance is that of
-    these ends, and both come within :data:`MAX_BEARING_DISTANCE_M` of the axis, such as a cradle in front of
-    its posts: the faces slide past each other. All other pairs are checked: a column next to the bracket, a
-    box that a fixed one overlaps, and a bar above the end of a post that the tilt lowers next to it.
+    Only shapes of plate and bracket can be borne. Pairs in a bearing are not checked, because they are less
+    than :data:`MAX_STANDING_GAP_M` apart and the tilt cannot bring them closer. There are two kinds:
+
+    - One shape is rotationally symmetric about the tilt axis, such as a shaft or its seat.
+    - One shape starts along the axis where the other ends, and their faces slide past each other, such as a
+      cradle in front of its posts. Their distance is that of these ends, and both come within
+      :data:`MAX_BEARING_DISTANCE_M` of the axis.
+
+    All other pairs are checked: a column next to the bracket, a box that a fixed one overlaps, and a bar
+    above the end of a post that the tilt lowers next to it.
+
+    Args:
+        model: Cell with the tilt at 0.
+        moving: Solids that tilt.
+        fixed: Fixed solids.
+        axis: Tilt axis.
     """
     solids = [*moving, *fixed]
     cores, placed = distance.make_cores(solids), _solid_poses(model, solids)
@@ -669,6 +686,7 @@ def _bearing_shapes(model: CellModel, moving: list[Solid], fixed: list[Solid], a
     )
     is_close = axis_distance < MAX_BEARING_DISTANCE_M
 
+    # offset of each shape's centre from the axis, and sine of the angle between its z and the axis
     aside = np.cross(placed[:, :3, 3] - axis.centre, axis.axis)
     skew = np.linalg.norm(np.cross(placed[:, :3, 2], axis.axis), axis=1)
     is_sphere = np.array([solid.shape.kind == "sphere" for solid in solids])

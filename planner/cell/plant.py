@@ -79,7 +79,8 @@ class ModelCache(Generic[Model]):
     def job(self) -> Iterator[None]:
         """Return a context in which :func:`cached_model` uses this cache, for one job.
 
-        At the beginning of a job all models are available again. Within it each is returned only once.
+        At the beginning of a job all models are available again. Within a job each model is returned only
+        once, so that planner, proof and report share none.
         """
         self._requested.clear()
         token = _JOB_MODELS.set(self)
@@ -133,7 +134,9 @@ def content_digest(value: object) -> str:
 
 
 def _feed(state: Any, value: object) -> None:
-    """Add a value to a hash, with the types and sizes that tell apart values of the same text.
+    """Add a value to a hash, for :func:`content_digest`.
+
+    Types and sizes are added too, because different values may have the same text.
 
     Raises:
         TypeError: For a value that is not plain.
@@ -476,7 +479,10 @@ class CellModel:
         return dataclasses.replace(self, easing=easing)
 
     def apply_placement(self) -> None:
-        """Set the checker's contexts to this placement, unless they are already."""
+        """Set the checker's contexts to this placement, unless they are already.
+
+        Models of one cell share these contexts, so each model sets them before it uses Drake.
+        """
         if self._shared.current_placement is self:
             return
 
@@ -529,7 +535,7 @@ def _rebuild(
     easing: ClearanceEasing,
     axis_motions: Mapping[str, FloatArray],
 ) -> CellModel:
-    """Build a model from what :meth:`CellModel.__reduce__` transfers to another process."""
+    """Build a model in another process, from what :meth:`CellModel.__reduce__` transfers to it."""
     model = build_cell_model(cell, stock, stock_pose, bases)
     return model.with_easing(easing).with_axis_motions(axis_motions)
 
@@ -537,7 +543,11 @@ def _rebuild(
 def _build_new(
     cell: Cell, stock: Stock, stock_pose: FloatArray, bases: Mapping[str, FloatArray] | None, meshcat: Any
 ) -> CellModel:
-    """Build the Drake diagram and the model of a cell, with the arguments of :func:`build_cell_model`."""
+    """Build the Drake diagram and the model of a cell, with the arguments of :func:`build_cell_model`.
+
+    A table or pedestal is made for the stock if the problem asks for one. Pairs of bodies that are always
+    close are removed from the checks.
+    """
     _check_names(cell)
     stock = support.with_support(cell, stock, np.asarray(stock_pose))
     if stock.held_by is not None and stock.support:
@@ -765,7 +775,7 @@ def _add_user_robot(plant: MultibodyPlant, name: str, robot: RobotData, file: Ro
 
 @contextlib.contextmanager
 def drake_log_suppressed() -> Iterator[None]:
-    """Suppress Drake's log messages on contexts of checkers and on ports."""
+    """Suppress Drake's log messages below warnings, on contexts of checkers and on ports."""
     logger = logging.getLogger("drake")
     level = logger.level
     logger.setLevel(max(level, logging.WARNING))
@@ -811,6 +821,7 @@ _ON_AXIS: Final = "/on"
 def _add_fixed_body(
     plant: MultibodyPlant, name: str, mount: Any, shapes: tuple[Shape, ...], colour: FloatArray
 ) -> None:
+    """Add a body with shapes that is fixed to a mount, such as the stock or an obstacle."""
     body = plant.AddRigidBody(name, plant.AddModelInstance(name), SpatialInertia.Zero())
     plant.WeldFrames(mount, body.body_frame())
     _add_shapes(plant, body, shapes, colour)
@@ -824,7 +835,16 @@ def _add_flange_body(
     shapes: tuple[Shape, ...],
     colour: FloatArray,
 ) -> None:
-    """Add a body to the robot's model (instance, tool0), fixed to its flange at ``pose`` (4, 4)."""
+    """Add a body that is fixed to a robot's flange: a tool, its edge or a held stock.
+
+    Args:
+        plant: Drake's plant.
+        name: Name of the body.
+        flange: Model instance of the robot, and its frame ``tool0``.
+        pose: (4, 4) pose of the body in that frame.
+        shapes: Shapes in the frame of the body.
+        colour: Red, green, blue and opacity.
+    """
     instance, frame = flange
     body = plant.AddRigidBody(name, instance, SpatialInertia.Zero())
     plant.WeldFrames(frame, body.body_frame(), rigid_transform(pose))
@@ -834,6 +854,7 @@ def _add_flange_body(
 def _add_shapes(
     plant: MultibodyPlant, body: RigidBody, shapes: tuple[Shape, ...], colour: FloatArray
 ) -> None:
+    """Add shapes to a body, for display in a colour and for collision checks. Meshes collide as hulls."""
     for i, shape in enumerate(shapes):
         pose, name = rigid_transform(shape.pose), f"{body.name()}_{i}"
         plant.RegisterVisualGeometry(body, pose, drake_shape(shape, solid=False), name, colour)

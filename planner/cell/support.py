@@ -42,8 +42,8 @@ class SupportGround:
     def of(cell: Cell) -> "SupportGround":
         """Return the ground of a cell.
 
-        The floor is level with the lowest upright base, at most at 0. A track has its base at value 0 there,
-        wherever it moves.
+        The floor is level with the lowest upright base, but not above z = 0. For an arm on external axes, the
+        height of its base with all of these axes at 0 counts.
         """
         upright = [float(_base_at_zero(arm)[2, 3]) for arm in cell.arms if arm.base[2, 2] > 0.5]
         boxes = [np.zeros((0, 2, 3))]
@@ -176,20 +176,26 @@ def with_support(cell: Cell, stock: Stock, stock_pose: FloatArray) -> Stock:
 
 
 def stock_heights(cell: Cell, stock: Stock) -> FloatArray:
-    """Return the heights (H,) [m] of the stock frame in the world for blocks on available supports.
+    """Return the heights (H,) [m] of the stock frame in the world, one for each available pedestal height.
 
-    Empty if the problem does not ask for a support to be made.
+    The block stands in its attitude on a pedestal (or table) on the floor. Empty if the problem does not ask
+    for a pedestal to be made.
     """
     if stock.pedestal is None:
         return np.zeros(0)
-    rotation = np.eye(4)
-    rotation[:3, :3] = stock.attitude
-    bottom = float(underside(stock, rotation[None])[0])
+    pose_at_origin = np.eye(4)
+    pose_at_origin[:3, :3] = stock.attitude
+    # height of the block's lowest corner if the stock frame is at the origin
+    bottom = float(underside(stock, poses=pose_at_origin[None])[0])
     return np.asarray(SupportGround.of(cell).floor + np.array(stock.pedestal.heights) - bottom)
 
 
 def support_note(cell: Cell, stock: Stock, pose: FloatArray) -> str:
-    """Describe for users what a block at ``pose`` (4, 4) stands on."""
+    """Describe for users what a block at ``pose`` (4, 4) stands on, as a part of a sentence.
+
+    It is a table or pedestal that is made for it, the stated support, a body of the cell, the floor, or
+    nothing.
+    """
     ground, supported = SupportGround.of(cell), with_support(cell, stock, pose)
     world = _transform_points(block_corners(stock), pose[None])[0]
     if stock.pedestal is not None and supported.support:
@@ -222,10 +228,10 @@ def support_issues(problem: Problem) -> list[Issue]:
 
 
 def setup_support_issues(setup: Setup) -> list[Issue]:
-    """Return issues on the support of the block in one setup.
+    """Return issues on the support of the block in one setup, before planning.
 
-    If the pose of the block is not stated, only what does not depend on it is checked. At most one issue is
-    returned.
+    Nothing is required of held stocks and clamped sheets. If the pose of the block is not stated, only what
+    does not depend on it is checked. At most one issue is returned.
     """
     setup = setup.with_zero_tilt
     stock, cell = setup.stock, setup.cell
@@ -261,9 +267,9 @@ def setup_support_issues(setup: Setup) -> list[Issue]:
             if gap <= MAX_FOOT_HEIGHT_M
             else [_unsupported_issue(f"it is {gap / MM:.0f} mm above what is below it", field, gap)]
         )
-    rotation_pose = np.eye(4)
-    rotation_pose[:3, :3] = attitude
-    deviations = _support_deviations(stock, rotation_pose)
+    pose_at_origin = np.eye(4)
+    pose_at_origin[:3, :3] = attitude
+    deviations = _support_deviations(stock, pose_at_origin)
     if stock.place is not None:
         gap = float(support_gap(SupportGround.of(cell), stock, stock.place[None])[0])
         message = f"the support under the block ends {gap / MM:.0f} mm above what is below it"
@@ -287,6 +293,8 @@ def _depth_below_floor(cell: Cell, stock: Stock, pose: FloatArray) -> float:
 
 def _support_deviations(stock: Stock, pose: FloatArray) -> list[tuple[float, float, str]]:
     """Measure how far a block at ``pose`` (4, 4) is above its stated support, and beside it.
+
+    Only shapes that are under the block count. If there are none, that is the only deviation.
 
     Returns:
         For each deviation its value [m], its limit [m] and a message.
@@ -370,7 +378,10 @@ def _deepest_obstacle(box_corners: FloatArray, cell: Cell) -> tuple[str, float]:
 
 
 def _support_issue(message: str, field: str, value: float, limit: float, hint: str) -> Issue:
-    """Return the warning ``stock.support`` of a value [m] that exceeds its limit [m]."""
+    """Return the warning ``stock.support`` of a value [m] that exceeds its limit [m].
+
+    The message also states the limit if it is the height that is allowed for feet.
+    """
     if limit == MAX_FOOT_HEIGHT_M:
         message += f"; allowed are {MAX_FOOT_HEIGHT_M / MM:g} mm for feet"
     return Issue(

@@ -1,4 +1,4 @@
-"""Claims: what must hold of a job, as data.
+"""Claims: what must hold of the operations of a job, as data.
 
 A process states claims, and the proof has a rule for each kind. Claims follow from the problem alone, never
 from a plan, so that a proof can start from the problem and the program text. All geometry is in the stock

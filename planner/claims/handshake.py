@@ -76,24 +76,27 @@ class Handshake:
         return self.signals.get(arm, PartnerSignals())
 
     def meeting_wires(self, arms: Sequence[str]) -> tuple[SignalWire, ...]:
-        """Return the wires by which two arms' controllers meet.
+        """Return the wires over which the controllers of two arms synchronise (meet).
 
-        If none are stated, the output of each controller drives the input of the other.
+        If none are stated, the output of each controller drives the input of the other. For any other number
+        of arms only stated wires are returned.
         """
         if self.wires or len(arms) != 2:
             return self.wires
         return tuple(
-            SignalWire(a, self.of(a).output, b, self.of(b).input) for a, b in (tuple(arms), tuple(arms)[::-1])
+            SignalWire(source, self.of(source).output, sink, self.of(sink).input)
+            for source, sink in (tuple(arms), tuple(arms)[::-1])
         )
 
     def running_wires(self, arms: Sequence[str]) -> tuple[SignalWire, ...]:
         """Return the wires by which each of two arms' controllers knows that the other one runs.
 
         If none are stated, the ``running`` output of each drives the ``partner_running`` input of the other.
+        For any other number of arms only stated wires are returned.
         """
         if self.running or len(arms) != 2:
             return self.running
         return tuple(
-            SignalWire(a, self.of(a).running, b, self.of(b).partner_running)
-            for a, b in (tuple(arms), tuple(arms)[::-1])
+            SignalWire(source, self.of(source).running, sink, self.of(sink).partner_running)
+            for source, sink in (tuple(arms), tuple(arms)[::-1])
         )

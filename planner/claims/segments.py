@@ -114,7 +114,17 @@ def first_clash(segments: Iterable[Segment]) -> tuple[Segment, Segment] | None:
 
 @functools.lru_cache(maxsize=65536)
 def _label(segment: Segment) -> str:
-    """Return the label of a segment; cached, because labels are read very often."""
+    """Return the label of a segment, by which files, messages and programs name it.
+
+    The form is ``kind`` for a segment without a name, ``kind/name`` for one without a phase, and
+    ``kind/name_in`` or ``kind/name_out`` for a lead-in or lead-out.
+
+    A segment without a phase gets the ending ``_on`` if its name itself ends in ``_in``, ``_out`` or ``_on``.
+    Otherwise the reader of the label would take this ending for a phase. The folded name counts, too, because
+    programs contain it: a name that ends in ``-in`` ends in ``_in`` there.
+
+    The result is cached, because labels are read very often.
+    """
     if not segment.name:
         return segment.kind
     name, phase = segment.name, segment.phase
@@ -124,7 +134,11 @@ def _label(segment: Segment) -> str:
 
 @functools.lru_cache(maxsize=65536)
 def _read(label: str) -> Segment:
-    """Return the segment with a label; cached like :func:`_label`."""
+    """Return the segment with a label that :func:`_label` made; cached, because labels are read very often.
+
+    The ending ``_in`` or ``_out`` is the phase. The ending ``_on`` is dropped: it marks that the segment has
+    no phase, although its name ends like one.
+    """
     kind, _, text = label.partition("/")
     match = _ENDING.fullmatch(text)
     if match is None:

@@ -25,7 +25,7 @@ from planner.files import FILE_KEYS, is_file
 from planner.issues import Issue, TandemError, accepted_codes, issue_error
 
 if TYPE_CHECKING:
-    from planner.batch.compare import FigurePair, JobPair, PlanComparison
+    from planner.batch.compare import JobPair, MetricPair, PlanComparison
     from planner.batch.job import JobEvent
     from planner.batch.rows import BatchItem, BatchRow
     from planner.batch.run import Planners
@@ -452,7 +452,7 @@ def _verdict(ok: bool | None) -> str:
     return "no proof" if ok is None else "proven" if ok else "NOT proven"
 
 
-def _figure_cells(pair: FigurePair) -> tuple[str, str, str]:
+def _figure_cells(pair: MetricPair) -> tuple[str, str, str]:
     """Return both values and their change, also in percent, as text."""
     change = pair.change
     change_text = "" if change is None else "same" if change == 0.0 else f"{change:+.4g}"
@@ -461,7 +461,7 @@ def _figure_cells(pair: FigurePair) -> tuple[str, str, str]:
     return _format_value(pair.first), _format_value(pair.second), change_text
 
 
-def _both_values(pair: FigurePair) -> str:
+def _both_values(pair: MetricPair) -> str:
     first, second = _format_value(pair.first), _format_value(pair.second)
     return first if first == second else f"{first} to {second}"
 

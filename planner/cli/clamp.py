@@ -139,6 +139,7 @@ def _calibration_page(
     readings: PlateReadings,
     calibration: ClampCalibration,
 ) -> str:
+    """Return the page with the readings of the plate test, the fitted curve and the estimates."""
     from planner.report import exhibits
 
     exhibits_by_name = {

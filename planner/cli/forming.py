@@ -114,6 +114,7 @@ def run_springback(request: SpringbackCommand, problem: Problem) -> tuple[Issue,
     control = forecast.forecast_points(work, planned_passes, request.most_points)
     all_points = [point for _, rows in control for point in rows]
     triangles = request.triangles or MAX_TRIANGLES
+    # a springback file is proven with finer meshes, so its mesh has to be fine enough
     if request.write is not None and request.triangles is None:
         triangles = _converged_triangles(work, control)
     forecasts = forecast.make_forecast(planned_passes, control, _solve_curves(work, all_points, triangles))
@@ -264,7 +265,9 @@ def _converged_triangles(
 def _solve_curves(
     work: FormingWork, points: Sequence[SpringbackPoint], triangles: int, fractions: FloatArray | None = None
 ) -> list[SpringbackCurve]:
-    """Compute the springback curves of points on all cores. Each of n processes computes every n-th one.
+    """Compute the springback curves of points of the sheet, on all cores.
+
+    This process and n - 1 others compute every n-th point each.
 
     Args:
         work: Plan of the forming operation.
@@ -348,6 +351,10 @@ def _format_span(values: Any, digits: int) -> str:
 
 
 def _forecast_csv(forecasts: Sequence[PassSpringback]) -> str:
+    """Return a springback forecast as CSV: a heading, and a row for each control point.
+
+    Values that are lists become one cell, separated by spaces.
+    """
     from planner.processes.forming.plan.springback.forecast import forecast_rows
 
     data = forecast_rows(forecasts)
@@ -359,6 +366,7 @@ def _forecast_csv(forecasts: Sequence[PassSpringback]) -> str:
 
 
 def _forecast_page(problem: Problem, work: FormingWork, exhibits_by_name: dict[str, Any]) -> str:
+    """Return the page with the predicted springback of an operation."""
     import numpy as np
 
     from planner.report import exhibits

@@ -265,7 +265,9 @@ def _out_of_range(name: str, value: float, allowed: str) -> Issue:
 
 
 def _measured_kappa(plan: LoopPlan, measured: Any) -> float:
-    """Estimate the ratio of the springback of the sheet to that of the model, from the lifts of the tool.
+    """Estimate kappa, the ratio of the springback of the sheet to that of the model, from lifts of the tool.
+
+    Where the tool was lifted, the springback of the sheet was measured. Elsewhere the measured value is NaN.
 
     Args:
         plan: Pass with its curves.
@@ -301,7 +303,10 @@ def _measured_kappa(plan: LoopPlan, measured: Any) -> float:
 def _print_offsets(
     plan: LoopPlan, number: int, offsets: LevelCorrection, kappa: float, border: JobStability, seconds: float
 ) -> None:
-    """Print force, springback and offset at some points of a level, and how stable the loop is."""
+    """Print force, springback and offset at some control points of a level, and how stable the loop is.
+
+    ``seconds`` [s] is the time of the computation.
+    """
     level = plan.levels[number]
     table = Table("point", "x mm", "y mm", "z mm", "force N", "springback mm", "offset mm")
     point_indices = range(len(level.path_index))
@@ -324,25 +329,46 @@ def _print_offsets(
 
 
 def _offsets_csv(
-    plan: LoopPlan, number: int, offsets: LevelCorrection, kappa: float, file_shift: FloatArray | None = None
+    plan: LoopPlan,
+    level_number: int,
+    offsets: LevelCorrection,
+    kappa: float,
+    file_shift: FloatArray | None = None,
 ) -> str:
-    """Return the offsets at all places of a level as CSV. It has no column that depends on ``kappa``."""
+    """Return the offsets of a level as CSV, with a row for each of the K positions of its path ("place").
+
+    Args:
+        plan: Pass with its levels.
+        level_number: Index of the level, from 0.
+        offsets: Correction of the level. Its ``offset`` (K,) [m] is positive into the sheet.
+        kappa: Ratio of the springback of the sheet to that of the model. Not used: the parameter makes the
+            signature that of :func:`_offsets_json`, which reports springback.
+        file_shift: Shift (K,) [m] that the plan already has by a springback file, written as ``file_mm``.
+            None if the plan does not use such a file.
+    """
     del kappa
     file_heading = [] if file_shift is None else ["file_mm"]
     rows: list[list[object]] = [["level", "place", "x_mm", "y_mm", "z_mm", "offset_mm", *file_heading]]
-    for place, (point, offset) in enumerate(zip(plan.levels[number].path, offsets.offset, strict=True)):
-        file_cells = [] if file_shift is None else [f"{file_shift[place] / MM:.4f}"]
-        rows.append(
-            [number, place, *(f"{value:.3f}" for value in point / MM), f"{offset / MM:.4f}", *file_cells]
-        )
+    path = plan.levels[level_number].path
+    for index, (position, offset) in enumerate(zip(path, offsets.offset, strict=True)):
+        position_cells = [f"{value:.3f}" for value in position / MM]
+        file_cells = [] if file_shift is None else [f"{file_shift[index] / MM:.4f}"]
+        rows.append([level_number, index, *position_cells, f"{offset / MM:.4f}", *file_cells])
     return format_csv(rows)
 
 
 def _offsets_json(
-    plan: LoopPlan, number: int, offsets: LevelCorrection, kappa: float, file_shift: FloatArray | None = None
+    plan: LoopPlan,
+    level_number: int,
+    offsets: LevelCorrection,
+    kappa: float,
+    file_shift: FloatArray | None = None,
 ) -> str:
-    """Return the offsets at all places of a level, with forces and springback at its points, as JSON."""
-    level = plan.levels[number]
+    """Return the offsets of a level as JSON, with the forces and the springback at its control points.
+
+    The parameters are those of :func:`_offsets_csv`.
+    """
+    level = plan.levels[level_number]
     file_fields = (
         [{}] * len(level.path)
         if file_shift is None
@@ -352,7 +378,7 @@ def _offsets_json(
         "tandem_offsets": 1,
         "digest": plan.digest,
         "pass": plan.name,
-        "level": number,
+        "level": level_number,
         "way": [0, 0, -plan.side],
         "kappa": round(kappa, 4),
         "points": [
@@ -378,7 +404,7 @@ def _offsets_json(
 def _limited_offset_issues(
     plan: LoopPlan, law: CorrectionLaw, number: int, offsets: LevelCorrection
 ) -> list[Issue]:
-    """Return a warning if offsets were limited, or if a predicted force is beyond the end of a curve."""
+    """Return a warning if offsets of level ``number`` were limited, or a force is beyond its curve."""
     if not offsets.clipped:
         return []
     level = plan.levels[number]
@@ -408,7 +434,11 @@ def _map_page(
 
 
 def _lifts_exhibit(plan: LoopPlan, measured: MeasuredForces, kappa: float) -> dict[str, Any]:
-    """Return a picture of some lifts of the tool with the curves of their points; empty without lifts."""
+    """Return an exhibit with lifts of the tool, at which springback was measured, over the force.
+
+    At most ``MAX_SHOWN_LIFTS`` lifts are shown. Each has the model's curve of its point, the curve times
+    ``kappa``, and the measured value. The result is empty without lifts.
+    """
     import numpy as np
 
     from planner.geometry.arrays import spread_rows
@@ -482,7 +512,9 @@ class SimulateLoop:
 
 
 def run_simulate_loop(request: SimulateLoop) -> tuple[Issue, ...]:
-    """Simulate the loop on random sheets, without correction and with two rules. Print and write the errors.
+    """Simulate the springback loop on random sheets, and print and write the remaining errors.
+
+    It is simulated without correction, with the rule "half", and with the law of the request.
 
     Returns:
         No issues.
@@ -510,6 +542,7 @@ def run_simulate_loop(request: SimulateLoop) -> tuple[Issue, ...]:
             raise TandemError(_out_of_range("lifts_mm", lift, f"above 0 and at most {deepest / MM:g}"))
     level_depth = deepest / len(plan.levels)
     seeds = [request.seed + index for index in range(request.sheets)]
+    # for comparison: the rule "half", with an action for about every millimetre of depth
     half_rule = CorrectionLaw(rule="half", every=max(1, round(MM / level_depth)), feed_forward=False)
     runs = {
         "not corrected": run_loop(plan, plant, None, seeds),

@@ -237,10 +237,15 @@ class Align:
 
 
 def run_align(request: Align) -> tuple[Issue, ...]:
-    """Fit the base of an arm to probed points, print the residuals and write the cell. Return warnings.
+    """Fit the base of an arm to points that both arms have probed, and write the cell with this base.
+
+    The residuals and the change of the base are printed.
+
+    Returns:
+        Warnings if the points are nearly on a line.
 
     Raises:
-        TandemError: ``align.*``, or the issues of an invalid cell file.
+        TandemError: ``align.*``, ``output.folder``, or the issues of an invalid cell file.
     """
     from planner.files import write_atomic
     from planner.geometry.arrays import inverse, to_rpy

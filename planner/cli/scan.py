@@ -120,11 +120,15 @@ def run_scan_fit(request: ScanFit) -> tuple[Issue, ...]:
 def run_adjust(request: Adjust) -> tuple[Issue, ...]:
     """Register a scan of a formed part, move the targets by its deviation, and write the new problem.
 
+    The next part is formed from this problem. The deviation and the shifts of the tools are printed. A page
+    with maps of both is written if it is requested.
+
     Returns:
-        Warnings.
+        Warnings about the accuracy of the scan.
 
     Raises:
-        TandemError: The folder or the scan is not usable.
+        TandemError: An option is out of range (``forming.loop_law`` for the gain), the folder or the scan is
+            not usable, a shift is too large, or the problem cannot be written.
     """
     from planner import pipeline
     from planner.cli.forming import forming_job
@@ -142,9 +146,11 @@ def run_adjust(request: Adjust) -> tuple[Issue, ...]:
     job = forming_job(problem, request.operation)
     cloud, marks, pose, deviations = _measure(problem, request.scan, request.options)
     _print_deviation(cloud, pose, deviations)
+    # without marks the scan must not look as if it were offset in the plane
     freedoms.require_place(deviations, pose, cloud.file)
     compensation = job.read_compensation()
     springback_section = job.operation.springback
+    # A problem without springback compensation gets the default limits of shifts. The file is not used.
     limits = Springback(file=request.output) if springback_section is None else springback_section
     scan = adjustment.RegisteredScan(cloud, marks, pose, deviations, top=request.options.face == "top")
     step = adjustment.AdjustmentStep(compensation, request.gain, limits)
@@ -265,6 +271,7 @@ def _deviation_map(points: FloatArray, deviation: FloatArray, title: str) -> dic
     import numpy as np
 
     seen_indices = np.flatnonzero(np.isfinite(deviation))
+    # -(-a // b) is a / b rounded up: every n-th point, so that at most MAX_DRAWN_POINTS remain
     seen_indices = seen_indices[:: max(1, -(-len(seen_indices) // MAX_DRAWN_POINTS))]
     values = deviation[seen_indices] / MM
     limit = max(float(np.percentile(np.abs(values), 98)), 0.01)
@@ -320,6 +327,7 @@ def _deviation_csv(deviations: Deviation) -> str:
 
 
 def _scan_page(title: str, problem: Problem, cloud: Cloud, exhibits_by_name: dict[str, Any]) -> str:
+    """Return the page with maps of a scan, with the name and the digest of its file."""
     import numpy as np
 
     from planner.report import exhibits

@@ -94,16 +94,19 @@ def choose_templates(
 def cut_figures(
     template: JobTemplate, length_of: Callable[[Mapping[str, Any]], float], stops: int = 0
 ) -> dict[str, Any]:
-    """Estimate the effort of a job, without approaches, retreats, loading and mounting.
+    """Estimate cutting times, cut length and operator stops of a job.
+
+    Times of approaches, retreats, loading and mounting are not included.
 
     Args:
         template: Template of the job.
         length_of: Returns the cut length [mm] of an operation.
-        stops: Number of stops of the operator; 0 to count them: one to bring the foam, and one before each
-            later operation with a setup or a bent wire, which is mounted then.
+        stops: Number of operator stops; 0 to count them: one to load the foam, and one before each later
+            operation that has a setup of its own, or before which a bent wire is mounted.
 
     Returns:
-        ``cut_min``: cutting time of each arm [min] at the feed; ``cut_m``: total cut length [m]; ``stops``.
+        ``cut_min``: cutting time of each arm [min] at the feed; ``cut_m``: total cut length [m], to which
+        each operation contributes once, even if several arms cut together; ``stops``: number of stops.
     """
     minutes: dict[str, float] = {}
     metres = 0.0

@@ -32,24 +32,30 @@ def divide_wall(element: WallElement) -> tuple[WallPanel, ...]:
     if panels is None:
         raise TandemError(_too_large(element))
     if isinstance(element.options, PuzzleFile):
-        rows, across = max(panel.piece.grid_position for panel in panels)
-        _refuse_lobes(element, element.options, (rows + 1, across + 1))
+        last_row, last_across = max(panel.piece.grid_position for panel in panels)
+        _refuse_lobes(element, element.options, (last_row + 1, last_across + 1))
     return sort_panels(panels)
 
 
 def _divide(element: WallElement, thickness_mm: float) -> tuple[WallPanel, ...] | None:
-    """Return the panels of a wall of a thickness, unordered; None if blocks do not hold all of them."""
+    """Divide a wall of the given thickness into pieces, and place each piece in a block.
+
+    Returns:
+        The panels in no particular order. None if the wall cannot be divided into pieces that fit the blocks,
+        or if a piece does not fit any block once it is placed.
+    """
     wall = element.wall
     options = element.options
     thickness = thickness_mm * MM
-    available, foam = block_rooms(element.file), (element.file.sides, element.file.faces)
+    rooms = block_rooms(element.file)
+    foam = (element.file.sides, element.file.faces)  # beside a piece, and above and below it [m]
     if isinstance(options, PuzzleFile):
-        pieces = divide_puzzle(wall, thickness, available, options.lobe_mm * MM, options.cells)
+        pieces = divide_puzzle(wall, thickness, rooms, options.lobe_mm * MM, options.cells)
     else:
-        pieces = divide_boxes(wall, thickness, available, options.least_height_mm * MM)
+        pieces = divide_boxes(wall, thickness, rooms, options.least_height_mm * MM)
     if pieces is None:
         return None
-    placed_panels = [place_in_block(wall, piece, thickness, available, foam) for piece in pieces]
+    placed_panels = [place_in_block(wall, piece, thickness, rooms, foam) for piece in pieces]
     panels = tuple(panel for panel in placed_panels if panel is not None)
     return panels if len(panels) == len(placed_panels) else None
 
@@ -72,10 +78,10 @@ def _refuse_lobes(element: WallElement, options: PuzzleFile, cells: tuple[int, i
 
 
 def _too_large(element: WallElement) -> Issue:
-    """Return the issue that blocks do not even hold the lowest panels, with a thickness that fits."""
+    """Return the issue that not even panels of minimum height fit the blocks, with a thickness that does."""
     file, thickness = element.file, element.file.thickness_mm * MM
-    available = block_rooms(file)
-    pieces = _lowest_pieces(element, available)
+    rooms = block_rooms(file)
+    pieces = _lowest_pieces(element, rooms)
     boxes = np.array(
         [
             flat_box(
@@ -87,12 +93,12 @@ def _too_large(element: WallElement) -> Issue:
             for piece in pieces
         ]
     )
-    excess = np.min([(boxes - room.size).max(axis=1) for room in available], axis=0)
+    excess = np.min([(boxes - room.size).max(axis=1) for room in rooms], axis=0)
     worst_index = int(np.argmax(excess))
     foam = 2.0 * np.array([file.sides, file.sides, file.faces])
     got, needed, largest = (
         " x ".join(f"{v / MM:.0f}" for v in np.ceil(size / MM) * MM)
-        for size in (boxes[worst_index] + foam, boxes.max(axis=0) + foam, available[-1].size + foam)
+        for size in (boxes[worst_index] + foam, boxes.max(axis=0) + foam, rooms[-1].size + foam)
     )
     u, t = (np.mean(v) for v in (pieces[worst_index].along, pieces[worst_index].across))
     at = ", ".join(f"{v / MM:.0f}" for v in element.wall.points(np.array([u]), np.array([t]))[0])
@@ -116,18 +122,19 @@ def _too_large(element: WallElement) -> Issue:
     )
 
 
-def _lowest_pieces(element: WallElement, available: Sequence[BlockRoom]) -> tuple[WallPiece, ...]:
+def _lowest_pieces(element: WallElement, rooms: Sequence[BlockRoom]) -> tuple[WallPiece, ...]:
     """Return pieces of about minimum height that cover the wall."""
     wall, options = element.wall, element.options
     length = float(wall.nodes[-1])
     if isinstance(options, PuzzleFile):
         radius = options.lobe_mm * MM
         across, rows = options.cells or (
-            fewest_strips(wall, available, lobe_reach(radius)),
+            fewest_strips(wall, rooms, lobe_reach(radius)),
             int(length / (3.0 * radius)),
         )
         return puzzle_pieces(wall, element.file.thickness_mm * MM, radius, across, max(1, rows))
-    count, strips = max(1, int(length / (options.least_height_mm * MM))), fewest_strips(wall, available)
+    count = max(1, int(length / (options.least_height_mm * MM)))
+    strips = fewest_strips(wall, rooms)
     u, t = np.linspace(0.0, length, count + 1), np.linspace(0.0, 1.0, strips + 1)
     return tuple(
         box_piece(wall, (k, i), (float(u[i]), float(u[i + 1])), (float(t[k]), float(t[k + 1])))

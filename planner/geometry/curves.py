@@ -359,12 +359,13 @@ def arc_length(points: FloatArray) -> FloatArray:
 
 
 def interpolate_polyline(points: FloatArray, parameters: FloatArray, at: FloatArray) -> FloatArray:
-    """Interpolate a polyline.
+    """Interpolate a polyline linearly between its points.
 
     Args:
         points: Points (N, D).
         parameters: Ascending parameters of the points (N,).
-        at: Parameters of the result (K,).
+        at: Parameters of the result (K,). Those outside the range of ``parameters`` give the first or last
+            point.
 
     Returns:
         Points (K, D).

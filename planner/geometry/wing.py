@@ -53,7 +53,7 @@ REFLEXED_CAMBER: Final = {
     "251": (0.4410, 3.191, 0.1355),
 }
 """Reflexed camber lines of five digits for a design lift coefficient of 0.3: (m, k1, k2 / k1)."""
-SHARP_EDGE_M: Final = 1e-6
+MAX_SHARP_EDGE_THICKNESS_M: Final = 1e-6
 """Maximum thickness of a sharp trailing edge [m]."""
 
 
@@ -252,7 +252,7 @@ def wing_surface(panel: WingPanel, match: Match = "arc_length", tolerance: float
         for points, (_, chord) in zip(thickened_sections, sections, strict=True)
     ]
     for points, (_, chord) in zip(thickened_sections, sections, strict=True):
-        guides.append(section_guide(points, chord, 0.2 * tolerance, max(gaps) > SHARP_EDGE_M))
+        guides.append(section_guide(points, chord, 0.2 * tolerance, max(gaps) > MAX_SHARP_EDGE_THICKNESS_M))
     root, tip = guides
     quarter = np.array([0.25 * panel.root_chord, 0.0])
     tip_quarter = quarter + np.array([np.tan(panel.sweep), np.tan(panel.dihedral)]) * panel.span

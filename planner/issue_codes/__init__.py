@@ -1,7 +1,7 @@
 """Table of all issue codes, used by the code, the tests, ``tandem issues`` and the documentation.
 
-A code has the form ``area.problem`` and is stable once released. Each module holds the rows of some areas.
-Plug-ins add their own rows (:func:`all_codes`).
+A code has the form ``area.problem`` and is stable once released. Each module holds the entries of some areas.
+Plug-ins add their own entries (:func:`all_codes`).
 """
 
 from collections.abc import Mapping
@@ -40,15 +40,15 @@ CODES: Final[dict[str, IssueCode]] = {
 
 
 def all_codes() -> Mapping[str, IssueCode]:
-    """Return the rows of Tandem and of all installed plug-ins, by code; those of Tandem take precedence."""
+    """Return the entries of Tandem and of all plug-ins, by code; those of Tandem take precedence."""
     out = dict(CODES)
-    for rows in _plugin_codes().values():
-        out |= {code: row for code, row in rows.items() if code not in out}
+    for entries in _plugin_codes().values():
+        out |= {code: entry for code, entry in entries.items() if code not in out}
     return out
 
 
 def lookup_code(code: str) -> IssueCode:
-    """Return the row of a code.
+    """Return the entry of a code.
 
     Plug-ins are imported only if the code is not one of Tandem's.
 
@@ -79,19 +79,19 @@ def format_message(code: str, /, **values: object) -> str:
 
 def code_owners(code: str) -> frozenset[str]:
     """Return the packages that declare a code: "Tandem", or plug-ins such as "package ring-gauge"."""
-    others = {owner for owner, rows in _plugin_codes().items() if code in rows}
+    others = {owner for owner, entries in _plugin_codes().items() if code in entries}
     return frozenset({"Tandem", *others} if code in CODES else others)
 
 
 def _plugin_codes() -> Mapping[str, Mapping[str, IssueCode]]:
-    """Return the rows of plug-ins by owner, as "package ring-gauge", and code.
+    """Return the entries of plug-ins by owner, such as "package ring-gauge", and code.
 
-    Plug-ins whose rows cannot be loaded are skipped here; the registry of processes refuses them.
+    Plug-ins whose entries cannot be loaded are skipped here; the registry of processes refuses them.
     """
     from planner.runtime import plugins  # imports importlib.metadata, which `tandem --help` does without
 
     out: dict[str, dict[str, IssueCode]] = {}
     for kind in (plugins.Process, plugins.Language):
-        for name, rows in plugins.loadable(kind, "codes", dict).items():
-            out.setdefault(plugins.installed(kind)[name].owner, {}).update(rows)
+        for name, entries in plugins.loadable(kind, "codes", dict).items():
+            out.setdefault(plugins.installed(kind)[name].owner, {}).update(entries)
     return out

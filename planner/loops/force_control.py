@@ -108,12 +108,15 @@ class FormingMachine:
         return self.contact / self.forming.stiffness
 
     def dead_time(self, axis: ServoAxis) -> float:
-        """Return the sum of the lags of a loop over an axis, as one dead time T [s].
+        """Return the dead time T [s] that replaces all lags of a force loop over an axis.
 
-        The computation of a command takes a cycle. The command is held for another, which is half a cycle of
-        lag.
+        The recommended and the maximum gain follow from it. It is the sum of the delay of the axis, 1.5
+        cycles, the lag of each of the ``order`` poles of the axis, and the lag of the sensor's filter. The
+        computation of a command takes one cycle. The command is then held for one cycle, which is half a
+        cycle of lag on average.
         """
         sensor = self.sensor
+        # a first-order lag with the frequency w delays slow changes by 1 / w
         filter_lag = 1.0 / (2.0 * np.pi * sensor.filter_hz)
         return float(axis.delay + 1.5 * sensor.cycle + axis.order / axis.pole + filter_lag)
 
@@ -198,13 +201,18 @@ def simulate_force(
     seconds: float,
     seed: int = 0,
 ) -> ForceTrace:
-    """Simulate M machines. They start at rest, with the commanded force at time 0.
+    """Simulate the forces of M machines with force control over time.
+
+    They start at rest, with the force that is commanded at time 0. Per cycle, the controller integrates the
+    force error for the support and compensates the deflection of the forming arm. Within a cycle, both arms
+    and the filter of the sensor are simulated in ``STEPS_PER_CYCLE`` steps.
 
     Args:
         machines: The machines. All sensors have the same cycle.
         controls: Settings of the controller of each machine.
-        commanded: Commanded force F_c [N].
-        gap: Path [m] by which the forming arm's command and the sheet approach each other, 0 at time 0.
+        commanded: Commanded force F_c [N] as a function of time, evaluated at each cycle.
+        gap: Path [m] by which the forming arm's command and the sheet approach each other, 0 at time 0. It is
+            evaluated at each step.
         seconds: Duration [s].
         seed: Seed of the noise.
 
@@ -244,6 +252,7 @@ def simulate_force(
     gap_path = np.broadcast_to(gap_path, (count, cycle_count * STEPS_PER_CYCLE))
     force = start
     for k in range(cycle_count):
+        # 1e-300 avoids a division by 0 for sensors without quantisation, whose result is not used
         quantised = np.round(filtered / np.maximum(quantum, 1e-300)) * quantum
         measured = np.where(quantum > 0.0, quantised, filtered)
         # commands computed in this cycle are sent in the next
@@ -255,6 +264,7 @@ def simulate_force(
             support_position = support_servos.step(sent_position)
             forming_position = forming_servos.step(sent_forming)
             eps = forming_position + gap_path[:, k * STEPS_PER_CYCLE + step]
+            # the contact only pushes; the filter gets the mean of the force over the step
             previous_force, force = force, np.maximum(contact * (eps - support_position), 0.0)
             filtered = filter_factor * filtered + (1.0 - filter_factor) * (
                 0.5 * (previous_force + force) + noise[:, k]
@@ -284,7 +294,10 @@ class _ServoChain:
         return np.asarray(self._poles[self._order - 1, np.arange(len(self._order))])
 
     def step(self, command: FloatArray) -> FloatArray:
-        """Advance by one time step under commands (M,) [m], and return the new positions (M,) [m]."""
+        """Advance by one time step under commands (M,) [m], and return the new positions (M,) [m].
+
+        A command first waits for the delay of its axis and then passes a first-order lag for each pole.
+        """
         buffer_size = len(self._commands)  # the last commands, in a ring buffer
         self._commands[self._step_index % buffer_size] = command
         pole_input = self._commands[

@@ -42,11 +42,12 @@ class JobStability:
 def job_stability(
     plan: LoopPlan, law: CorrectionLaw, kappa: float = 1.0, model_error: float = DEFAULT_MODEL_ERROR
 ) -> JobStability:
-    """Return the stability of a loop.
+    """Return the stability of a springback loop: gamma and the limit of q at each level, and q itself.
 
-    gamma of a level follows from the springback of the sheet under the expected force, which is that of the
-    model times ``kappa``, from its slope over the force, and from the depth below the previous level. The
-    model may exceed the sheet by ``model_error``, so q is gain x (1 + ``model_error``).
+    The loop converges if q is below the limit of each level. gamma of a level follows from the springback of
+    the sheet under the expected force, from its slope over the force, and from the depth below the previous
+    level. The springback of the sheet is that of the model times ``kappa``. The model may exceed the sheet by
+    ``model_error``, so q is gain x (1 + ``model_error``).
 
     Args:
         plan: The pass.

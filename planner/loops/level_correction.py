@@ -114,12 +114,15 @@ def level_correction(
     kappa: float | FloatArray = 1.0,
     path_offsets: PathOffsets = _NO_OFFSETS,
 ) -> LevelCorrection:
-    """Return the correction of a level.
+    """Return by how much the tools go deeper on the next level to compensate springback.
+
+    The predicted force at each point gives the springback, and the deflection of the robot. Both are
+    interpolated to the path, averaged along it, and limited in slope and size.
 
     Args:
         plan: The pass.
         law: Correction law.
-        number: Number of the level.
+        number: Number of the level, from 0.
         measured: Forces of each previous level at its points (..., P) [N]. Forces of the current action are
             not used.
         kappa: Springback of the sheet over that of the model (...) [-].
@@ -146,14 +149,20 @@ def level_correction(
 def predict_force(
     plan: LoopPlan, law: CorrectionLaw, first_level: int, number: int, measured: Sequence[FloatArray]
 ) -> FloatArray:
-    """Predict the force (..., P) [N] at the points of a level.
+    """Predict the force (..., P) [N] at the P points of a level, from which its springback is corrected.
+
+    An action consists of ``law.every`` levels, and only the forces at the last level of each previous action
+    are used. The rule "model" multiplies the expected force by a weighted mean of the ratios of measured to
+    expected force. The other rules extrapolate the forces of the last two actions. Before the first action
+    has ended, the result is the expected force, or 0 if ``law.feed_forward`` is False.
 
     Args:
         plan: The pass.
         law: Correction law.
         first_level: Number of the first level of the action.
         number: Number of the level.
-        measured: Forces of each previous level at its points (..., P) [N].
+        measured: Forces of each previous level at its points (..., P) [N]. Leading axes are those of several
+            simulated sheets.
     """
     # the last level of each previous action, latest first
     actions = list(range(first_level - 1, -1, -law.every))
@@ -169,6 +178,7 @@ def predict_force(
             ratio_of_action = measured[k] / np.maximum(expected_force(plan, law, k), MIN_EXPECTED_N)
             ratio_of_action = np.clip(ratio_of_action, 1.0 / MAX_FORCE_RATIO, MAX_FORCE_RATIO)
             ratio_at_level = transfer(plan, k, number, ratio_of_action)
+            # the oldest action replaces the initial ratio of 1, each later one has the weight of the law
             ratio = ratio + (1.0 if k == actions[-1] else law.weight) * (ratio_at_level - ratio)
         return np.asarray(ratio * model)
     c0, c1 = RULE_COEFFICIENTS[law.rule]
@@ -189,7 +199,11 @@ def expected_force(plan: LoopPlan, law: CorrectionLaw, number: int) -> FloatArra
 
 
 def model_springback(level: FormingLevel, force: FloatArray) -> FloatArray:
-    """Return S (..., P) [m] of the model at the points of a level under forces (..., P) [N]."""
+    """Return the springback S (..., P) [m] of the model at the P points of a level under forces (..., P) [N].
+
+    Each point has a curve of cubics between its loads. Forces above the last load extrapolate its last cubic.
+    """
+    # index of the cubic to which each force belongs
     piece = np.sum(force[..., None] >= level.loads[:, 1:-1], axis=-1)
     point = np.arange(force.shape[-1])
     coefficients = level.curves[:, point, piece]

@@ -36,15 +36,19 @@ OTHER_FILE_KINDS: Final = {
 
 @dataclasses.dataclass(frozen=True)
 class FormingLevel:
-    """A level: a closed path with K positions and P points.
+    """A level: one turn of the tool along a closed path with K positions, P of which are control points.
+
+    At each control point, a curve gives the springback of the sheet for any forming force. All forces are
+    along the tool's direction (z).
 
     Attributes:
         path: Contact positions at equal distances along the closed path (K, 3) [m].
         depth: Depth below the flat sheet, along the tool's direction [m].
-        path_index: Index of each point among the positions of the path, ascending (P,).
-        loads: Loads of the curve of each point, increasing from 0 (P, L) [N].
-        springback: Springback at these loads, increasing from 0 (P, L) [m].
-        force: Expected steady force at each point (P,) [N].
+        path_index: Index of each control point among the positions of the path, ascending (P,).
+        loads: Forces at which the curve of each control point is given, increasing from 0 to the largest one
+            that was computed (P, L) [N].
+        springback: Springback at these forces, increasing from 0 (P, L) [m].
+        force: Expected steady forming force at each control point (P,) [N].
     """
 
     path: FloatArray
@@ -108,7 +112,11 @@ class LoopPlan:
 
     @property
     def expected_forces(self) -> ExpectedLevels:
-        """Points and largest forces of each level, with which a file of measured forces is checked."""
+        """What :func:`planner.reading.forces_file.read_forces` expects of a file of measured forces.
+
+        A measured force far above the largest force of a level's curves, or far below the expected one,
+        indicates a wrong unit. A stated position must be that of the control point.
+        """
         return ExpectedLevels(
             self.name,
             tuple(level.path[level.path_index, :2] for level in self.levels),

@@ -152,6 +152,7 @@ def simulate_machine(file: MachineFile, feed: float) -> MachineBehaviour:
     if gain >= max_gain:
         raise TandemError(_gain_issue(file, machine, gain, max_gain))
     control = ForceControl(gain, fraction)
+    # Long enough for both loops to settle: 30 dead times, but from 4 s to MAX_RUN_S.
     dead_time = machine.dead_time(machine.support) + machine.dead_time(machine.forming) / (1.0 - loop_gain)
     seconds = float(min(max(30.0 * dead_time, 4.0), MAX_RUN_S))
     start_force, required_force = 0.5 * file.force_n, file.force_n
@@ -167,6 +168,7 @@ def simulate_machine(file: MachineFile, feed: float) -> MachineBehaviour:
     ramp = simulate_force(
         [machine], [control], lambda t: np.full_like(t, required_force), lambda t: speed * t, seconds
     )
+    # the first half of the ramp is left out, because it contains the transient
     second_half = ramp.force[:, ramp.force.shape[1] // 2 :]
     deflection = required_force / machine.forming.stiffness
     return MachineBehaviour(

@@ -149,7 +149,11 @@ def springback_table() -> dict[str, Any]:
 
 
 def plant_truth(file: PlantFile) -> SpringbackTruth:
-    """Return the true springback of a plant: from the curves of its file, or from the table of its shape."""
+    """Return the true springback of a simulated plant, as a table over depth, load and other properties.
+
+    It comes from the curves in the plant's file, which depend only on depth and load, or otherwise from the
+    bundled table of its sheet's shape.
+    """
     if file.curves is not None:
         load = np.unique(np.concatenate([[0.0], *(curve.forces_n for curve in file.curves)]))
         curves = sorted(file.curves, key=lambda curve: curve.depth_mm)
@@ -249,7 +253,10 @@ class PlantSheets:
         return thickness, np.full(len(polar_angle), factor), local_force, spring, compliance
 
     def true_curves(self, depth: float, position: FloatArray) -> FloatArray:
-        """Return true S (N, J, L) [m] under the table's loads at a depth [m] and positions (J, 2) [m]."""
+        """Return the true springback S (N, J, L) [m] of N sheets under the L loads of the table.
+
+        It is interpolated in the table at a depth [m] and at J positions (J, 2) [m] in plan view.
+        """
         truth = self._known
         depth_weights = _interpolation_weights(truth.depth, np.array([depth]))[0]
         value = np.einsum("d,dwtbl->wtbl", depth_weights, truth.value)

@@ -80,7 +80,9 @@ def run_loop(
         plant: The plant.
         law: Correction law, or None for no correction.
         seeds: Seeds of the sheets (N,).
-        lifts: Depths [m] at which the tool is lifted, each time a quarter of the path further.
+        lifts: Depths [m] at which the tool is lifted, so that the springback is measured there. Each time it
+            is lifted a quarter of the path further along. The ratio of measured to modelled springback then
+            corrects the following levels.
         springback_shift: For each level the amount by which a springback file has made its path deeper (K,)
             [m]; None without such a file. Offsets of the correction are added.
 
@@ -116,6 +118,7 @@ def run_loop(
             correction = level_correction.level_correction(plan, law, k, measured, kappa, path_offsets)
             total_offset = total_offset + correction.offset
         last_offset, offset = total_offset[:, -1], total_offset[:, position_indices[k]]
+        # no_contact (N, J): positions at which the tools do not touch the sheet
         no_contact = sheets.form_level(level.depth, step, level.depth + offset, plan_positions)
         if level.depth > RUN_IN_DEPTH_M:
             lost_contact |= no_contact.any(axis=1)

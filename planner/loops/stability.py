@@ -64,7 +64,10 @@ def gamma(force_exponent: float, curve_exponent: float, springback: float, spaci
 def spectral_radius(
     gamma: ArrayLike, ratio: ArrayLike, rule: PredictionRule, every: int = 1, weight: float = 1.0
 ) -> FloatArray:
-    """Return the largest absolute root (...) of the recursion; the loop converges if it is below 1.
+    """Return the spectral radius (...) of the recursion of the loop's errors from one action to the next.
+
+    The loop converges if it is below 1. It is the largest absolute eigenvalue of the 4 x 4 matrix of the
+    recursion.
 
     Args:
         gamma: Values of gamma, which are broadcast with ``ratio``.

@@ -113,7 +113,9 @@ def choose_track_law(
 
 
 def tool_along_track(scene: Scene, targets: Targets, arm: str) -> tuple[FloatArray, FloatArray]:
-    """Measure the nominal path of the tool along a track.
+    """Measure the nominal path of the tool along a track, which the track follows.
+
+    The freedoms of the targets are ignored.
 
     Returns:
         Positions (N,) [m] of the tool along the track axis from the world's origin, and path length (N,) [m]
@@ -161,6 +163,8 @@ def track_law(
 def max_tool_slide(scene: Scene, targets: Targets, arm: str) -> float:
     """Return the largest distance [m] by which one freedom of the targets moves the tool along the track.
 
+    The track follows the nominal poses, so such a freedom must not move the tool far.
+
     Each freedom is varied alone, at :data:`SLIDE_FRACTIONS` of its range, with the others at neutral values.
     """
     track, _ = scene.tracks[arm]
@@ -178,7 +182,7 @@ def max_tool_slide(scene: Scene, targets: Targets, arm: str) -> float:
 
 
 def candidate_offsets(track: LinearAxis, fraction: float, position: FloatArray) -> FloatArray:
-    """Candidate offsets (K,) [m] for which the law lies within the track's range at some target.
+    """Return candidate offsets (K,) [m] for which the law lies within the track's range at some target.
 
     Args:
         track: Track with its range.

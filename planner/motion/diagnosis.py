@@ -85,16 +85,17 @@ def _restate_for_job(issue: Issue, targets: Targets, rows: IndexArray) -> Issue:
 def _reach_issue(
     scene: Scene, targets: Targets, grid: SampleGrid, arm: str, arm_reach: ArmReach
 ) -> Issue | None:
-    """Return the issue of the target at which the longest branch of an arm ends, or None if one passes all.
+    """Explain why no branch of an arm exists at all targets; None if one does.
 
-    A branch is longer if it exists at more targets from the first on. Its end is caused by reach, a joint
-    limit or a singularity.
+    A branch exists at a target if one of its samples keeps all margins. The issue is about the branch that
+    exists at most targets from the first one on, and about the first target at which it does not. The cause
+    is reach, a joint limit, a singularity, or that the arm could continue only on another branch.
     """
     if arm_reach.branches:
         return None
     ends = np.argmin(arm_reach.exists, axis=1)
     branch = int(np.argmax(ends))
-    index = int(ends[branch])
+    index = int(ends[branch])  # the first target at which this branch does not exist
     chain = scene.chains[arm]
     count = int((~arm_reach.exists[branch]).sum())
     name = targets.name(index)
@@ -182,7 +183,10 @@ def _reach_shortfall(scene: Scene, targets: Targets, grid: SampleGrid, arm: str,
 
 
 def _branch_issue(targets: Targets, index: int) -> Issue:
-    """Return the issue of a target that each arm reaches, but that no combination of branches passes."""
+    """Return the issue of a target that each arm reaches, but that no combination of branches passes.
+
+    The arms would have to jump to other branches or to other values of their freedoms there.
+    """
     name = targets.name(index)
     message = f"no choice of branches for {' and '.join(targets.arms)} passes target {name}: the arms can "
     message += "reach it, but they cannot continue without a joint jump or with the same freedoms"
@@ -225,14 +229,20 @@ def _winding_issue(scene: Scene, targets: Targets, winding: JointWinding, index:
 def _blocked_issue(scene: Scene, targets: Targets, blocked: BlockedSearch) -> Issue:
     """Return the collision issue of the target that no path passes.
 
-    It lists the samples that are free before and after it, and the bodies that collide at it.
+    It lists the samples that are free before and after it, and the bodies that collide at it. If no pair of
+    bodies explains the dead end, the issue is that the arms cannot continue on any branches. Without a dead
+    end, the collision that the search found on a move is reported.
+
+    Raises:
+        ValueError: The search did not fail because of collisions.
     """
     dead = blocked.dead_end
     if dead is None and blocked.collision is not None:
         return collision_issue(scene, targets, blocked.collision[1], blocked.collision[0])
     if dead is None or scene.model is None:
         raise ValueError("the search did not fail because of collisions")
-    # If some samples are free, those to which the arms could continue block the path, else all in reach.
+    # If some samples are free, the samples to which the arms could continue block the path. If none is free,
+    # all samples in reach do.
     has_free = bool(dead.free.any())
     colliding = np.flatnonzero((dead.next if has_free else dead.possible) & ~dead.free)
     if not len(colliding):
@@ -308,10 +318,11 @@ class CollisionGroup:
 def _collision_groups(
     scene: Scene, targets: Targets, dead: DeadEnd, samples: IndexArray
 ) -> tuple[list[CollisionGroup], tuple[float, tuple[str, str]]]:
-    """Return which bodies are too close at a target that no path passes, and the best sample of it.
+    """Group the bodies that are too close at a target that no path passes, and find its best sample.
 
-    The groups are chosen greedily until all samples are explained, at most :data:`MAX_NAMED_PAIRS`: first the
-    group that blocks most samples, then the one that blocks most of the rest.
+    The message of the issue names both. The groups are chosen greedily until all samples are explained, at
+    most :data:`MAX_NAMED_PAIRS`: first the group that blocks most samples, then the one that blocks most of
+    the rest.
 
     Args:
         scene: Cell with a collision model.
@@ -506,7 +517,7 @@ def _margin_hint(field: str, margin: float) -> str:
         margin: Margin [rad] that the target has. It is suggested, rounded down, if it is at least
             :data:`MIN_SUGGESTED_MARGIN_DEG`.
     """
-    suggested_deg = float(np.floor(margin / DEG * 10.0 - 1e-6)) / 10.0
+    suggested_deg = float(np.floor(margin / DEG * 10.0 - 1e-6)) / 10.0  # rounded down to 0.1 deg
     return (
         f", or set settings.{field}: {suggested_deg:g}, which is enough here"
         if suggested_deg >= MIN_SUGGESTED_MARGIN_DEG
@@ -536,6 +547,8 @@ def require_linear_moves(
     scene: Scene, targets: Targets, branch: Mapping[str, int], samples: MoveSamples
 ) -> None:
     """Require that the linear moves between targets stay within reach and keep clearance.
+
+    The first move that does not is reported.
 
     Args:
         scene: Cell with the stock in its pose.

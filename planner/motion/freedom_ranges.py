@@ -76,7 +76,7 @@ class GridStates:
 
     @property
     def free(self) -> BoolArray:
-        """Whether (K, V) every arm meets all requirements."""
+        """For K targets and V values whether every arm meets all requirements."""
         return np.asarray(np.logical_and.reduce([state == FREE for state in self.state.values()]))
 
 
@@ -123,7 +123,7 @@ def _unit(freedom: Freedom) -> str:
 def compute_freedom_map(
     scene: Scene, targets: Targets, freedom: str, planned: FloatArray | None = None
 ) -> ReachableFreedomMap:
-    """Compute the map of one freedom for a few targets.
+    """Compute the map of one freedom for a few targets, which shows users where the arms can work.
 
     The other freedoms take a few samples and, if given, the planned values.
 
@@ -383,7 +383,8 @@ def _choose_free(
         angles: {arm: (K, V, S, B, 6)} [rad] joints of sample and branch.
         states: {arm: (K, V)} states without collisions. Set to :data:`COLLISION` where all arms have an
             allowed state, but none of the checked combinations is free.
-        prefer_common_branches: As for :func:`grid_states`.
+        prefer_common_branches: Whether branches that suit most grid points are preferred to those with the
+            largest margins.
 
     Returns:
         ``q`` and ``pair`` as in :class:`GridStates`.
@@ -418,7 +419,8 @@ def _choose_free(
                 targets, {arm: joints[rows] for arm, joints in candidate.items()}, k[rows]
             )
         for arm, joints in candidate.items():
-            chosen = free if rank else np.ones(len(k), dtype=bool)  # rank 0 is kept if none is free
+            # the first combination is stored even if it collides, and kept if no other one is free
+            chosen = free if rank else np.ones(len(k), dtype=bool)
             q[arm][k[chosen], v[chosen]] = joints[chosen]
         unresolved[k[free], v[free]] = False
     # Grid points that are still open collide. Name the closest pair of their best combination.

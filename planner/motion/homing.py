@@ -71,7 +71,7 @@ class HomeMotion:
 
 
 class ApproachAndRetreat:
-    """Plans approach and retreat, in the first order of arms for which both exist.
+    """Plans approach and retreat in the first order of arms for which both can be planned.
 
     If the arms are synchronised, simultaneous motions are used if there are any. The result depends only on
     the joints at the first and the last target. Planning is submitted on construction, and the result is read
@@ -105,10 +105,10 @@ class ApproachAndRetreat:
     def _submit(
         self, order: tuple[str, ...], executor: Executor
     ) -> "list[Iterator[HomeMotion | _BlockedArm]]":
-        """Submit approach and retreat.
+        """Submit approach and retreat, both planned from home to a target.
 
         The retreat is submitted first, so that a waiting caller computes the approach while another process
-        computes the retreat.
+        computes the retreat. Returns the calls of :func:`_plan_motion` for the approach and the retreat.
         """
         scenes = [dataclasses.replace(scene) for scene in self._scenes]  # copies without cached properties
         goals = [{arm: q[row] for arm, q in self.ends.items()} for row in (0, 1)]
@@ -120,7 +120,7 @@ class ApproachAndRetreat:
         return [approach, retreat]
 
     def result(self, targets: Targets) -> tuple[HomeMotion, HomeMotion]:
-        """Return approach and retreat.
+        """Return approach and retreat, for the first order of the arms in which both can be planned.
 
         Raises:
             TandemError: ``motion.entry`` with the closest bodies if no order of the arms has both.
@@ -150,16 +150,16 @@ class ApproachAndRetreat:
 def plan_approach_and_retreat(
     scene: Scene, targets: Targets, q: Mapping[str, FloatArray], synchronised: bool = False
 ) -> tuple[HomeMotion, HomeMotion]:
-    """Plan approach and retreat for paths {arm: (N, 6)} of the targets, as :class:`ApproachAndRetreat`."""
+    """Plan approach and retreat for joint paths {arm: (N, 6)} [rad], as :class:`ApproachAndRetreat`."""
     ends = {arm: q[arm][[0, -1]] for arm in targets.arms}
     return ApproachAndRetreat(scene, ends, synchronised).result(targets)
 
 
 @dataclasses.dataclass(frozen=True)
 class _BlockedArm:
-    """The arm that has no path to the joints ``goal`` (6,).
+    """An arm for which no path to the joints ``goal`` (6,) was found, while the others are at ``standing``.
 
-    The others are at the joints ``standing``.
+    ``standing`` has the joints (6,) [rad] of each arm.
     """
 
     arm: str
@@ -176,8 +176,10 @@ def _plan_motion(
 ) -> Iterator[HomeMotion | _BlockedArm]:
     """Yield the first motion from home to the joints ``goal`` {arm: (6,)}, then the improved one.
 
-    If an arm has no path, that arm is yielded and nothing follows. ``reference`` is a motion of a reference
-    plan, which is reused without improvement if it still holds.
+    The first motion shows whether this order of the arms works at all, before time is spent to improve it. If
+    an arm has no path, that arm is yielded and nothing follows. ``reference`` is a motion of a reference
+    plan, which is reused without improvement if it still holds. Otherwise, several synchronised arms take the
+    straight simultaneous motion if there is one, which is not improved either.
     """
     reused = None if reference is None else _reuse_reference(scene, goal, order, synchronised, reference)
     if reused is not None:
@@ -203,17 +205,17 @@ def _reuse_reference(
     synchronised: bool,
     reference: HomeMotion,
 ) -> HomeMotion | None:
-    """Return the motion of a reference plan with its ends moved to home and to the joints ``goal``.
+    """Return the motion of a reference plan, with its start and end replaced by home and the joints ``goal``.
 
-    Returns None if that motion is not free and cannot be repaired, or if the arms would now move in another
-    order.
+    Returns None if that motion is not free of collisions and cannot be repaired, if the arms would now move
+    in another order, or if the reference moves them simultaneously and they are no longer synchronised.
     """
     if reference.order != order or (reference.together and not synchronised):
         return None
     paths = {arm: _with_new_ends(reference.paths[arm], scene.chains[arm].home, goal[arm]) for arm in order}
     if reference.together:
         path = _repair_path(
-            _MovingArms(scene, {}, order), np.concatenate([paths[arm] for arm in order], axis=1)
+            _MovingArms(scene, standing={}, arms=order), np.concatenate([paths[arm] for arm in order], axis=1)
         )
         return (
             None
@@ -242,14 +244,20 @@ def _with_new_ends(path: FloatArray, start: FloatArray, goal: FloatArray) -> Flo
 
 
 def _repair_path(moving: "_MovingArms", path: FloatArray) -> FloatArray | None:
-    """Return the path (M, D) if it is free, else a free path nearby that is not much longer, else None."""
+    """Return the path (M, D) if it is free of collisions, else a nearby path that is, else None.
+
+    The nearby path is at most ``MAX_REPAIR_RATIO`` times as long.
+    """
     if not len(moving.find_blocked(path, find_all=False).move):
         return path
     return bend_path(path, moving.task, MAX_REPAIR_RATIO)
 
 
 def _improve(scene: Scene, motion: HomeMotion, synchronised: bool) -> HomeMotion:
-    """Shorten each arm's path; if the arms are synchronised, try to move all of them simultaneously."""
+    """Shorten each arm's path, and then try to move synchronised arms simultaneously.
+
+    Arms whose path was shortened when it was found (:attr:`HomeMotion.shortened`) keep it.
+    """
     standing = {arm: scene.chains[arm].home for arm in motion.order}
     paths = {}
     for arm in motion.order:
@@ -269,10 +277,11 @@ def _reversed(motion: HomeMotion) -> HomeMotion:
 
 
 def are_ends_free(scene: Scene, q: Mapping[str, FloatArray]) -> BoolArray:
-    """Whether (B,) the ends of approaches are free, if the arms move one after the other in some order.
+    """Return for each of B postures whether the arms can take it from home one after the other.
 
-    In that order, the arms that have already moved are at their given joints and the others are at home. Only
-    these postures are checked, not the paths between them.
+    There must be an order of the arms in which they keep clearance each time one of them has arrived: those
+    that have moved are at their given joints, the others at home. The paths between these states are not
+    checked, and neither is the posture itself, in which all arms have moved.
 
     Args:
         scene: Cell with a collision model.
@@ -332,8 +341,8 @@ def _plan_in_order(
 ) -> HomeMotion | _BlockedArm:
     """Plan a path for each arm from home to the joints ``goal`` {arm: (6,)}, one arm after the other.
 
-    Arms that have moved stay at their goal, the others at home. Returns the arm that has no path, if one has
-    none.
+    While an arm moves, those that have moved stand at their goal, and the others stand at home. If an arm has
+    no path, that arm is returned instead of a motion.
     """
     standing = {arm: scene.chains[arm].home for arm in goal}
     paths: dict[str, FloatArray] = {}
@@ -378,7 +387,7 @@ def _plan_arm(
 
 
 def _split_by_arm(scene: Scene, path: FloatArray, order: tuple[str, ...]) -> HomeMotion:
-    """Split a path (M, D) of concatenated joints into the simultaneous paths of the arms."""
+    """Return the simultaneous motion of the arms for a path (M, D) of their concatenated joints."""
     parts = {arm: path[:, columns].copy() for arm, columns in scene.columns(order).items()}
     return HomeMotion(parts, order, together=True)
 
@@ -405,11 +414,12 @@ class _MovingArms:
         return self.scene.columns(self.arms)
 
     def are_free(self, points: FloatArray) -> BoolArray:
-        """Whether (B,) joints are within their limits and bodies keep clearance."""
+        """Return for each of B points whether joints are within their limits and bodies keep clearance."""
         scene = self.scene
         is_free = np.full(len(points), self.others_free)
         joints = self.joints(points)
         for arm in self.arms:
+            # only the limits themselves count, or less if the margin in the settings is negative
             is_free &= scene.chains[arm].limit_margin(joints[arm]) >= min(scene.settings.joint_margin, 0.0)
         if scene.model is None or not is_free.any():
             return is_free
@@ -435,9 +445,10 @@ class _MovingArms:
         return bool(clearance.is_free(model, joints, required, all_pairs - self.static_pairs).all())
 
     def are_surely_free(self, points: FloatArray, half_range: FloatArray) -> BoolArray:
-        """Whether (B,) bodies certainly keep clearance while the joints vary around points (B, D).
+        """Return for each of B points whether bodies certainly keep clearance while joints vary around it.
 
-        Each joint varies by up to ``half_range`` (B, D) [rad]. False means that it is not certain.
+        Such parts of a path need no further checks. Each joint varies by up to ``half_range`` (B, D) [rad].
+        False means that it is not certain.
         """
         model, required = self.scene.model, self.scene.settings.clearance
         if model is None:  # joint limits that hold at both ends of a line hold on all of it
@@ -513,7 +524,7 @@ class _MovingArms:
 
         Returns the path itself if there is none, or if it is already as short as a straight line.
         """
-        direct = path_travel(path[[0, -1]])
+        direct = path_travel(path[[0, -1]])  # of the straight line between both ends
         if len(path) < 3 or path_travel(path) <= direct + TRAVEL_TOLERANCE_RAD:
             return path
         shortened_path = shorten_path(path, self.task)
@@ -568,7 +579,7 @@ def _plan_straight(scene: Scene, goal: Mapping[str, FloatArray], order: tuple[st
     It may be bent around obstacles if that adds no travel. Returns None if it needs a detour, or if it is not
     faster than moving the arms one after the other.
     """
-    moving = _MovingArms(scene, {}, order)
+    moving = _MovingArms(scene, standing={}, arms=order)
     line = np.array(
         [np.concatenate([scene.chains[a].home for a in order]), np.concatenate([goal[a] for a in order])]
     )
@@ -581,7 +592,9 @@ def _plan_straight(scene: Scene, goal: Mapping[str, FloatArray], order: tuple[st
 
 def _sequential_duration(scene: Scene, motion: HomeMotion) -> float:
     """Return the nominal duration [s] of a motion if its arms move one after the other."""
-    return sum(_MovingArms(scene, {}, (arm,)).duration(path) for arm, path in motion.paths.items())
+    return sum(
+        _MovingArms(scene, standing={}, arms=(arm,)).duration(path) for arm, path in motion.paths.items()
+    )
 
 
 def _try_simultaneous(scene: Scene, motion: HomeMotion) -> HomeMotion:
@@ -590,7 +603,7 @@ def _try_simultaneous(scene: Scene, motion: HomeMotion) -> HomeMotion:
     The simultaneous motion has the same ends, no more travel, a shorter nominal duration and at most
     :data:`MAX_MOVES` moves. Returns the given motion if there is none.
     """
-    moving = _MovingArms(scene, {}, motion.order)
+    moving = _MovingArms(scene, standing={}, arms=motion.order)
     travel_before = sum(path_travel(path) for path in motion.paths.values())
     # The first candidate that is free overlaps most. In the last one the arms move one after the other.
     candidates = (_overlap_paths(motion, start_offset) for start_offset in START_OFFSETS)
@@ -632,6 +645,7 @@ def _overlap_paths(motion: HomeMotion, start_offset: float) -> FloatArray:
         clocks.append(path_length)
         start += start_offset * (path_length[-1] - path_length[0])
     time = np.unique(np.concatenate(clocks))
+    # of waypoints of several arms that nearly coincide, keep one
     time = time[np.append(True, np.diff(time) > TRAVEL_TOLERANCE_RAD)]
     time[-1] = max(clock[-1] for clock in clocks)
     parts = [
@@ -650,6 +664,7 @@ def _entry_issue(scene: Scene, targets: Targets, blocked_arm: _BlockedArm, row: 
     """
     arm, goal, standing = blocked_arm.arm, blocked_arm.goal, blocked_arm.standing
     home, name = scene.chains[arm].home, targets.name(row)
+    # rows 0 and 1 are both ends, the others 41 points of the straight line
     line = home + np.linspace(0.0, 1.0, 41)[:, None] * (goal - home)
     points = np.concatenate([home[None], goal[None], line])
     joints = {a: np.broadcast_to(v, (len(points), len(v))) for a, v in standing.items()} | {arm: points}

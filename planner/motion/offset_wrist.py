@@ -234,7 +234,12 @@ axis 1 by 45 degrees.
 
 
 def _axis1_passes(condition: _WristCondition) -> _Axis1Passes:
-    """Find the passes close to axis 1 for which the regular samples are too coarse."""
+    """Find the passes close to axis 1 for which the regular samples are too coarse.
+
+    The width of a pass is the smallest distance of the wrist centre from axis 1, divided by its speed there
+    per change of theta 6. A pass is close if its width is below :data:`_MAX_CLOSE_PASS_GAPS` gaps between
+    samples.
+    """
     angle = _FIRST_ANGLE_RAD + 2.0 * np.pi * np.arange(SAMPLE_ANGLES) / SAMPLE_ANGLES
     step = 2.0 * np.pi / SAMPLE_ANGLES
     # The distance from axis 1 has a minimum where the wrist centre approaches it and then moves away.
@@ -252,7 +257,13 @@ def _axis1_passes(condition: _WristCondition) -> _Axis1Passes:
 
 
 def _sign_brackets(condition: _WristCondition, shoulder: float, axis1_passes: _Axis1Passes) -> _Brackets:
-    """Bracket all sign changes of f for one shoulder, 1 in front of axis 1 or -1 behind it."""
+    """Bracket all sign changes of f for one shoulder, so that each bracket can be refined to a solution.
+
+    Args:
+        condition: Condition at P poses.
+        shoulder: 1 in front of axis 1, -1 behind it.
+        axis1_passes: Passes close to axis 1, which are sampled densely.
+    """
     angle = _FIRST_ANGLE_RAD + 2.0 * np.pi * np.arange(SAMPLE_ANGLES) / SAMPLE_ANGLES
     step = 2.0 * np.pi / SAMPLE_ANGLES
     side = np.array(shoulder)
@@ -346,10 +357,10 @@ def _dense_angles(
 
 
 def _may_cross_zero(value: FloatArray, angle: FloatArray | None = None) -> BoolArray:
-    """Whether (..., K - 2) f may cross zero twice near a sample without a sign change of the samples.
+    """Return for each inner sample whether f may cross zero twice next to it without a change of sign.
 
-    That is possible at a local minimum of |f| if the slope on one side, extrapolated to the other side,
-    would cross zero.
+    The result is (..., K - 2). Two crossings are possible at a local minimum of |f| if the slope on one side,
+    extrapolated to the other side, would cross zero.
 
     Args:
         value: (..., K) values of f at consecutive angles. The first and the last are not examined.
@@ -433,7 +444,9 @@ def _dip_brackets(
     shoulder: float,
     elbow: float,
 ) -> list[tuple[IndexArray, FloatArray, FloatArray]]:
-    """Bracket both roots of f in intervals where |f| has a minimum, if f crosses zero there.
+    """Bracket both roots of f in intervals where |f| has a minimum and crosses zero twice.
+
+    Intervals in which f does not cross zero are left out.
 
     Args:
         condition: Condition at all poses.
@@ -524,6 +537,7 @@ def _find_roots(
         at_high[active] = np.where(same_sign_as_high, value, np.where(repeated_side, 0.5 * fb, fb))
         side[active] = np.where(same_sign_as_high, 1, -1)
         out[active] = middle
+        # keep the functions whose bracket and value still exceed rounding errors
         active = active[
             (value != 0.0) & (np.abs(high[active] - low[active]) > 1e-15) & (np.abs(value) > 1e-16)
         ]
@@ -532,6 +546,8 @@ def _find_roots(
 
 def _refine(form: OffsetParameters, theta: FloatArray, pose: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Refine theta (M, 6) [rad] by Newton's method where its pose error is too large.
+
+    ``pose`` (M, 4, 4) are the poses of the inner flange that theta has to reach.
 
     Returns theta, and whether (M,) its pose error is at most :data:`POSE_TOLERANCE`.
     """
@@ -620,11 +636,16 @@ def match_ranks(q: FloatArray) -> FloatArray:
 
 
 def _match_ranks_to(previous: FloatArray, current: FloatArray) -> FloatArray:
-    """Return joints ``current`` (S, MAX_RANKS, 8, 6) with ranks permuted to be closest to ``previous``."""
+    """Return joints ``current`` (S, MAX_RANKS, 8, 6) with ranks permuted to be closest to ``previous``.
+
+    For each sample and each of the 8 combinations of slope, shoulder and elbow all permutations of the ranks
+    are compared. The distance of two solutions is their largest joint change modulo full turns, at most 1.
+    """
     difference = np.abs(previous[:, :, None] - current[:, None])
     gap = np.minimum(
         np.abs(difference - 2.0 * np.pi * np.round(difference / (2.0 * np.pi))).max(axis=-1), 1.0
     )
+    # a missing solution is as far as any distant one, 1 rad, so that it does not decide the order
     gap = np.where(np.isnan(gap), 1.0, gap)  # (S, previous rank, current rank, 8)
     permutations = list(itertools.permutations(range(MAX_RANKS)))
     cost = np.stack(
@@ -697,6 +718,7 @@ def wrist_gap(form: OffsetParameters, flange: FloatArray) -> FloatArray:
         form: Kinematic parameters.
         flange: (..., 4, 4) flange poses in the form's base.
     """
+    # each sampled angle with and without the offset of the grid
     angle = np.append(0.0, _FIRST_ANGLE_RAD) + 2.0 * np.pi * np.arange(SAMPLE_ANGLES)[:, None] / SAMPLE_ANGLES
     c, s = np.cos(angle.reshape(-1)), np.sin(angle.reshape(-1))
     ex, ey = flange[..., None, :3, 0], flange[..., None, :3, 1]

@@ -109,7 +109,7 @@ def plan_operation(
     options: PathSearchOptions = DEFAULT_SEARCH_OPTIONS,
     executor: Executor = SERIAL,
 ) -> OperationPlan:
-    """Plan one operation.
+    """Plan one operation: its path, its timing, and the motion of the arms from and to home.
 
     Args:
         name: Name of the operation.
@@ -239,12 +239,12 @@ def plan_operation(
 
 
 def _end_joints(targets: Targets, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Joints {arm: (2, 6)} at the first and the last target."""
+    """Return the joints {arm: (2, 6)} at the first and the last target."""
     return {arm: q[arm][[0, -1]] for arm in targets.arms}
 
 
 class _Stopwatch:
-    """Accumulates the wall time [s] of named planning stages."""
+    """Accumulates the wall time [s] of named planning stages, for the metrics of the plan."""
 
     def __init__(self) -> None:
         self.laps: dict[str, float] = {}
@@ -277,6 +277,8 @@ class _PathFinder:
     def find(self, scene: Scene, targets: Targets) -> tuple[SampleGrid, PathResult | BlockedSearch]:
         """Search a path near the reference path, and if there is none, a path as :func:`find_path` does.
 
+        The reference path is given up for later calls once no path near it was found.
+
         Raises:
             NoCoarsePathError: The first samples have no path, and finer samples are not to be tried.
         """
@@ -306,7 +308,7 @@ def _search_path(
 
     Raises:
         TandemError: No path exists; the issues say why.
-        NoCoarsePathError: As for :meth:`_PathFinder.find`.
+        NoCoarsePathError: The first samples have no path, and finer samples are not to be tried.
     """
     grid, result = finder.find(scene, targets)
     stopwatch.lap("ladder")
@@ -352,7 +354,7 @@ def _optimise_path(
     stretch and finally over the whole path. The rest stays as it is.
 
     Returns:
-        The path, and whether it is an optimised one.
+        The path, and whether it is an optimised one. Its cost covers all targets, in or outside a corridor.
     """
     graph_cost = path_cost(scene, targets, graph_path.values, graph_path.q)
     start = trajopt.unwrap_freedoms(targets, graph_path.values)
@@ -500,7 +502,10 @@ def _evaluate_fraction(
     clock_pieces: dict[bytes, TimedPiece],
     window: Windows | None,
 ) -> tuple[_TimedPath | None, str, IndexArray]:
-    """Evaluate the path at a ``fraction`` of the way from the given path to the program's path.
+    """Decide whether to use the path at a ``fraction`` of the way from the given path to the program's path.
+
+    It is used if it keeps its branches, margins and clearance, reduces the cost enough, has a clock with the
+    minimum feeds, and if its timing is worse in no respect (:func:`_regression_reason`).
 
     Args:
         problem: Scene, targets and branches of the paths.
@@ -537,7 +542,7 @@ def _evaluate_fraction(
             scene,
             targets,
             samples,
-            move_limits.with_lengthened_short_moves if seed.slowed else None,
+            move_limits.with_slowed_short_moves if seed.slowed else None,
             clock_pieces,
         )
         move_limits.require_min_feeds(scene, timed[0], samples, timed[1].time)
@@ -562,7 +567,8 @@ def _gain_metrics(seed: _TimedPath, candidate: _TimedPath) -> dict[str, float]:
 def _regression_reason(seed: _TimedPath, candidate: _TimedPath) -> str:
     """Say in what respect the timing of a path is worse than that of the given path; empty if in none.
 
-    Acceleration and jerk of the joints, the duration, and required minimum feeds are compared.
+    The peaks of joint acceleration and jerk and the duration may exceed those of the given path by a small
+    factor. No further move may fall below its required minimum feed.
     """
     peaks = zip(("acceleration", "jerk"), seed.peaks(), candidate.peaks(), strict=True)
     for name, seed_peak, peak in peaks:
@@ -586,9 +592,10 @@ def _regression_reason(seed: _TimedPath, candidate: _TimedPath) -> str:
 def _infeasible_moves(scene: Scene, targets: Targets, samples: MoveSamples, moved: BoolArray) -> IndexArray:
     """Return the targets to which moves leave the reach or keep no clearance; targets may repeat.
 
-    Only moves to and from the targets ``moved`` (N,) are checked.
+    ``moved`` (N,) says which targets have moved since the last check. Only moves to and from these targets
+    are checked.
     """
-    is_checked = moved | np.append(False, moved[:-1])
+    is_checked = moved | np.append(False, moved[:-1])  # moves to a moved target, or from one
     rows = np.flatnonzero(is_checked[samples.move])
     checked = MoveSamples(
         samples.move[rows], samples.fraction[rows], {arm: v[rows] for arm, v in samples.q.items()}
@@ -604,9 +611,10 @@ def _join_short_moves(
     timed_path: _TimedPath,
     clock_pieces: dict[bytes, TimedPiece],
 ) -> tuple[Targets, _TimedPath]:
-    """Join moves that are too short for the controller into longer ones where that changes nothing.
+    """Join moves that are too short for the controller into longer ones, within the allowed deviations.
 
-    Short moves that remain are slowed where no minimum feed is required.
+    Joining ends early if a joined move would leave its branch. Short moves that remain are slowed where no
+    minimum feed is required.
 
     Args:
         scene: Cell with the stock in its pose.
@@ -622,6 +630,7 @@ def _join_short_moves(
     full_path = timed_path.path
     joined_targets, path = targets, full_path
     samples, timed = timed_path.samples, timed_path.timed
+    # each round joins moves that are short on the clock of the previous round, until none can be joined
     for _ in range(MAX_JOINING_ROUNDS):
         picked_rows = move_limits.join_short_moves(targets, full_path.values, timed[1].time, kept)
         if len(picked_rows) == len(kept):
@@ -636,7 +645,7 @@ def _join_short_moves(
     has_short_moves = bool(move_limits.are_short(joined_targets, path.values, timed[1].time).any())
     if has_short_moves:
         timed = _compute_clock(
-            scene, joined_targets, samples, move_limits.with_lengthened_short_moves, clock_pieces
+            scene, joined_targets, samples, move_limits.with_slowed_short_moves, clock_pieces
         )
     return joined_targets, _TimedPath(path, samples, timed, has_short_moves)
 
@@ -721,13 +730,20 @@ def _missing_solver_note() -> Issue:
 
 
 def _moves_below_feed_min(targets: Targets, clock_time: FloatArray) -> IndexArray:
-    """Return the targets to which moves are slower than the process requires. ``clock_time`` (N,) is in s."""
+    """Return the targets to which moves are on average slower than the process requires.
+
+    ``clock_time`` (N,) [s] are the times of all targets.
+    """
     speed = targets.travel[1:] / np.maximum(np.diff(clock_time), 1e-12)
     return np.flatnonzero(speed < targets.feed_min[1:] * (1.0 - 1e-6)) + 1
 
 
 def _feed_min_warnings(targets: Targets, clock_time: FloatArray) -> Iterator[Issue]:
-    """Yield warnings for moves that the arms cannot make as fast as the process requires."""
+    """Yield a warning for each move that the arms cannot make as fast as the process requires.
+
+    ``clock_time`` (N,) [s] are the times of the targets. The warnings are for targets without a run-up.
+    Others have to keep their minimum feed (:func:`move_limits.require_min_feeds`).
+    """
     speed = targets.travel[1:] / np.maximum(np.diff(clock_time), 1e-12)
     for i in _moves_below_feed_min(targets, clock_time).tolist():
         got, required = float(speed[i - 1]) / MM, float(targets.feed_min[i]) / MM
@@ -744,9 +760,11 @@ def _feed_min_warnings(targets: Targets, clock_time: FloatArray) -> Iterator[Iss
 
 
 def _margin_metrics(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> dict[str, Any]:
-    """Return the smallest margins of the path: to joint limits, to singularities, and between bodies.
+    """Return the smallest margins of the path, for the report.
 
-    For clearances, the target and the pair of bodies are included where the distance is smallest.
+    These are the margins to joint limits and to singularities [deg], by arm, and the clearances between
+    bodies [mm], of different arms and within one arm. Each clearance is listed with the target and the pair
+    of bodies at which it is smallest.
     """
     out: dict[str, Any] = {"limit_margin_deg": {}, "singularity_margin_deg": {}}
     for arm in targets.arms:

@@ -163,7 +163,8 @@ def _optimise_to_free(
 ) -> FloatArray | None:
     """Optimise the corners of a path until the final check finds it free.
 
-    Points that a final check finds blocked become samples of the next rounds.
+    The path first gets :data:`MAX_MOVES` lines, so that there are corners to move. Points that a final check
+    finds blocked become samples of the next rounds.
 
     Args:
         path: (M, D) waypoints.
@@ -183,7 +184,7 @@ def _optimise_to_free(
     sufficient_travel = None if max_travel is None else path_travel(path) + TRAVEL_TOLERANCE_RAD
     keeps_length = sufficient_travel == max_travel
     hoped_travel = 0.0 if keeps_length else max_travel  # a path that may not get longer is bent soon or never
-    for number in range(final_checks):
+    for number in range(final_checks):  # each round ends with a final check
         previous, previous_blocked = current, blocked
         round_travel = sufficient_travel if keeps_length or not number else None
         stopping = _StoppingCriteria(MAX_REPAIR_ROUNDS if number else rounds, round_travel, hoped_travel)
@@ -209,7 +210,7 @@ def _pad(path: FloatArray, lever: FloatArray) -> FloatArray:
 
 
 def _remove_corners(path: FloatArray, task: ShortcutTask) -> FloatArray:
-    """Remove corners whose neighbours are connected by a free straight line."""
+    """Remove corners whose neighbours are connected by a free straight line, and repeated waypoints."""
     out, k = path, 1
     while k < len(out) - 1:
         straight = out[[k - 1, k + 1]]
@@ -247,7 +248,7 @@ class _ProgramRows:
         )
 
     def deficit(self, x: FloatArray) -> FloatArray:
-        """Violation (R,) [m] of the rows at corners x."""
+        """Return the violation (R,) [m] of the rows at corners x; negative where a row has room."""
         return np.asarray(self.lower - self.slope @ x)
 
 
@@ -274,7 +275,10 @@ class _EvaluatedPath:
     lever: FloatArray
 
     def program_rows(self, margins: ClearanceMargins) -> _ProgramRows:
-        """Linearise the margins at the samples as rows of a quadratic program for the inner corners."""
+        """Linearise the margins at the samples as rows of a quadratic program for the inner corners.
+
+        A sample lies on a line between two corners, so a row has entries for these two. Ends are no unknowns.
+        """
         lines, width = len(self.path) - 1, self.path.shape[1]
         samples = self.samples.select(margins.row)
         shape = (len(margins.row), (lines - 1) * width)
@@ -292,7 +296,11 @@ class _EvaluatedPath:
 def _required_margin(
     path: FloatArray, samples: PathSamples, lever: FloatArray, end_margin: float
 ) -> FloatArray:
-    """Required margin (P,) [m] at samples of a path, given the margin at its ends."""
+    """Return the required margin (P,) [m] at samples of a path.
+
+    It is :data:`EXTRA_MARGIN_M`, but less near an end whose own margin ``end_margin`` [m] is small. Distances
+    from the ends are weighted by ``lever`` (D,) [m/rad].
+    """
     length = np.abs(np.diff(path, axis=0)) @ lever
     start = np.append(0.0, np.cumsum(length))
     path_length = start[:-1][samples.move] + samples.fraction * length[samples.move]
@@ -307,7 +315,15 @@ def _required_margin(
 def _evaluate(
     path: FloatArray, extra_samples: PathSamples, task: ShortcutTask, weight: FloatArray, end_margin: float
 ) -> _EvaluatedPath:
-    """Evaluate a path at evenly spaced samples of its lines, at its corners and at ``extra_samples``."""
+    """Evaluate a path at evenly spaced samples of its lines, at its corners and at ``extra_samples``.
+
+    Args:
+        path: (M, D) waypoints.
+        extra_samples: Points that final checks found blocked.
+        task: Environment.
+        weight: (D,) weight of each coordinate, as for :func:`_path_cost`.
+        end_margin: Smallest margin [m] at the ends of the path.
+    """
     length = np.abs(np.diff(path, axis=0)) @ task.lever
     spacing = max(SAMPLE_SPACING_M, float(length.sum()) / MAX_SAMPLES)
     count = np.maximum(np.ceil(length / spacing), 2.0).astype(np.intp)
@@ -361,6 +377,7 @@ def _optimise_corners(
     """
     sufficient_travel, hoped_travel = stopping.sufficient_travel, stopping.hoped_travel
     weight = task.lever / task.lever.max()
+    # smallest margin at the two ends, which do not move
     end_margin = float(task.margins(path[[0, -1]], QUERY_DISTANCE_M).margin.min(initial=np.inf))
     best = _evaluate(path, extra_samples, task, weight, end_margin)
     trust, rejected_count = INITIAL_TRUST_RAD, 0

@@ -126,8 +126,9 @@ def _select_freest(
 ) -> tuple[tuple[float, PlacementCandidate], ...]:
     """Select the candidates with the largest fraction of free targets, at most :data:`MAX_FREEST_CANDIDATES`.
 
-    ``scored`` are candidates with this fraction. Candidates without any free target are left out. Of those
-    with equal fractions, earlier ones come first.
+    They are tried, or explained to the user, if no candidate is free at all sampled targets. ``scored`` are
+    candidates with this fraction. Candidates without any free target are left out. Of those with equal
+    fractions, earlier ones come first.
     """
     return tuple(
         sorted((item for item in scored if item[0]), key=lambda item: -item[0])[:MAX_FREEST_CANDIDATES]
@@ -150,7 +151,7 @@ class PlacementTrace:
     freest: tuple[tuple[float, PlacementCandidate], ...] = ()
 
     def extended(self, other: "PlacementTrace") -> "PlacementTrace":
-        """Append the candidates of another trace."""
+        """Return this trace followed by the candidates of another one."""
         positions = np.concatenate([self.positions, other.positions])
         score = np.concatenate([self.score, other.score])
         return PlacementTrace(positions, score, _select_freest([*self.freest, *other.freest]))
@@ -228,7 +229,11 @@ class PlacementSearch:
         self._sample_targets(with_slides=False)
 
     def _sample_targets(self, with_slides: bool) -> None:
-        """Sample the targets of all operations, coarsely and finely, including long slides if required."""
+        """Choose the sampled targets with which all candidates are scored.
+
+        Few targets of each operation serve for the first comparison, more for that of the best candidates.
+        ``with_slides`` says whether long slides are sampled, not only kept at their middle.
+        """
         self._coarse = [sample_coarsely(j.cell, j.targets, COARSE_TARGETS, with_slides) for j in self._jobs]
         self._fine = [sample_coarsely(j.cell, j.targets, FINE_TARGETS, with_slides) for j in self._jobs]
 
@@ -290,6 +295,7 @@ class PlacementSearch:
         spread = self._step_sizes()
         # points that were checked, with their scores and their fractions of free targets
         all_points, scores, fractions = points[:0], np.zeros(0), np.zeros(0)
+        # generation 0 are the nearly free points themselves, later ones take smaller and smaller steps
         for generation in range(RETRY_GENERATIONS + 1):
             if generation:
                 parents = all_points[np.argsort(-fractions, kind="stable")[:RETRY_PARENTS]]
@@ -371,7 +377,7 @@ class PlacementSearch:
     def _search_generations(
         self, models: Sequence[CellModel]
     ) -> tuple[list[PlacementCandidate], PlacementTrace, set[int]]:
-        """Run all generations of the search.
+        """Run all generations of the search, outside the yaw quarters that are excluded.
 
         Returns:
             Candidates in the order in which to try them (only free ones if there are models), the trace, and
@@ -382,7 +388,7 @@ class PlacementSearch:
         scores = self._score(points, self._coarse)
         point_parts, score_parts = [points], [scores]
         spread = self._step_sizes()
-        for generation in range(SEARCH_GENERATIONS):
+        for generation in range(SEARCH_GENERATIONS):  # each with 0.55 times the steps of the previous one
             best = np.argsort(-scores, kind="stable")[:PARENTS_PER_GENERATION]
             points, scores = points[best], scores[best]
             step_sizes = spread * 0.55**generation
@@ -392,6 +398,7 @@ class PlacementSearch:
             point_parts.append(children)
             score_parts.append(child_scores)
             points, scores = np.concatenate([points, children]), np.concatenate([scores, child_scores])
+        # groups of points, scores and the fraction of the best score at which a point of the group wins
         groups = [(np.concatenate(point_parts), np.concatenate(score_parts), 1.0)]
         if not self._stock_fixed and self._stock.held_by is None:
             groups += [
@@ -450,6 +457,7 @@ class PlacementSearch:
         point_parts, score_parts = [points], [scores]
         for generation in range(SNAPPED_GENERATIONS):
             best = np.argsort(-scores, kind="stable")[:PARENTS_PER_GENERATION]
+            # smaller steps than those of the first search, because the parents are good already
             step_sizes = 0.3 * self._step_sizes() * 0.5**generation
             steps = self._rng.normal(size=(len(best), SNAPPED_CHILDREN, points.shape[1])) * step_sizes
             children = (points[best][:, None] + steps).reshape(-1, points.shape[1])
@@ -484,6 +492,8 @@ class PlacementSearch:
                 np.round(points[:, column : column + 2] / POSITION_INCREMENT_M) * POSITION_INCREMENT_M
             )
             out[:, column + 2] = np.round(points[:, column + 2] / step) * step
+        # Move each stock so that its corner is round in the axes of the base, and its underside in height. On
+        # a pedestal or on bodies below it, the height is not free and stays.
         for row in out:
             pose = self._stock_pose(row)
             corner = (pose @ np.append(self._stock.lower, 1.0))[:3]
@@ -504,7 +514,9 @@ class PlacementSearch:
         """Draw the random points (K, P) of the first generation within the arms' reach.
 
         The edges of the stock are parallel to the world axes for half of them. A third lies close to the
-        middle of the bases, and another third around the first guess if there is one.
+        middle of the bases, and another third around the first guess if there is one. Movable bases are
+        shifted and rotated at random, except in the first sixth of the points, where they stay as stated. A
+        stock whose pose is stated does not move.
         """
         centre = np.mean([arm.base[:3, 3] for arm in self._cell.arms], axis=0)
         reach = max(Chain.of(arm).robot.reach for arm in self._cell.arms)
@@ -515,6 +527,7 @@ class PlacementSearch:
             positions = centre + self._rng.uniform(
                 [-reach, -reach, -0.3 * reach], [reach, reach, 1.2 * reach], (count, 3)
             )
+            # a third of the points moves to a quarter of its horizontal distance from the middle of the bases
             positions[: count // 3, :2] = centre[:2] + 0.25 * (positions[: count // 3, :2] - centre[:2])
             yaw = self._rng.uniform(-np.pi, np.pi, count)
             yaw[::2] = np.round(yaw[::2] / (np.pi / 2.0)) * (np.pi / 2.0)
@@ -531,6 +544,7 @@ class PlacementSearch:
                 columns.append(tilts)
         for _ in self._movable:
             shift = self._rng.uniform(-0.5 * reach, 0.5 * reach, (count, 2))
+            # whole quarter turns, no rotation twice as often, with some scatter
             base_yaw = self._rng.choice([-np.pi / 2.0, 0.0, 0.0, np.pi / 2.0, np.pi], count)
             columns.append(np.column_stack([shift, base_yaw + 0.2 * self._rng.normal(size=count)]))
             columns[-1][: count // 6] = 0.0
@@ -546,7 +560,11 @@ class PlacementSearch:
         return np.asarray(self._stock_poses(point[None])[0])
 
     def _stock_poses(self, points: FloatArray) -> FloatArray:
-        """Return the stock poses (K, 4, 4) in the world of points (K, P), on a support if there is one."""
+        """Return the stock poses (K, 4, 4) in the world of points (K, P).
+
+        The height is that of the nearest available pedestal if one is made. Without a support the stock is
+        lowered or raised to what is below it, unless only the floor is.
+        """
         if self._stock.place is not None:
             return np.repeat(self._stock.place[None], len(points), axis=0)
         yaw_vectors = np.zeros((len(points), 3))
@@ -600,12 +618,13 @@ class PlacementSearch:
     def _score(self, points: FloatArray, sampled: Sequence[SampledTargets]) -> FloatArray:
         """Score points (K, P) by the smallest margin (K,) [rad] of all sampled targets on the best branches.
 
-        At most 0 means that a target is out of reach or violates a margin, or that a required support does
-        not reach the ground. The score is -inf in an excluded yaw quarter.
+        The job with the smallest margin counts. A score of at most 0 means that a target is out of reach or
+        violates a margin, or that a required support does not reach the ground. The score is -inf in an
+        excluded yaw quarter.
         """
         out = np.full(len(points), -np.inf)
         queried = np.flatnonzero(~np.isin(_yaw_quarters(points), list(self._excluded_quarters)))
-        for first in range(0, len(queried), 64):
+        for first in range(0, len(queried), 64):  # batches bound the memory
             rows = queried[first : first + 64]
             batch = points[rows]
             stock = self._stock_poses(batch)[:, None]
@@ -623,13 +642,20 @@ class PlacementSearch:
         return out
 
     def _best_distinct(self, points: FloatArray, scores: FloatArray) -> list[int]:
-        """Return indices of the best reachable candidates that differ sufficiently, best first."""
+        """Return indices of reachable candidates that differ sufficiently, best first.
+
+        There are at most :data:`MAX_CHECKED_CANDIDATES`.
+        """
         order = np.argsort(-scores, kind="stable")
         order = order[scores[order] > 0.0]
         return [int(order[k]) for k in self._select_distinct(points[order], MAX_CHECKED_CANDIDATES)]
 
     def _select_distinct(self, points: FloatArray, max_count: int) -> list[int]:
-        """Return up to ``max_count`` indices of points (K, P) that differ sufficiently, lowest first."""
+        """Return up to ``max_count`` indices of points (K, P) that differ sufficiently, lowest first.
+
+        A point is left out if all its coordinates are close to those of an earlier point. Angles count with
+        a lever of 0.3 m.
+        """
         out: list[int] = []
         tilt_weights = [0.3] * (self._stock_columns - 4)
         weight = np.array([1.0, 1.0, 1.0, 0.3] + tilt_weights + [1.0, 1.0, 0.3] * len(self._movable))
@@ -648,7 +674,8 @@ class PlacementSearch:
     ) -> float:
         """Return the fraction of sampled targets with a free posture, of the job in which it is smallest.
 
-        It is 0 if bodies that do not move overlap, or if the pedestal of the stock does.
+        It is 0 if bodies that do not move overlap, or if the pedestal that is made for the stock would be
+        inside an obstacle.
 
         Args:
             models: Collision models of the jobs.
@@ -674,7 +701,8 @@ class PlacementSearch:
         """Return the fraction of the sampled targets with a free posture on the best combination of branches.
 
         If the sample is meant for every branch, all combinations that reach all targets are tried, else only
-        that with the largest margin.
+        that with the largest margin. Failures are counted for each target over all calls, so that the targets
+        that fail most often are checked first.
         """
         scene = Scene.of(
             sampled.cell, sampled.targets.arms, candidate.stock, self._settings, model, candidate.bases

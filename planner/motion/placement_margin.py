@@ -34,7 +34,9 @@ def placement_margin(
 ) -> FloatArray:
     """Compute the score (K,) [rad] of K stock poses: the smallest margin of all targets on the best branches.
 
-    A small fraction of the mean margin is added, see :func:`choice_scores`.
+    The placement search and the choice of stations compare poses by it. It is positive if all sampled targets
+    are in reach with all margins. Collisions are not checked. A small fraction of the mean margin is added,
+    see :func:`choice_scores`.
 
     Args:
         sampled: Sampled targets.
@@ -66,8 +68,8 @@ def branch_margins(
         settings: Required margins.
 
     Returns:
-        Margins {arm: (K, M, B)} beyond the required ones, capped at :data:`MAX_SCORED_MARGIN_RAD`, and joints
-        {arm: (K, M, B, J)} [rad] of all B branches, NaN where a pose is surely out of reach.
+        Margins {arm: (K, M, B)} [rad] beyond the required ones, capped at :data:`MAX_SCORED_MARGIN_RAD`, and
+        joints {arm: (K, M, B, J)} [rad] of all B branches, NaN where a pose is surely out of reach.
     """
     margins, joints = {}, {}
     for arm, pose, pose_index in _distinct_poses(scene, sampled, stock):
@@ -128,7 +130,7 @@ def reach_gap(chain: Chain, pose: FloatArray) -> FloatArray:
 
 
 def _reach_gap_and_bound(chain: Chain, pose: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return distances as in :func:`reach_gap`, and whether (...,) a pose is surely out of reach.
+    """Return the distances of :func:`reach_gap`, and for each pose whether it is surely out of reach.
 
     The second value is true only if no branch reaches the pose. Where it is false, the pose may still be out
     of reach.
@@ -206,15 +208,17 @@ def max_free_targets(
         failure_counts: (N,) how often each target has had no free posture so far. It is updated in place.
     """
     count = sampled.targets.count
+    # hardest: the targets that fail most often, which are checked on all later combinations at once
     best_count, hardest = 0, np.zeros(0, dtype=np.intp)
     has_free = np.zeros((len(choices), count), dtype=np.bool_)
     for number, (_, margin) in enumerate(choices):
         pending = np.zeros(count, dtype=np.bool_)
         pending[sampled.index[margin > 0.0]] = True
         pending[hardest] &= has_free[number, hardest]
-        if pending.sum() <= best_count:
+        if pending.sum() <= best_count:  # too few targets can still be free
             continue
         pending[hardest] = False
+        # the samples with the largest margins first; the others only of targets without a free one
         for low, high in ((0, FIRST_CHECKED_SAMPLES), (FIRST_CHECKED_SAMPLES, len(sampled.index))):
             queried = pending & ~has_free[number]
             has_free[number] |= _have_free_sample(
@@ -240,9 +244,10 @@ def _have_free_sample(
     low: int,
     high: int,
 ) -> BoolArray:
-    """Whether (C, N) the ``queried`` targets (N,) have a free posture on each combination.
+    """Return for C combinations and N targets whether the target has a free posture on the combination.
 
-    Considers the samples of each target from rank ``low`` up to ``high`` (exclusive), ranked by decreasing
+    Only the targets for which ``queried`` (N,) is true are checked; the others are False. Considers the
+    samples of each target from rank ``low`` up to ``high`` (exclusive), ranked by decreasing
     margin.
     """
     out = np.zeros((len(choices), sampled.targets.count), dtype=np.bool_)

@@ -113,7 +113,7 @@ class Chain:
         return Chain(arm.name, arm.data, arm.base if base is None else base, arm.tool.tcp, arm.home)
 
     def pose(self, q: FloatArray) -> FloatArray:
-        """TCP poses (..., 4, 4) in the world for joint angles (..., J)."""
+        """Return the TCP poses (..., 4, 4) in the world for joint angles (..., J) [rad]."""
         return np.asarray(self.base @ forward_kinematics(self.robot, q) @ self.tcp)
 
     def inverse(
@@ -153,7 +153,7 @@ class Chain:
             pose: (..., 4, 4) TCP poses in the world.
             branch: Branch number.
             seed: (..., J) [rad] joints; joints that may turn more than once take the turn nearest to them.
-            last_joint: As in :meth:`inverse`; None for that of ``seed``.
+            last_joint: (...,) [rad] last joint of an arm with seven axes; None for that of ``seed``.
 
         Returns:
             Joint angles (..., J) [rad]; NaN where no solution exists.
@@ -180,7 +180,7 @@ class Chain:
         Args:
             pose: (N, S, 4, 4) TCP poses.
             branch: Branch number.
-            last_joint: As in :meth:`inverse`.
+            last_joint: (N, S) [rad] last joint of an arm with seven axes; None for that of the home posture.
 
         Returns:
             Joints (N, S, J) [rad].
@@ -218,7 +218,7 @@ class Chain:
 
     @property
     def has_many_turns(self) -> BoolArray:
-        """Whether (6,) each joint may turn more than once."""
+        """Return for each of the J joints whether its range exceeds one turn."""
         return np.asarray(self.robot.upper - self.robot.lower > FULL_TURN_RAD + 1e-9)
 
     def continuous(self, q: FloatArray, reference: FloatArray) -> FloatArray:
@@ -229,12 +229,13 @@ class Chain:
         return np.where(self.has_many_turns, wrap_near(q, reference), q)
 
     def limit_margin(self, q: FloatArray) -> FloatArray:
-        """Smallest distance (...,) [rad] to a joint limit; -inf where ``q`` is NaN."""
+        """Return the smallest distance (...,) [rad] of joints (..., J) to any limit; -inf for NaN."""
         return _without_nan(self.robot.limit_margin(q))
 
     def limit_margins(self, q: FloatArray, turns: FloatArray) -> list[FloatArray]:
         """Return a list of T limit margins (...,) [rad], one for each of the turns (T, 6) added to ``q``.
 
+        The path search needs them to decide which turns of a posture are allowed.
         ``q`` (..., 6) are angles of :meth:`inverse`. Margins are -inf where it is NaN.
         """
         single_turn_margin = self._single_turn_margin(q)
@@ -268,7 +269,8 @@ class Chain:
     def _single_turn_margin(self, q: FloatArray) -> FloatArray | None:
         """Return the limit margin (...,) [rad] that does not depend on whole turns; None if there is none.
 
-        It is that of joints with one turn, and of axis 3 if a parallel rod couples it to joint 2.
+        It is the smallest margin of joints that turn at most once, and of axis 3 if a parallel rod couples it
+        to joint 2.
         """
         smallest: FloatArray | None = None
         for j in np.flatnonzero(~self.has_many_turns):
@@ -288,12 +290,15 @@ class Chain:
         return np.asarray(np.minimum(angle - self.robot.lower[joint], self.robot.upper[joint] - angle))
 
     def singularity_margin(self, q: FloatArray) -> FloatArray:
-        """Smallest angle (...,) [rad] from a singularity of wrist, elbow or shoulder; -inf for NaN."""
+        """Return the smallest angle (...,) [rad] from a singularity of wrist, elbow or shoulder.
+
+        ``q`` are joints (..., J) [rad]. The result is -inf where they are NaN.
+        """
         wrist, elbow, shoulder = self._singularities(q)
         return _without_nan(np.minimum(np.minimum(wrist, elbow), shoulder))
 
     def singularities(self, q: FloatArray) -> FloatArray:
-        """Angles (..., 3) [rad] from singularities of wrist, elbow and shoulder.
+        """Return the angles (..., 3) [rad] from singularities of wrist, elbow and shoulder.
 
         - Wrist: axis 5 from the posture in which axes 4 and 6 are aligned.
         - Elbow: angle from stretched or folded.
@@ -431,7 +436,16 @@ class Scene:
         model: CellModel | None = None,
         bases: Mapping[str, FloatArray] | None = None,
     ) -> "Scene":
-        """Create the scene of the named arms of a cell; ``bases`` replaces base poses."""
+        """Create the scene of the named arms of a cell.
+
+        Args:
+            cell: The cell.
+            arms: Names of the arms that take part.
+            stock: (4, 4) stock pose in the world.
+            settings: Margins and limits.
+            model: Collision model, with true distances. None: no collisions are checked.
+            bases: {arm: (4, 4)} base poses that replace those of the cell; None for those of the cell.
+        """
         replaced_bases = bases or {}
         chains = {name: Chain.of(cell.arm(name), replaced_bases.get(name)) for name in arms}
         track_arms = [arm for arm in cell.arms if arm.track is not None and arm.name in arms]
@@ -506,7 +520,7 @@ class Scene:
         return self.model.with_bases(bases)
 
     def at_target(self, targets: Targets, row: int) -> "Scene":
-        """Return the scene with bases, including those of chains, where they are at the target ``row``.
+        """Return the scene with all bases where they are at the target ``row``, to plan approach or retreat.
 
         Without a coordinated track that is the scene itself.
         """
@@ -619,7 +633,10 @@ class Scene:
         ignored: Pairs = frozenset(),
         edge: bool = True,
     ) -> BoolArray:
-        """Whether (B,) joints keep the required clearance.
+        """Return for each of B postures whether its bodies keep the required clearance.
+
+        Pairs that may touch in a working segment (:attr:`allowed_contacts`) are not checked on moves of such
+        segments. Without a collision model all postures are free.
 
         Args:
             targets: Targets of the operation.
@@ -651,7 +668,10 @@ class Scene:
     def _edge_keeps_clearance(
         self, targets: Targets, q: Mapping[str, FloatArray], index: IndexArray
     ) -> BoolArray:
-        """Whether (B,) the flexible edge keeps the required clearance, as in :meth:`edge_clearance`."""
+        """Return for each of B postures whether the flexible edge keeps the required clearance.
+
+        The edge may touch the stock only where it works it. Without a flexible edge all postures are free.
+        """
         out = np.ones(len(index), dtype=bool)
         points = self.edge_points(targets, index)
         if points is None or targets.flexible_tool is None or self.model is None:
@@ -829,5 +849,5 @@ def frame_holders(targets: Targets) -> list[tuple[str, str | None]]:
 
 
 def working_moves(targets: Targets) -> BoolArray:
-    """Whether (N,) an edge works the stock on the move to each target."""
+    """Return for each of N targets whether an edge works the stock on the move to it."""
     return np.array([segment.works for segment in targets.segment], dtype=bool)

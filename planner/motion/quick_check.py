@@ -50,7 +50,10 @@ class QuickCheck:
         self.is_stock_placed = True
 
     def target_rows(self, operation: int) -> IndexArray:
-        """Indices (K,) of the checked targets of an operation."""
+        """Return the indices (K,) of the checked targets of an operation.
+
+        The number of targets is shared among the operations in proportion to their targets.
+        """
         count, total = self._counts[operation], sum(self._counts)
         return spread_rows(count, max(MIN_TARGETS, round(self._max_targets * count / total)))
 

@@ -55,7 +55,9 @@ class ReachField:
 def compute_reach_field(
     scene: Scene, targets: Targets, lower: FloatArray, upper: FloatArray
 ) -> ReachField | None:
-    """Compute the reach field over a standing stock; None if no target works.
+    """Compute the reach field over a standing stock.
+
+    Returns None if no target works, which means that no move of the operation works the stock.
 
     Args:
         scene: Cell with the stock in its pose.

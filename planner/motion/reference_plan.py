@@ -66,7 +66,11 @@ class ReferencePlan:
             raise issue_error("plan.damaged", message, hint="plan that problem again")
 
     def incompatibility_reason(self, problem: Problem) -> str:
-        """Return why nothing of this plan can be taken over for a problem; empty if something may be."""
+        """Return why nothing of this plan can be taken over for a problem; empty if something may be.
+
+        Arms with their models, stated bases, the numbers of setups and operations, and the holder of the
+        stock in each setup have to agree.
+        """
         arms = {arm.name: arm for arm in self.problem.cell.arms}
         new_arms = {arm.name: arm for arm in problem.cell.arms}
         if list(arms) != list(new_arms):
@@ -120,7 +124,11 @@ def _is_rigid(pose: object) -> bool:
 
 
 def _is_complete(operation: OperationPlan) -> bool:
-    """Whether an operation has finite arrays with one row for each target, for all arms, and its metrics."""
+    """Whether a stored operation has all that a new plan reads from it.
+
+    It needs the metrics :data:`READ_METRICS`, joints, approach, retreat and poses of all arms, values of all
+    freedoms, and track positions, with one row for each target and without infinite or undefined numbers.
+    """
     targets, arms = operation.targets, set(operation.targets.arms)
     count, branch = targets.count, operation.metrics.get("branch")
     if (
@@ -161,9 +169,10 @@ class ReferencePath:
         """Return samples of the freedoms of ``targets`` along the reference path.
 
         Returns:
-            Two arrays (S, F) of values of the freedoms, to be tried in this order: those of the path, and
-            those around every second state of it, offset by :data:`FULL_TURN_OFFSET_RAD`. If the path cannot
-            be used for ``targets``, the reason why.
+            Two arrays (S, F) of coordinates of the freedoms, as in
+            :class:`planner.motion.search.subsampling.FreedomCoordinates`, to be tried in this order: those of
+            the path, and those around every second state of it, in which full turns are offset by
+            :data:`FULL_TURN_OFFSET_RAD`. If the path cannot be used for ``targets``, the reason why.
         """
         reference_targets = self.operation.targets
         if reference_targets.arms != targets.arms or dict(reference_targets.frame) != dict(targets.frame):
@@ -190,6 +199,7 @@ class ReferencePath:
             (-FULL_TURN_OFFSET_RAD, 0.0, FULL_TURN_OFFSET_RAD) if is_full_turn(f) else (0.0,)
             for f in targets.freedoms
         ]
+        # every second state, with each combination of no offset and an offset to either side of full turns
         around = on_path[::2, None] + np.array(list(itertools.product(*turns)))
         return [on_path, around.reshape(-1, on_path.shape[1])]
 

@@ -149,7 +149,10 @@ def suggest_remedies(
 
 
 def apply_remedy(problem: Problem, remedy: Remedy) -> Problem:
-    """Return a copy of the problem with the change of a remedy applied."""
+    """Return a copy of the problem with the change of a remedy applied.
+
+    The change is a move of the stock, of an obstacle or of a base, another home posture, or other clearances.
+    """
     cell, stock = problem.cell, problem.stock
     shift = MM * np.array(remedy.move_mm or (0.0, 0.0, 0.0))
     if remedy.what == "stock" and stock.place is not None:
@@ -216,10 +219,12 @@ class _RemedySearch:
             has_plan: Returns whether a changed problem has a complete plan.
         """
         self._problem, self._job, self._operation, self._has_plan = problem, job, operation, has_plan
+        # targets at which changes are tried first: the failing one, its neighbours, then others over the job
         around = np.arange(index - NEIGHBOUR_TARGETS, index + NEIGHBOUR_TARGETS + 1)
         spread = np.linspace(0, job.count - 1, SPREAD_TARGETS).round().astype(np.intp)
         rows = np.concatenate([[index], around, spread])
         rows = rows[(rows >= 0) & (rows < job.count)]
+        # without repetitions, in this order
         self._rows = rows[np.sort(np.unique(rows, return_index=True)[1])]
         self._initial_overlaps = self._fixture_overlaps(problem)
         self._initial_support_issues = len(support.support_issues(problem))
@@ -243,7 +248,11 @@ class _RemedySearch:
         return min(self._trials_left, self._searches_left, self._plans_left) > 0
 
     def find_move(self, issue: Issue) -> Remedy | None:
-        """Find the smallest move of an obstacle, the stock or a base that makes the whole job plannable."""
+        """Find the smallest move of an obstacle, the stock or a base that makes the whole job plannable.
+
+        Only obstacles whose removal opens a path are moved. If the job is out of reach, moves that are too
+        small to bring it into reach are skipped, and larger moves of the stock are tried at the end.
+        """
         min_size = (issue.value or 0.0) * MM if issue.code == "motion.no_reach" else 0.0
         obstacles = self._blocking_obstacles(issue) if min_size < MOVE_SIZES_M[-1] else []
         for size in MOVE_SIZES_M:
@@ -262,14 +271,14 @@ class _RemedySearch:
     def _find_far_move(self) -> Remedy | None:
         """Find a move of the stock, of any size, to where the arms reach the job.
 
-        The stock poses of :meth:`_reachable_moves` are tried, nearest first. Poses close to one that failed
+        The stock poses of :meth:`_moves_into_reach` are tried, nearest first. Poses close to one that failed
         are skipped.
         """
         name = self._stock_name
         tried: list[FloatArray] = []
         if not self._is_stock_movable:
             return None
-        for move in self._reachable_moves():
+        for move in self._moves_into_reach():
             if len(tried) >= MAX_GRID_TRIALS or not self._has_budget:
                 break
             if any(np.linalg.norm(move - tried_move) < MIN_TRIAL_DISTANCE_M for tried_move in tried):
@@ -285,7 +294,7 @@ class _RemedySearch:
                     return remedy
         return None
 
-    def _reachable_moves(self) -> FloatArray:
+    def _moves_into_reach(self) -> FloatArray:
         """Return moves (K, 3) [m] of the stock after which the arms reach a few targets, shortest first.
 
         The moves lead to a grid around the bases. Those with at least :data:`MIN_SCORE_FRACTION` of the best
@@ -316,6 +325,7 @@ class _RemedySearch:
                 )
                 stock_poses = np.repeat(stock_pose[None, None], len(moves), axis=0)
                 stock_poses[:, 0, :3, 3] += moves
+                # -(-a // b) is a / b rounded up: batches of at most POSE_BATCH_SIZE poses
                 parts = (
                     np.array_split(stock_poses, -(-len(stock_poses) // POSE_BATCH_SIZE))
                     if len(stock_poses)
@@ -395,7 +405,7 @@ class _RemedySearch:
         """
         setup, initial_scene = self._problem.setup_of(self._operation), self._make_scene(self._problem)
         _, path_result = find_path(initial_scene, self._job)
-        names = [a for a in self._job.arms if issue.arm in (None, a)]
+        names = [a for a in self._job.arms if issue.arm in (None, a)]  # the arm of the issue, or all
         rotations = [(0, sign * angle) for angle in HOME_ROTATIONS_DEG for sign in (1, -1)]
         rotations += [(1, -HOME_ROTATIONS_DEG[0])]
         for (joint, angle_deg), name in itertools.product(rotations, names):
@@ -424,7 +434,7 @@ class _RemedySearch:
         """Return the obstacles without which there is a path.
 
         At most :data:`MAX_REMOVED_OBSTACLES` movable ones are removed, one by one, first those that the issue
-        names.
+        names. Those whose removal opens no path are added to :attr:`removed`.
         """
         cell = self._problem.setup_of(self._operation).cell
         movable_obstacles = [o for o in cell.obstacles if is_movable(self._problem, o)]
@@ -505,7 +515,8 @@ class _RemedySearch:
         """Whether some combination of branches has a free sample at each of a few targets.
 
         These targets include the one where paths end, and its neighbours. Without such a combination a path
-        search must fail, so this check saves its time.
+        search must fail, so this check saves its time. With several rotational freedoms only reach is
+        checked.
         """
         if count_rotational_freedoms(self._job) > 1:
             # There are too many samples to check collisions. Require reach at a few targets only.
@@ -599,7 +610,10 @@ def is_movable(problem: Problem, obstacle: Obstacle) -> bool:
 
 
 def _hits_other(changed: Problem, remedy: Remedy) -> bool:
-    """Whether an obstacle was moved into another one or into the foot of an arm."""
+    """Whether an obstacle was moved into another one or into the foot of an arm.
+
+    Bounding boxes are compared. The result is False for remedies that move no obstacle.
+    """
     if remedy.what != "obstacle":
         return False
     boxes = {o.name: _bounding_box(o.shapes, np.eye(4)) for o in changed.cell.obstacles}

@@ -108,15 +108,17 @@ def connect_points(
 
 
 def _connect_by_axes(start: FloatArray, goal: FloatArray, free: IsFree, step: float) -> FloatArray | None:
-    """Find a path with one corner on which some coordinates move first and the others afterwards.
+    """Find a path from ``start`` (D,) to ``goal`` (D,) with one corner.
 
-    Corners are tried in the order of the length of their paths. Returns the waypoints (3, D), or None if no
-    corner gives a free path.
+    Before the corner some coordinates move, and after it the others. Corners are tried in the order of the
+    length of their paths. Returns the waypoints (3, D), or None if no corner gives a free path, or if fewer
+    than two or more than :data:`MAX_ORDERED_COORDINATES` coordinates differ by more than ``step``.
     """
     differences = np.abs(goal - start)
     moving = np.flatnonzero(differences > step)
     if len(moving) < 2 or len(moving) > MAX_ORDERED_COORDINATES:
         return None
+    # all choices of the coordinates that move later, except none and all, which are the straight line
     moves_later = np.array(list(itertools.product((False, True), repeat=len(moving))))[1:-1]
     corners = np.repeat(goal[None], len(moves_later), axis=0)
     corners[:, moving] = np.where(moves_later, start[moving], goal[moving])
@@ -176,8 +178,8 @@ def find_blocked(
     """Find points of a path that are not free.
 
     Lines are bisected until they are checked every ``step``. A query of a few points takes hardly longer than
-    that of one. If few pieces remain, their halves are therefore checked together with them, and the halves
-    of these. The result is the same.
+    that of one. While few pieces are left, several generations of halves are therefore checked in one query.
+    This does not change the result.
 
     Args:
         path: (M, D) waypoints.
@@ -384,13 +386,19 @@ class _TreeGrowth:
         )
 
     def grow_second(self, round_number: int, target: FloatArray) -> int | None:
-        """Grow the second tree of a round toward a point (D,), and return as :meth:`grow_first`."""
+        """Grow the second tree of a round toward a point (D,), the new point of the first tree.
+
+        Returns the index of the new or reached point, or None if the tree could not grow.
+        """
         return self._extend(
             self._trees[1 - round_number % 2], target, self._second_lines.pop(round_number, None)
         )
 
     def _extend(self, tree: _RrtTree, target: FloatArray, known_line: _TreeLine | None) -> int | None:
-        """Grow a tree toward a point; ``known_line`` saves the check if it is the line that is needed."""
+        """Grow a tree toward a point, and return the index of the new or reached point, or None.
+
+        ``known_line`` was checked in advance. It is used if it is still the line from the nearest point.
+        """
         index, distance = tree.nearest(target)
         if distance < POINT_TOLERANCE:
             return index
@@ -408,6 +416,7 @@ class _TreeGrowth:
             for n, (_, line, is_free) in self._first_lines.items()
             if is_free[0]
         }
+        # lines that are free throughout end at their last point, which the expression above misses
         ends |= {n: line[-1] for n, (_, line, is_free) in self._first_lines.items() if is_free.all()}
         self._second_lines = self._build_lines({n: (self._trees[1 - n % 2], end) for n, end in ends.items()})
         self._queried_until = rounds.stop
@@ -435,13 +444,16 @@ def _is_line_free(a: FloatArray, b: FloatArray, free: IsFree, step: float) -> bo
 
 
 def _line_points(a: FloatArray, b: FloatArray, step: float) -> FloatArray:
-    """Points (K, D) of the straight line from ``a`` (excluded) to ``b``."""
+    """Return points (K, D) of the straight line from ``a`` (excluded) to ``b``, at most ``step`` apart."""
     count = max(1, int(np.ceil(np.abs(b - a).max() / step)))
     return np.asarray(a + (np.arange(1, count + 1) / count)[:, None] * (b - a))
 
 
 def _shortcut_path(path: FloatArray, free: IsFree, step: float, rng: np.random.Generator) -> FloatArray:
-    """Replace parts of a path (M, D) by free straight lines between randomly chosen pairs of its points."""
+    """Replace parts of a path (M, D) by free straight lines between randomly chosen pairs of its points.
+
+    At most :data:`MAX_SHORTCUT_TRIES` pairs are tried. Returns the points that remain.
+    """
     points = list(path)
     blocked: set[tuple[int, int]] = set()  # with few points left the same pairs are drawn again
     for _ in range(MAX_SHORTCUT_TRIES):

@@ -77,6 +77,9 @@ class _LoadedArm:
     ) -> FloatArray:
         """Compute the joint deflections (N, 6) [rad] of the arm beyond the commanded joints.
 
+        The loads are the weight at the centre of gravity of what the flange carries, and the process force at
+        the TCP. The deflections are 0 if the sag of the arm is not compensated.
+
         Args:
             q: (N, 6) [rad] joints.
             fraction: (N,) fraction of the process force that acts.
@@ -141,8 +144,9 @@ def commanded_plan(problem: Problem, plan: Plan) -> tuple[Plan, tuple[Issue, ...
         The commanded plan and notes on the sag. Without compensated sag it is the plan itself, with no notes.
 
     Raises:
-        TandemError: ``motion.sag_range`` if a shift exceeds its range, or targets are so far apart that the
-            sag between them is not linear.
+        TandemError: ``motion.sag_range`` for sag that cannot be compensated: a shift is too large, a minimum
+            feed is required, a table of forces does not suit, or targets are so far apart that the sag
+            between them is not linear.
     """
     if all(arm.sag is None for setup in problem.setups for arm in setup.cell.arms):
         return plan, ()
@@ -268,8 +272,10 @@ def feed_directions(positions: FloatArray, fraction: FloatArray) -> _FeedDirecti
     """
     works, rows = fraction > 0.0, np.arange(len(fraction))
     path_length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+    # path lengths (N,) at which the run of working moves around each target starts and ends
     begins = works & ~np.concatenate([[False], works[:-1]])
     ends = works & ~np.concatenate([works[1:], [False]])
+    # accumulated from both sides: the last start up to each target, and the first end from it on
     low = path_length[np.maximum(np.maximum.accumulate(np.where(begins, rows, 0)) - 1, 0)]
     high = path_length[np.minimum.accumulate(np.where(ends, rows, len(rows) - 1)[::-1])[::-1]]
 
@@ -388,6 +394,8 @@ def _retime(
 ) -> tuple[FloatArray, BoolArray]:
     """Compute the times (N,) [s] and the stops (N,) of the commanded targets.
 
+    Moves keep their planned durations unless an end of them becomes a stop.
+
     The tool stops where the force begins or ends to rise or fall, because the commanded path has corners
     there that must not be blended. It also stops where a force that turns with the feed makes the commanded
     path change its direction by more than the planned path. Moves from and to new stops are slowed as
@@ -419,6 +427,7 @@ def _retime(
     # number of stops, 0 to 2, at the ends of each move that has a new stop
     new_stops = stop & ~targets.stop
     stop_count = (stop[1:].astype(np.int64) + stop[:-1]) * (new_stops[1:] | new_stops[:-1])
+    # a move on which the force rises or falls is slowed as if both of its ends were new stops
     stop_count[force_changes - 1] = np.maximum(stop_count[force_changes - 1], 2)
     duration = np.diff(plan.time)
     for name in targets.arms:
@@ -457,8 +466,9 @@ def _midpoint_errors(
 ) -> FloatArray:
     """Compute the position error (N - 1,) [m] of the TCP at the middle of moves between targets ``q`` (N, 6).
 
-    A controller moves linearly between commanded targets, so the sag that it compensates at the middle is the
-    mean of both ends. The error is the distance between this mean and the sag at the middle.
+    ``fractions`` (N,) are those of the process force at the targets. A controller moves linearly between
+    commanded targets, so the sag that it compensates at the middle is the mean of both ends. The error is the
+    distance between this mean and the sag at the middle.
     """
     middle = 0.5 * (q[1:] + q[:-1])
     at_ends = loaded.deflection(q, fractions, feed.at)
@@ -552,15 +562,22 @@ def _feed_force_issues(
     """Return an issue if a force that turns with the feed shifts the arm too far.
 
     The allowed shift is a fraction of the path length over which the direction of the feed is averaged.
+
+    Args:
+        plan: Plan that the arms should follow.
+        arm: Name of the arm.
+        loaded: The arm with its loads.
+        fractions: (N,) fraction of the process force at each target.
+        span: (N,) [m] path length over which the direction at each target is averaged.
     """
     q = plan.q[arm]
     without_force = q - loaded.deflection(q, fractions, np.zeros((len(q), 3)))
-    axes = loaded.tcp_poses(q)[:, :3, :2]
+    axes = loaded.tcp_poses(q)[:, :3, :2]  # x and y of the tool, as two perpendicular directions of the feed
     forward_shift, side_shift = (
         loaded.tcp_distance(without_force, q - loaded.deflection(q, fractions, axes[:, :, k]))
         for k in range(2)
     )
-    shift = forward_shift + side_shift
+    shift = forward_shift + side_shift  # bounds the shift for any direction of the feed
     excess = np.where(span > 0.0, shift - MAX_SHIFT_FRACTION * span, -np.inf)
     worst_index = int(np.argmax(excess))
     if not excess[worst_index] > 0.0:

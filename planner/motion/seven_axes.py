@@ -65,6 +65,7 @@ def inverse_kinematics(
     across = np.hypot(shoulder_in_link6[0], shoulder_in_link6[2])
     offset_angle = np.arctan2(shoulder_in_link6[0], shoulder_in_link6[2])
     wrist_solutions = {}
+    # branch number: elbow = b % 2, shoulder = (b % 4) // 2, wrist = b // 4; each choice is solved once
     for elbow in {b % 2 for b in branches}:
         theta4 = form.straight + (bend if elbow else -bend)
         c4, s4 = np.cos(theta4), np.sin(theta4)

@@ -50,19 +50,27 @@ SPLINE_RAMP_FACTOR: Final = 1.25
 def with_margins(problem: Problem, targets: Sequence[Targets]) -> tuple[Problem, tuple[Targets, ...]]:
     """Add the margins that planning needs, and redundant joints as freedoms.
 
-    Margins are added for compensated sag and for spline blocks. Without these and without redundant joints,
-    problem and targets are unchanged.
+    The planner and its checks work with the result. The sag compensation and the spline blocks that follow
+    then change the motion without violating the margins that the user requires. Problem and targets are
+    unchanged if no sag is compensated, no spline blocks are used and no arm is redundant.
 
     Args:
         problem: Problem as stated.
         targets: Targets of all operations.
+
+    Returns:
+        The problem with larger margins, and the targets with lower feeds and additional freedoms.
     """
     problem, targets = _with_sag_and_spline_margins(problem, targets)
     return problem, tuple(_with_redundant_joints(problem, operation_targets) for operation_targets in targets)
 
 
 def _with_redundant_joints(problem: Problem, targets: Targets) -> Targets:
-    """Return the targets with the last joint of each redundant arm as an additional freedom."""
+    """Return the targets with the last joint of each redundant arm as an additional freedom.
+
+    The freedom covers the range of the joint within its margin, but at most one full turn. It has the same
+    range at all targets.
+    """
     names = {freedom.name for freedom in targets.freedoms}
     has_rotation = any(not is_sampled_as_slide(freedom) for freedom in targets.freedoms)
     out = []
@@ -73,6 +81,7 @@ def _with_redundant_joints(problem: Problem, targets: Targets) -> Targets:
         middle = 0.5 * (robot.lower[-1] + robot.upper[-1])
         half_range = min(0.5 * (robot.upper[-1] - robot.lower[-1]) - margin, np.pi)
         name = f"axis_{robot.axes}_{arm.name}"
+        # a freedom of the process may have this name already
         while name in names:
             name += "_"
         lower = np.full(targets.count, middle - half_range)
@@ -84,7 +93,11 @@ def _with_redundant_joints(problem: Problem, targets: Targets) -> Targets:
 def _with_sag_and_spline_margins(
     problem: Problem, targets: Sequence[Targets]
 ) -> tuple[Problem, tuple[Targets, ...]]:
-    """Widen the margins for compensated sag and for spline blocks, and lower feeds for spline blocks."""
+    """Widen the margins for compensated sag and for spline blocks, and lower feeds for spline blocks.
+
+    Feeds are lowered only in operations whose feed limits the tool at every instant. They are lowered further
+    on moves near stops.
+    """
     settings_before = problem.settings
     clearance, joint_margin = sag.sag_margins(problem)
     if clearance > 0.0 or joint_margin > 0.0:
@@ -121,7 +134,10 @@ def _with_sag_and_spline_margins(
 
 
 def _are_near_stops(targets: Targets) -> BoolArray:
-    """Whether (N,) the move to a target is one of the two moves before or after a stop."""
+    """Return for each of N targets whether the move to it is one of the two moves before or after a stop.
+
+    The first and the last target count as stops, because the motion rests there.
+    """
     stop = targets.stop.copy()
     stop[[0, -1]] = True
     out = stop.copy()
@@ -177,7 +193,11 @@ def solve(
 def _with_remedies(
     problem: Problem, targets: Sequence[Targets], operation: int, issues: Sequence[Issue]
 ) -> list[Issue]:
-    """Return the issues of an operation, with hints on changes of the problem that were tried."""
+    """Return the issues of an operation, with hints on changes of the problem that were tried.
+
+    ``operation`` is the index of the operation that failed. A change is suggested only if the changed problem
+    has a complete plan.
+    """
 
     def has_plan(changed: Problem) -> bool:
         """Whether a changed problem has a complete plan."""
@@ -198,7 +218,11 @@ def _solve(
     executor: Executor = SERIAL,
     reference: ReferencePlan | None = None,
 ) -> Plan:
-    """Plan as :func:`solve`. ``current`` is set to the index of the operation that is planned."""
+    """Plan a problem that already has its margins and stations, as :func:`solve` does, without remedies.
+
+    The only element of ``current`` is set to the index of the operation that is planned, so that the caller
+    knows which operation failed.
+    """
     report_progress("cell", 0.0)
     metrics: dict[str, Any] = {"stages": {}}
     notes: list[Issue] = []
@@ -213,6 +237,7 @@ def _solve(
     groups = setup_groups(problem, targets)
     submitted = _submit_later_groups(problem, groups, bases, executor, reference)
     for group in groups:
+        # movable bases are chosen with the first group and fixed for all later ones
         group = group if not stock_poses else group.with_bases(bases)
         submitted_group = submitted.get(group.setups[0].number)
         group_plan = (
@@ -347,7 +372,8 @@ class SetupGroup:
 def setup_groups(problem: Problem, targets: Sequence[Targets]) -> list[SetupGroup]:
     """Group consecutive setups of a problem, with their targets, during which the stock is not moved.
 
-    With a turntable, each setup is a group of its own.
+    All setups of a group share one stock pose, which is stated or searched. A setup starts a new group if it
+    changes the place or the holder of the stock, if an arm holds the stock, or if the cell has a turntable.
     """
     out: list[SetupGroup] = []
     for setup in problem.setups:
@@ -431,7 +457,10 @@ class _SetupGroupPlan:
     notes: tuple[Issue, ...] = ()
 
     def add_metrics(self, metrics: dict[str, Any], group: SetupGroup) -> None:
-        """Add the durations and the placement of the group to the metrics of the plan."""
+        """Add the durations and the placement of the group to the metrics of the plan.
+
+        The metrics of the first placement with a score have no number, later ones that of their setup.
+        """
         for stage, seconds in self.stages.items():
             metrics["stages"][stage] = metrics["stages"].get(stage, 0.0) + seconds
         name = f"placement_{group.setups[0].number}" if "placement_score_deg" in metrics else "placement"
@@ -661,7 +690,10 @@ def _search_ahead(
 
 
 def _coarse_path(scene: Scene, targets: Targets) -> Iterator[tuple[SampleGrid, PathResult] | None]:
-    """Yield a path that :func:`plan_operation` can start from, or None if only fine samples may have one."""
+    """Yield a path that :func:`plan_operation` can start from, or None if only fine samples may have one.
+
+    A path with colliding moves does not count. One value is yielded, because executors run generators.
+    """
     grid, path_result = find_path(scene, targets, fine=False)
     yield (
         None
@@ -671,10 +703,10 @@ def _coarse_path(scene: Scene, targets: Targets) -> Iterator[tuple[SampleGrid, P
 
 
 def _require_free_homes(planner: _GroupPlanner) -> None:
-    """Require that bases do not overlap and that homes are free, wherever the stock is.
+    """Require that stated bases do not overlap and that homes are free, wherever the stock is.
 
     Otherwise no stock pose can be feasible, and the search is skipped. The check is made with the stock and
-    its support far away.
+    its support far away. Overlaps of a base that the planner may move are ignored.
 
     Raises:
         TandemError: ``motion.overlap`` or ``motion.home``.
@@ -709,7 +741,7 @@ def _check_group(
 
     Returns:
         The placement and no issues, or None and the issues. A quick check of a stock that is placed by the
-        planner reports no issues.
+        planner reports no issues except overlapping bases and homes that are not free.
     """
     planner = _GroupPlanner(problem, group, group.models(), current, _ignore_progress)
     if group.is_placed:
@@ -841,8 +873,8 @@ def _overlap_issue(setup: Setup, model: CellModel, overlap: BodyOverlap) -> Issu
 def _separating_move(setup: Setup, model: CellModel, stock_pose: FloatArray) -> FloatArray | None:
     """Find the smallest move (3,) [m] along a world axis that takes the stock out of all overlaps.
 
-    The move must not cause new issues of the stock's support. Moves of up to 20 steps of
-    :data:`STOCK_MOVE_STEP_M` are tried. Returns None if none of them helps.
+    The move must not cause new issues of the stock's support. Moves from ``stock_pose`` (4, 4) by up to 20
+    steps of :data:`STOCK_MOVE_STEP_M` are tried, upward first. Returns None if none of them helps.
     """
     support_codes = {issue.code for issue in support.setup_support_issues(setup)}
     for size in STOCK_MOVE_STEP_M * np.arange(1, 21):
@@ -858,7 +890,7 @@ def _separating_move(setup: Setup, model: CellModel, stock_pose: FloatArray) -> 
 
 
 def _to_mm(move: FloatArray) -> tuple[float, float, float]:
-    """Convert a move (3,) [m] to a tuple in millimetres."""
+    """Convert a move (3,) [m] of the stock to a tuple in millimetres, as a remedy states it."""
     return (float(move[0] / MM), float(move[1] / MM), float(move[2] / MM))
 
 
@@ -900,7 +932,10 @@ def _path_issues(
 
 
 def _has_coarse_path(planner: _GroupPlanner, placement: PlacementCandidate) -> bool:
-    """Whether all operations of a group have free homes and paths at a placement, without fine samples."""
+    """Whether all operations of a group have free homes and paths at a placement, without fine samples.
+
+    A path counts only if its linear moves are free too.
+    """
     for _, job, scene in planner.scenes(placement):
         try:
             homing.require_free_home(scene, job)
@@ -915,7 +950,7 @@ def _has_coarse_path(planner: _GroupPlanner, placement: PlacementCandidate) -> b
 def _placements_to_try(
     planner: _GroupPlanner, placements: Sequence[PlacementCandidate], trace: PlacementTrace
 ) -> tuple[Sequence[PlacementCandidate], list[Issue], _PathsByOperation | None]:
-    """Choose the placements at which plans are tried.
+    """Choose the placements at which plans are tried, at most :data:`MAX_PLANNED_PLACEMENTS`.
 
     The placement search checks few postures of a target. If it finds no placement, its candidates with most
     free targets may still have paths, so they are searched.

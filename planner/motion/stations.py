@@ -156,8 +156,8 @@ class _LinearUnit:
     ) -> AxisMotionCheck:
         """Check the travel from values ``start`` to ``goal`` [m], one axis after the other.
 
-        Returns the check of the first axis that comes closer to bodies than ``min_clearance`` [m], else that
-        of the last axis that moves.
+        Returns the check of the first axis that comes closer to bodies than ``min_clearance`` [m]. If all
+        axes keep it, the check of the last axis that moves is returned.
         """
         model = _build_model(setup)
         current = {name: start[name] for name in self.names}
@@ -248,8 +248,8 @@ class _RotaryUnit:
     ) -> AxisMotionCheck:
         """Check the travel from values ``start`` to ``goal`` [rad], one axis after the other.
 
-        Returns the check of the first axis that comes closer to bodies than ``min_clearance`` [m], else that
-        of the last axis that moves.
+        Returns the check of the first axis that comes closer to bodies than ``min_clearance`` [m]. If all
+        axes keep it, the check of the last axis that moves is returned.
         """
         model = _build_model(setup)
         current = {name: start[name] for name in self.names}
@@ -509,7 +509,9 @@ def _choose_fixed_station(
 def _try_value(
     search: _StationSearch, unit: _ExternalUnit, rest: Sequence[_ExternalUnit], values: Mapping[str, float]
 ) -> _StationChoice | Issue | str:
-    """Try one station of a unit.
+    """Try one station of a unit: the travel to it, the units that are chosen next, and the path there.
+
+    The travel is checked only if the unit moves and there is no quick test.
 
     Args:
         search: The operation.
@@ -578,7 +580,10 @@ def _choose_coordinated_track(
     rest_issues: list[Issue] = []
 
     def failure_reason(track_targets: Targets) -> str:
-        """Return why track positions are not feasible; empty if they are. Keeps the choice or the issue."""
+        """Return why track positions are not feasible; empty if they are.
+
+        The choice, or the issue of a unit of ``rest``, is appended to the lists of the outer function.
+        """
         values = track_targets.track_positions[unit.name]
         start = {unit.name: float(values[0])}
         track_search = dataclasses.replace(search, targets=track_targets)
@@ -724,6 +729,9 @@ def _no_station_issue(
     reason: str,
 ) -> Issue:
     """Return ``motion.station`` of an operation for which a unit has no feasible value.
+
+    The hint for a track suggests that it moves while the arm works, if the cell and all operations of the arm
+    allow a coordinated track.
 
     Args:
         search: The operation.
@@ -888,7 +896,10 @@ def _turntable_suggestion(problem: Problem, targets: Sequence[Targets]) -> str:
 def _positioner_suggestion(
     problem: Problem, targets: Sequence[Targets], table: Turntable, centre_text: str
 ) -> str:
-    """Suggest the positioner with the smallest tilt, about x or y through the centre of its plate."""
+    """Suggest the positioner with the smallest tilt, about x or y through the centre of its plate.
+
+    ``centre_text`` is this centre as text in mm. Returns an empty text if no positioner helps.
+    """
     suggestions: list[tuple[float, str]] = []
     for axis in TRACK_DIRECTIONS.values():
         tilt = RotaryAxis("", "", 1, table.centre, np.array(axis), -0.5 * np.pi, 0.5 * np.pi, 1.0, 0.0)
@@ -910,7 +921,10 @@ def _positioner_suggestion(
 
 
 def _track_suggestion(problem: Problem, targets: Sequence[Targets]) -> str:
-    """Suggest the shortest track under the arm from which it reaches every operation."""
+    """Suggest the shortest track under the arm, along x or y, from which it reaches every operation.
+
+    Returns an empty text if no track helps, or if none is needed.
+    """
     (arm, *_) = problem.cell.arms
     suggestions: list[tuple[float, str]] = []
     grid = np.arange(

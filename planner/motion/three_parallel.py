@@ -46,6 +46,7 @@ def inverse_kinematics(form: ParallelParameters, flange: FloatArray, branches: S
         radial = np.sqrt(x * x + y * y - form.b * form.b)
     azimuth, skew = np.arctan2(y, x), np.arctan2(form.b, radial)
     wrist_solutions = {}
+    # branch number: elbow = b % 2, shoulder = (b % 4) // 2, wrist = b // 4; each choice is solved once
     for shoulder in {(b % 4) // 2 for b in branches}:
         theta1 = azimuth - skew if shoulder == 0 else azimuth + skew - np.pi
         c, s = np.cos(theta1)[..., None], np.sin(theta1)[..., None]
@@ -128,8 +129,8 @@ def singularities(form: ParallelParameters, q: FloatArray) -> tuple[FloatArray, 
 
     - Wrist: angle between axes 4 and 6.
     - Elbow: angle from stretched or folded.
-    - Shoulder: angle under which the stretched arm would see the distance of the point where axes 5 and 6
-      meet from where the two shoulder branches coincide.
+    - Shoulder: the two shoulder branches coincide if the point where axes 5 and 6 meet lies in the plane of
+      axes 1 and 2. The angle is that under which the stretched arm would see its distance from this plane.
 
     Args:
         form: Kinematic parameters.

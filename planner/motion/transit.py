@@ -89,7 +89,8 @@ class _TransitMove:
         """Find motions (4, 4) of target i - 1 that give the targets to insert before target i.
 
         The pair is lifted higher and higher, then a path is searched. The list is empty if the straight move
-        is free, or if no free path was found.
+        is free, or if no free path was found. It is also empty if the tools change their relative pose on the
+        move, because they are no rigid pair then.
         """
         if not self.same_shape:
             return []
@@ -157,7 +158,7 @@ class _TransitMove:
         return bool(self._are_allowed(motions, fraction).all())
 
     def _are_allowed(self, motions: FloatArray, fraction: FloatArray) -> BoolArray:
-        """Whether (K,) the arms keep all margins and clearance with the pair at motions (K, 4, 4).
+        """Return for each of K motions (K, 4, 4) of the pair whether the arms keep margins and clearance.
 
         ``fraction`` (K,) is the fraction of the change of the freedoms from target i - 1 to target i.
         """
@@ -217,6 +218,7 @@ class _TransitMove:
         def is_free(points: FloatArray) -> BoolArray:
             return self._are_allowed(motions(points), np.clip(points[:, 4], 0.0, 1.0))
 
+        # random points lie within these distances [m] of both ends: more above them than below
         lower = np.minimum(start, end) - np.array([0.5, 0.5, 0.3, 0.3, 0.0])
         upper = np.maximum(start, end) + np.array([0.5, 0.5, 0.7, 0.3, 0.0])
         space = ConfigurationSpace(is_free, lower, upper, 2.0 * CHECK_SPACING_M)
@@ -258,7 +260,8 @@ def _insert_targets(targets: Targets, motions_by_target: Mapping[int, list[Float
     """Return the targets with additional ones inserted before each target i in ``motions_by_target``.
 
     The additional targets are copies of target i - 1, moved by ``motions_by_target[i]``. They belong to the
-    segment of target i and are stops.
+    segment of target i, are stops, and have no minimum feed. Path lengths of the moves to and from them are
+    those of the flexible edge, or of the TCPs without one.
     """
     rows: list[int] = []
     is_added: list[bool] = []

@@ -32,7 +32,10 @@ def all_processes() -> Mapping[str, Process | Issue]:
 
 
 def _validate_process(name: str, plugin: LoadedPlugin) -> Process | Issue:
-    """Load what reading a problem needs of a process: its schema, claims and issue codes."""
+    """Return the process of a plug-in, or the issue that it cannot be used.
+
+    The parts that reading a problem needs are loaded and checked: schema, claims and issue codes.
+    """
     process = plugin.plugin
     if not isinstance(process, Process):
         return Issue("problem.process_package", plugin.fault)
@@ -45,18 +48,18 @@ def _validate_process(name: str, plugin: LoadedPlugin) -> Process | Issue:
     except PluginError as error:
         return Issue("problem.process_package", str(error))
     if fault:
-        what = f"the process {name!r} of {plugin.owner} {fault}; repair or uninstall {plugin.owner}"
-        return Issue("problem.process_package", what)
+        message = f"the process {name!r} of {plugin.owner} {fault}; repair or uninstall {plugin.owner}"
+        return Issue("problem.process_package", message)
     return process
 
 
 def _codes_fault(name: str, owner: str) -> str:
     """Return what is wrong with the issue codes of a process; empty if nothing is."""
     codes = plugins.part_of(Process, name, "codes", dict)
-    for code, row in codes.items():
-        if not isinstance(row, issue_codes.IssueCode):
+    for code, entry in codes.items():
+        if not isinstance(entry, issue_codes.IssueCode):
             return (
-                f"states the issue code {code!r} as {type(row).__name__}, not planner.issue_codes.IssueCode"
+                f"states the issue code {code!r} as {type(entry).__name__}, not planner.issue_codes.IssueCode"
             )
         others = sorted(issue_codes.code_owners(code) - {owner})
         if others:
@@ -73,11 +76,12 @@ def _claims_fault(name: str) -> str:
 
 
 def _schema_fault(schema: type) -> str:
+    """Return what is wrong with the operation schema of a process; empty if nothing is."""
     if not issubclass(schema, BaseModel):
         return f"has the schema {schema.__name__}, which is not a pydantic model"
-    lacking = [name for name in ("name", "process", "arms") if name not in schema.model_fields]
-    lacking += [] if callable(getattr(schema, "leaves", None)) else ["leaves()"]
-    return f"has a schema without {', '.join(lacking)}, which every operation has" if lacking else ""
+    missing = [name for name in ("name", "process", "arms") if name not in schema.model_fields]
+    missing += [] if callable(getattr(schema, "leaves", None)) else ["leaves()"]
+    return f"has a schema without {', '.join(missing)}, which every operation has" if missing else ""
 
 
 def _load_schema(process: Process) -> type[BaseModel]:
@@ -151,7 +155,9 @@ def jobs(problem: Problem, advise: bool = True, brief: bool = False) -> tuple[Jo
 
 
 def claims(problem: Problem, known_jobs: Sequence[Job[Any]] | None = None) -> dict[str, tuple[Claim, ...]]:
-    """Return the claims of each operation by its name, with those on arms with compensated sag.
+    """Return the claims of each operation by its name.
+
+    These are the claims of its job, and the claims on the sag of arms whose sag is compensated.
 
     Args:
         problem: The problem.

@@ -102,7 +102,10 @@ def tolerance(spec: str, value: float) -> float:
 
 
 def _pattern(sentence: Sentence, figures: Mapping[str, Figure]) -> tuple[str, dict[str, str]]:
-    """Return a pattern of the sentence with its texts, and the formats of its numbers by name of group."""
+    """Return the pattern that matches a sentence with any numbers, and the format of each number by its name.
+
+    Values that are texts are part of the pattern. Each number is a group with the name of its field.
+    """
     formats: dict[str, str] = {}
     words = []
     for text, name, spec, _ in string.Formatter().parse(sentence.words):

@@ -49,7 +49,11 @@ def arms_by_task(problem: Problem) -> dict[str, Arm]:
 
 
 def _sharing(problem: Problem, arm: Arm) -> Sharing:
-    """Return what an arm shares with others of its language in this cell."""
+    """Return what an arm shares with others of its language in this cell.
+
+    An arm without a reader counts as one on a common controller. If the controllers of the cell meet by
+    handshake, arms share no controller.
+    """
     reader = reader_of(arm)
     sharing = Sharing.CONTROLLER if reader is None else reader.sharing
     uses_handshake = problem.cell.controller.sync == "handshake"
@@ -74,9 +78,11 @@ def is_program_list(problem: Problem, path: str) -> bool:
 
 
 def task_files(problem: Problem, programs: Mapping[str, str]) -> tuple[dict[str, dict[str, str]], list[str]]:
-    """Distribute program files to tasks, by their suffixes and by task or arm names in their paths.
+    """Distribute program files to tasks.
 
-    Lists of files are left out.
+    A file belongs to the tasks whose arms share one file in the language of its suffix. Otherwise it belongs
+    to the one task of this language that its path names. If its path names no such task, or several, it
+    belongs to no task. Lists of files are left out.
 
     Args:
         problem: The problem.
@@ -106,7 +112,11 @@ def task_files(problem: Problem, programs: Mapping[str, str]) -> tuple[dict[str,
 
 
 def _belongs(path: str, task: str, sharing: Sharing) -> bool:
-    """Return whether a path names a task: as a folder or, for a common controller, as a word anywhere."""
+    """Return whether the path of a file names a task.
+
+    A task with a controller of its own must be the name of a folder in the path. A task on a common
+    controller may be any word of the path, between characters other than letters and digits.
+    """
     if sharing is Sharing.NOTHING:
         return task.lower() in (part.lower() for part in PurePosixPath(path).parent.parts)
     return re.search(rf"(?i)(?<![a-z0-9]){re.escape(task)}(?![a-z0-9])", path) is not None
@@ -207,7 +217,11 @@ def read_job(problem: Problem, programs: Mapping[str, str]) -> JobText:
 
 
 def _is_single_program(problem: Problem, task: TaskText) -> bool:
-    """Return whether one arm of a cell with two controllers does the job alone, without using their wires."""
+    """Return whether one arm of a cell with two controllers does the whole job alone.
+
+    No operation needs another arm, no other arm holds a stock, and the program does not use the wires between
+    the controllers.
+    """
     holders = (setup.stock.held_by for setup in problem.setups)
     required_arms = {arm for operation in problem.operations for arm in operation.arms} | set(
         filter(None, holders)

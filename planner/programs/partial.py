@@ -80,7 +80,15 @@ def read_partial(
 
 
 def _read(problem: Problem, reader: Reader, group: Arms, name: str, files: Files) -> PartialPrograms:
-    """Read the programs of one task of a group that is read together, and find all moves in the texts."""
+    """Read the programs of one task as far as possible, and find all moves in the texts.
+
+    Args:
+        problem: The problem.
+        reader: Reader of the language.
+        group: Arms whose programs are read together, by task.
+        name: Name of the task.
+        files: Texts of the files by path.
+    """
     arm = group[name]
     if reader.read_partly is not None:
         result = reader.read_partly(problem, arm, files)
@@ -99,7 +107,11 @@ def _read(problem: Problem, reader: Reader, group: Arms, name: str, files: Files
 
 
 def _read_whole(problem: Problem, reader: Reader, group: Arms, name: str, files: Files) -> PartlyRead:
-    """Read programs completely or, if there is any fault, not at all: it may change the path."""
+    """Read programs of a language that has no partial reader.
+
+    The path is complete if there is no fault. With any fault it is empty, because a line that was not read
+    may change all later moves.
+    """
     result = reader.read(problem, group, files)
     character_faults = (
         fault for file, content in files.items() for fault in unexpected_characters(file, content)

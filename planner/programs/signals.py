@@ -27,6 +27,7 @@ def controller_signals(problem: Problem, arm: Arm) -> "NumberedSignals":
     input_names |= {name.lower() for name in process_inputs if isinstance(name, str)}
     names_by_number: tuple[dict[int, str], dict[int, str]] = ({}, {})
     for name, number in controller.io.get(arm.name, {}).items():
+        # False selects the table of outputs, True that of inputs
         table = names_by_number[name.lower() in input_names]
         table[number] = f"{table[number]} and {name}" if number in table else name
     return NumberedSignals(*names_by_number)

@@ -63,10 +63,11 @@ def controller_wiring(problem: Problem) -> automata.Wiring:
 def handshake_stages(
     automata_by_arm: Mapping[str, ProgramAutomaton], steps: Mapping[str, Sequence[ProgramStep]]
 ) -> tuple[HandshakeStage, ...]:
-    """Return the stages between meetings; none if the programs have different numbers of meetings.
+    """Return the stages of programs that meet by handshake, from which the replay gets the motion.
 
-    Consecutive intervals in which both arms have the same number of moves, and no step that requires rest,
-    are one stage.
+    Each interval between two meetings is a stage, with one exception: consecutive intervals are one stage if
+    in each of them both arms move, with equal numbers of moves, and no step requires that the other arm
+    rests. There are no stages if the programs have different numbers of meetings.
 
     Args:
         automata_by_arm: Automata of the programs.
@@ -98,7 +99,13 @@ def handshake_stages(
 def _merge_intervals(
     intervals: Sequence[Mapping[str, Sequence[ProgramStep]]], ends: Sequence[int], next_number: int
 ) -> list[HandshakeStage]:
-    """Return consecutive intervals as one synchronised stage; ``ends`` has the last move of each."""
+    """Return consecutive intervals as one synchronised stage, in a list; an empty list for no interval.
+
+    Args:
+        intervals: Steps of each interval, by arm.
+        ends: Index, among the moves of the stage, of the last move of each interval.
+        next_number: Number of the interval after them.
+    """
     if not intervals:
         return []
     steps = {arm: tuple(step for interval in intervals for step in interval[arm]) for arm in intervals[0]}
@@ -106,7 +113,11 @@ def _merge_intervals(
 
 
 def _needs_no_rest(step: ProgramStep) -> bool:
-    """Return whether the other arm may move during a step: a move, a message, a call or a setting."""
+    """Return whether the other arm may move during a step.
+
+    It may move during a move, a message without a question, a call or a setting, but not during a wait, a
+    question or a change of an output.
+    """
     is_plain_message = isinstance(step, MessageStep) and not step.confirm
     return is_plain_message or isinstance(step, MoveStep | CallStep | SettingStep)
 
@@ -244,8 +255,11 @@ def split_into_stages(tasks: list[TaskText], confirmations: set[str]) -> tuple[J
 def _split_steps(task: TaskText, confirmations: set[str]) -> list[tuple[bool, str | None, list[ProgramStep]]]:
     """Split the steps of a task at synchronisation points and at questions whose text is a confirmation.
 
-    Returns for each part whether all tasks move together in it, the name of the point at which it starts, and
-    its steps.
+    A question is a part by itself.
+
+    Returns:
+        For each part: whether all tasks move together in it, the name of the synchronisation point at which
+        it starts (None before the first one), and its steps.
     """
     parts: list[tuple[bool, str | None, list[ProgramStep]]] = [(False, None, [])]
     for step in task.steps:

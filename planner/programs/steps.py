@@ -168,7 +168,7 @@ class Tool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WorkObject:
-    """A work object.
+    """Frame in which targets are stated: work object in RAPID, base in KRL, feature in PolyScope.
 
     Attributes:
         held: Whether the robot holds the work object.

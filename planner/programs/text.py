@@ -239,7 +239,14 @@ _FILE_KEYS: Final = ("file", "urdf")
 
 
 def changed_files(source: Any) -> tuple[str, ...]:
-    """Return the names of carried files whose content does not match the digest in their names."""
+    """Return the names of the files of a result folder that were changed after the result was written.
+
+    The folder carries the files that the problem refers to. The name of such a file contains a digest of its
+    content, which no longer matches. Files that do not exist are left out.
+
+    Args:
+        source: The problem as data, or any part of it.
+    """
     out: list[str] = []
     if isinstance(source, Mapping):
         for key, value in source.items():

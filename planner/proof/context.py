@@ -43,15 +43,15 @@ class Context:
     """One proof. Everything is computed once, on first use.
 
     Attributes:
-        problem: The problem, with the axes where the programs have them.
+        problem: The problem, with the stations (axis values) that the programs state.
         given_problem: The problem as it was given.
         programs: Text of the programs by file name.
-        by_operation: Claims by the name of their operation.
+        by_operation: Claims by the name of their operation, which need not be in the problem.
         reading_issues: Issues of reading the files that claims name.
         dialogue_issues: Issues of items that the dialogue leaves ambiguous.
         claims: All claims.
         executor: Runs independent work.
-        cache: Values that are kept between proofs of the same claims, by name.
+        cache: Values that are kept between proofs of identical claims, by name.
     """
 
     def __init__(
@@ -156,7 +156,7 @@ class Context:
         """Return the names of the tasks whose programs switch the signals that ``arms`` work with.
 
         They are the tasks on the controller of the first task of these arms. Another controller may have a
-        signal of the same name, which is not meant.
+        different signal with an equal name, so its tasks are left out. Without such a task the set is empty.
         """
         lead = next((task for task in self.job.tasks if task.arm.name in arms), None)
         for tasks in job_text.group_by_controller(self.problem, self.job.tasks):
@@ -166,7 +166,10 @@ class Context:
 
     @property
     def is_readable(self) -> bool:
-        """Whether every task has a straight path of execution."""
+        """Whether the programs were read without faults, so that rules can examine their steps.
+
+        Every task must have steps on a straight path of execution, without unknown jumps or branches.
+        """
         job = self.job
         return (
             bool(job.tasks)
@@ -230,7 +233,7 @@ class Context:
     def setup_of(self, claim: Claim) -> int:
         """Return the index of the setup whose operation has a claim.
 
-        The segment of the claim does not tell it, because two setups may work on one segment.
+        It does not follow from the segment of the claim, because two setups may work on one segment.
         """
         return self._setup_of[id(claim)]
 
@@ -253,6 +256,7 @@ class Context:
             return None
         if claims:
             return claims[0]
+        # Without a claim: a homogeneous block, whose centre of gravity is the centre of its box.
         centre = np.append(0.5 * (stock.lower + stock.upper), 1.0)
         return HoldsStock(stock.held_by, stock.grip, stock.mass or 0.0, (stock.grip @ centre)[:3])
 
@@ -267,10 +271,10 @@ class Context:
     def stations(self) -> dict[int, dict[str, float]]:
         """Axis values [m, rad] of the text's targets: {index of an operation: {name of the axis: value}}.
 
-        The value is that of the last move of each setup; :mod:`planner.proof.rules.external_axes` compares
-        the other moves with it. A coordinated track has two values: under its name that of the last move
-        before the first straight move, and under its name with :data:`planner.problem.END_SUFFIX` that of the
-        last move.
+        The value is that of the last move of each setup. :mod:`planner.proof.rules.external_axes` compares
+        the other moves with it. A coordinated track has two values. Under its name is the value of the last
+        move before the first straight move. Under its name with :data:`planner.problem.END_SUFFIX` is the
+        value of the last move. Targets that do not name an axis give no value.
         """
         out: dict[int, dict[str, float]] = {}
         if not self.problem.axis_homes:
@@ -305,7 +309,7 @@ class Context:
 
     @cached_property
     def coordinated_tracks(self) -> tuple[dict[str, TrackMotion], ...]:
-        """Coordinated tracks {arm: track} of each setup with operations."""
+        """Coordinated tracks {arm: track}, one mapping per setup, empty for a setup without operations."""
         out = []
         for setup in self.setups:
             tracks: dict[str, TrackMotion] = {}
@@ -320,7 +324,7 @@ class Context:
         return tuple(out)
 
     def track_base_poses(self, index: int, rows: IntArray) -> dict[str, FloatArray]:
-        """Return the base poses {arm: (K, 4, 4)} of arms on coordinated tracks.
+        """Return the base poses {arm: (K, 4, 4)} in the world of arms on coordinated tracks, at samples.
 
         Args:
             index: Index of the setup.
@@ -333,9 +337,10 @@ class Context:
         return out
 
     def base_poses(self, index: int) -> dict[str, FloatArray]:
-        """Return the base poses (4, 4) of all arms in setup ``index``.
+        """Return the base poses (4, 4) of all arms in the world in setup ``index``, by name.
 
-        External axes have the values of the text's targets.
+        External axes have the values of the setup, which are those of the text's targets. A coordinated track
+        is at its station.
         """
         out = dict(self.bases)
         for arm in self.setups[index].cell.arms:
@@ -390,10 +395,10 @@ class Context:
 
     @cached_property
     def stock_frames(self) -> tuple[FloatArray | None, ...]:
-        """Frame (4, 4) of the block in each setup, None if nothing states it.
+        """Frame (4, 4) of the block in the world in each setup, None if nothing states it.
 
-        It is the first fixed work object of the text's straight moves, else the place that the problem
-        states, else the frame of the previous setup if the block has not been moved.
+        It is the first fixed work object of the text's straight moves that is not the world, else the place
+        that the problem states, else the frame of the previous setup if the block has not been moved.
         """
         out: list[FloatArray | None] = []
         for index, setup in enumerate(self.setups):
@@ -409,11 +414,13 @@ class Context:
 
     @property
     def stock_pose(self) -> FloatArray:
-        """Frame (4, 4) of the block in the first setup."""
+        """Frame (4, 4) of the block in the first setup, the world if nothing states it."""
         return np.eye(4) if self.stock_frames[0] is None else self.stock_frames[0]
 
     def stock_poses(self, index: int, rows: IntArray) -> FloatArray:
-        """Return the frames (S, 4, 4) of the block in the world, which an arm that holds it moves.
+        """Return the frames (S, 4, 4) of the block in the world at samples.
+
+        If an arm holds the block, they follow from the arm's TCP and its grip. Else the frame is constant.
 
         Args:
             index: Index of the setup.
@@ -456,8 +463,9 @@ class Context:
 
     @cached_property
     def travel_times(self) -> dict[int, float]:
-        """Times {identity of a move: time [s]} of the moves that move an external axis.
+        """Times [s] that external axes take in moves, by the identity (``id``) of the move, for the replay.
 
+        The largest time of all axes counts. A coordinated track takes no time of its own in straight moves.
         The time follows from the speed that the text states. The axis moves from rest to rest over the
         distance s with its acceleration a. Its peak speed v = min(stated, sqrt(s a)) gives t = s / v + v / a.
         """
@@ -497,9 +505,10 @@ class Context:
         return out
 
     def synchronised_runs(self, index: int) -> tuple[tuple[int, ...], ...]:
-        """Return the runs of synchronised stages with moves in setup ``index``.
+        """Return the runs of synchronised stages with moves in setup ``index``, in which arms may be joined.
 
-        A run lists the numbers of its stages. No arm moves alone between the stages of a run.
+        A run lists the numbers of its stages. No arm moves alone between the stages of a run. Approaches that
+        are synchronised do not belong to a run.
         """
         runs: list[list[int]] = []
         starts_run = True
@@ -519,9 +528,10 @@ class Context:
 
     @cached_property
     def phases(self) -> tuple[JoinedPhase, ...]:
-        """Phases in which arms are joined, in order.
+        """Phases in which a wire joins arms, in order.
 
-        There is one run of synchronised stages for each claim that joins them.
+        In each setup, the n-th run of synchronised stages belongs to the n-th claim that joins arms. A phase
+        extends from the last stage with moves before the run to the first one after it.
         """
         return tuple(
             JoinedPhase(self._phase_end(run[0], -1), self._phase_end(run[-1], 1), claim, index)
@@ -530,9 +540,10 @@ class Context:
         )
 
     def _phase_end(self, stage: int, direction: int) -> int:
-        """Return the last stage that a phase contains, from a stage on before (-1) or after (1) it.
+        """Return the number of the first (``direction`` -1) or last (1) stage of a phase.
 
-        It is the nearest stage of the same setup that has moves, else the first or last stage of the setup.
+        The search starts at ``stage``, the first or last stage of a run. The result is the nearest stage
+        before or after it in its setup that has moves, else the first or last stage of the setup.
         """
         stages = self.job.stages
         index = self.spans.of_stage[stage]
@@ -541,15 +552,17 @@ class Context:
             if any(adjacent.moves(task.name) for task in self.job.tasks):
                 return (
                     stage + direction
-                )  # its steps after the last, or before the first, lone move belong here
+                )  # steps_while_mounted counts its steps after its last, or before its first, move
             stage += direction
         return stage
 
     def steps_while_mounted(self, phase: JoinedPhase) -> list[tuple[int, str, ProgramStep]]:
-        """Return the steps of a phase, in order, each with the number of its stage and the name of its task.
+        """Return the steps of a phase that are executed while the operator may be at the wire.
 
-        Steps before the last lone move of the first stage, and after the first lone move of the last stage,
-        are left out. The others are executed while the operator may be at the wire.
+        They are in order, each with the number of its stage and the name of its task. If the first stage of
+        the phase is not synchronised, its steps up to the task's last move are left out. If the last stage is
+        not, its steps from the task's first move on are left out. A synchronised approach counts as not
+        synchronised.
         """
         out: list[tuple[int, str, ProgramStep]] = []
         for number in range(phase.first, phase.last + 1):
@@ -566,7 +579,7 @@ class Context:
         return out
 
     def confirmation_positions(self, phase: JoinedPhase) -> list[int]:
-        """Return the positions in :meth:`steps_while_mounted` at which the operator confirms."""
+        """Return the indices in :meth:`steps_while_mounted` of messages that the operator must confirm."""
         return [
             i
             for i, (_, _, step) in enumerate(self.steps_while_mounted(phase))

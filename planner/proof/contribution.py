@@ -75,7 +75,10 @@ class ProofOfProcess:
 
 
 def of_processes(problem: Problem | None = None) -> tuple[ProofOfProcess, ...]:
-    """Return the contributions of Tandem's processes, and of the other processes that a problem uses.
+    """Return the contributions of processes to the proof.
+
+    These are the contributions of all of Tandem's processes, and of those processes of other packages that
+    the problem uses (none without a problem).
 
     Raises:
         TandemError: The contribution of an installed package cannot be loaded (``problem.process_package``).
@@ -88,7 +91,11 @@ def of_processes(problem: Problem | None = None) -> tuple[ProofOfProcess, ...]:
 
 
 def find_edges(context: Context, index: int, arm: str) -> tuple[WorkingEdges, ...]:
-    """Find where the working end of an arm's tool may touch the stock in setup ``index``."""
+    """Find where the working end of an arm's tool may touch the stock in setup ``index``.
+
+    Each process states it for the claims of each operation of the setup. Operations whose claims give the arm
+    no tool of that process are left out.
+    """
     groups = context.setup_claims[index].groups
     candidates = (
         contribution.edges(group, arm)

@@ -104,7 +104,7 @@ class OperatorStep:
 
 
 def operator_steps(job: JobText) -> dict[str, list[OperatorStep]]:
-    """Return the dialogue steps of each task by its name.
+    """Return the dialogue steps of each task by its name, to compare them with the expected dialogue.
 
     Steps of the handshake of two controllers are left out, except for messages and questions.
     """
@@ -113,6 +113,7 @@ def operator_steps(job: JobText) -> dict[str, list[OperatorStep]]:
         (position, entry.step) for position, entry in enumerate(steps) if isinstance(entry.step, MoveStep)
     ]
     move_positions = [position for position, _ in moves]
+    # groups[k]: number of times that a straight move follows a joint move among the first k moves.
     group, groups, previous_by_joints = 0, [0], True
     for _, move in moves:
         group += previous_by_joints and not move.by_joints
@@ -302,7 +303,12 @@ class DialoguePart:
 
 
 def expected_dialogue(context: Context) -> dict[str, list[DialoguePart]]:
-    """Return the expected parts of the dialogue of each task by its name, in order."""
+    """Return the expected parts of the dialogue of each task by its name, in order.
+
+    They are the start, for each operation the setup that it opens and the dialogue that its claims state, and
+    the setup at the end in which axes move home. The first task asks about setups. The dialogue of an
+    operation belongs to the first task whose arm the claim names.
+    """
     tasks = context.job.tasks
     out: dict[str, list[DialoguePart]] = {
         task.name: [DialoguePart(DialoguePosition("start"), _start_steps(context, task))] for task in tasks
@@ -334,7 +340,7 @@ def arms_joined(context: Context) -> bool:
 
 
 def handler_texts(context: Context, task: TaskText, procedure: str) -> tuple[ShownText, ...]:
-    """Return the texts that an error handler shows, in order."""
+    """Return the texts that the error handler of a procedure shows, in order, with their values."""
     out: list[ShownText] = [(sentences.FAILED, {"procedure": procedure})]
     if _partner_arm(context, task):
         out.append((sentences.UNANSWERED, {"other": _partner_arm(context, task)}))
@@ -376,11 +382,13 @@ def _start_steps(context: Context, task: TaskText) -> tuple[DialogueStep, ...]:
 
 
 def _setup_steps(setup: Setup) -> tuple[DialogueStep, ...]:
+    """Return the messages that describe a setup, and the question that confirms it."""
     steps = (message_step(sentences.PLAIN, text=step) for step in setup.steps)
     return (*steps, question_step(sentences.PLAIN, text=setup.confirmation))
 
 
 def _operation_parts(number: int, claim: OperatorDialogue) -> Sequence[DialoguePart]:
+    """Return the parts of operation ``number``: at its first targets, at stops, and at its last targets."""
     return [
         DialoguePart(DialoguePosition("first", number), claim.first),
         *(_stop_part(number, stop) for stop in claim.stops),
@@ -389,6 +397,7 @@ def _operation_parts(number: int, claim: OperatorDialogue) -> Sequence[DialogueP
 
 
 def _stop_part(number: int, stop: DialogueStop) -> DialoguePart:
+    """Return the part of the dialogue at a stop of operation ``number``."""
     segment = stop.segment
     approach_key = segment.at("in").key if segment.name else segment.key
     position = DialoguePosition(stop.where, number, segment.key, approach_key, stop.at, stop.tolerance)
@@ -400,9 +409,10 @@ DIALOGUE = "verify.dialogue"
 
 
 def with_chosen_groups(context: Context) -> Context:
-    """Return the same proof with one group of each `OneOf`.
+    """Return the context with one group of claims of each `OneOf`, so that everything is proven for it.
 
-    It is the group that the text names at the operation's first targets. If the text names none, or more than
+    A `OneOf` states several groups, one for each item that may be mounted. Chosen is the group that the text
+    names at the operation's first targets. If the text names none, or more than
     one, the first group is used, and ``dialogue_issues`` has an issue of ``verify.dialogue``, so that nothing
     is proven.
     """
@@ -433,9 +443,10 @@ def _choose_group(
     steps_by_task: dict[str, list[OperatorStep]],
     issues: list[Issue],
 ) -> tuple[Claim, ...]:
-    """Return the one group of a `OneOf` that the programs show, else its first group.
+    """Return the only group of a `OneOf` that the programs show, else its first group.
 
-    In the latter case an issue is appended to ``issues``. ``name`` and ``number`` are those of the operation.
+    In the latter case an issue is appended to ``issues``. ``name`` and ``number`` are those of the operation,
+    and ``steps_by_task`` are the dialogue steps of each task.
     """
     shown_groups = [group for group in claim.either if _is_shown(context, group, number, steps_by_task)]
     if len(shown_groups) == 1:
@@ -448,6 +459,7 @@ def _choose_group(
 
 
 def _dialogue(group: tuple[Claim, ...]) -> OperatorDialogue | None:
+    """Return the claim on the dialogue in a group of claims, None without one."""
     return next((claim for claim in group if isinstance(claim, OperatorDialogue)), None)
 
 
@@ -462,6 +474,7 @@ def _identifying_steps(group: tuple[Claim, ...]) -> list[DialogueStep]:
 
 
 def _describe_group(group: tuple[Claim, ...]) -> str:
+    """Return the texts that identify a group, for messages."""
     return ", ".join(
         sentence_text(s.sentence, s.figures) for s in _identifying_steps(group) if s.sentence is not None
     )

@@ -91,6 +91,7 @@ class Findings:
             self._note(self.excess + limit, where, limit)
 
     def _note(self, value: float, where: object, limit: float | None) -> None:
+        """Record the worst value with its location and limit."""
         self.worst, self.limit, self.where = float(value), limit, str(where)
         self.measured = True
 

@@ -151,10 +151,12 @@ _EMPTY: Final = ProofOfLanguage()
 
 @functools.cache
 def _load(reference: Reference | None) -> ProofOfLanguage:
+    """Load the contribution to which a reference points, an empty one for None."""
     return _EMPTY if reference is None else plugins.load(reference, ProofOfLanguage)
 
 
 def _of(language: Language | None) -> ProofOfLanguage:
+    """Return the contribution of a language, an empty one for None."""
     return _EMPTY if language is None else _load(language.proof)
 
 

@@ -55,6 +55,7 @@ def cell_models(problem: Problem, stationary: StationaryPoses, cache: dict[str, 
     built: dict[int, CellModel] = {} if cache is None else cache.setdefault("models", {})
 
     def model(index: int) -> CellModel:
+        """Return the cell model of the setup with this index, with stock and axes where they stand."""
         setup = all_setups(problem)[index]
         frame = stationary.stock_frames[index]
         bases = stationary.bases[index]
@@ -77,6 +78,7 @@ def cell_models(problem: Problem, stationary: StationaryPoses, cache: dict[str, 
 
 
 def _of_context(context: Context) -> Models:
+    """Return the models of a proof, with stock, bases and axes where its programs have them."""
     return cell_models(context.given_problem, StationaryPoses.of(context), context.cache)
 
 

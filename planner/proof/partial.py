@@ -147,6 +147,7 @@ def prove_partly(problem: Problem, programs: Mapping[str, str]) -> PartialProof:
 
 
 def _unread_issue(file: str, line: int | None, reason: str, arm: str | None = None) -> Issue:
+    """Return an issue about a line, or a whole file, that was not read."""
     return Issue(UNREAD, f"{reason}: not read, not proven", file=file, line=line, arm=arm)
 
 
@@ -164,7 +165,13 @@ class _KnownStretch:
 
 
 def _known_stretches(problem: Problem, arm_text: PartialPrograms, count: _MoveCounts) -> list[_KnownStretch]:
-    """Return the stretches of moves that start at known joints. Other moves are rejected in ``count``."""
+    """Return the stretches of moves that start at known joints. Other moves are rejected in ``count``.
+
+    A stretch starts after a move whose target defines the joints. The path of that move itself is unknown, so
+    it is rejected. A stretch ends at an unread statement (``Gap``) and at a move of unknown path. If its last
+    move ends in a zone, this move is rejected, too. After a statement that may shift all targets, no move is
+    known.
+    """
     stretches: list[_KnownStretch] = []
     is_open, shifted = False, False  # whether the last stretch goes on, and whether targets may be shifted
 
@@ -217,7 +224,11 @@ def _unknown_path_reason(
 ) -> str:
     """Return why the path of a move is unknown, "" if it is known.
 
-    ``known`` are the kinds of moves whose path is known, None for all kinds.
+    Args:
+        move: The move.
+        known: Kinds of moves whose path between targets is known, None for all kinds.
+        has_track: Whether the arm is on a track or gantry.
+        has_turntable: Whether the cell has a turntable.
     """
     if known is not None and move.kind not in known:
         return f"the path of {move.kind} between its targets is unknown"
@@ -228,6 +239,7 @@ def _unknown_path_reason(
         return "its arm is on a track or gantry, which unread moves may have moved"
     if has_turntable:
         return "its block is on a turntable, which unread moves may have rotated"
+    # 9E9 stands for an axis that is not used, and so does 0 if all values are 0.
     if (np.abs(external) > 0.0).any() and (external < 8.9e9).any():
         return "it moves an external axis"
     if {"conc", "corr", "z"} & set(move.switches):
@@ -262,7 +274,16 @@ def _prove_stretch(
 ) -> None:
     """Prove the moves of a stretch, and add the results to ``count``.
 
-    The stretch is replayed as a program of its own, with the other arms at home.
+    The stretch is replayed as a program of its own, with the other arms at home. If the programs are too
+    long, or the replay fails, all its moves are rejected.
+
+    Args:
+        problem: The problem.
+        programs: Text by file name.
+        prover: Prover with the cell models that are kept between stretches.
+        arm_text: Programs of the arm.
+        stretch: The stretch.
+        count: Results for the moves of the arm.
     """
     run = stretch.moves
     keys = [_move_key(arm_text, move) for move in run]
@@ -288,7 +309,7 @@ def _prove_stretch(
             count.reject(key, error.issues[0].message)
         return
     violations = _violations(context, prover, arm_text.arm, run, count)
-    path = np.zeros(len(run))
+    path = np.zeros(len(run))  # path [m] of the TCP in each move
     positions = motion.tcp[arm_text.arm.name][np.arange(len(motion.time))][:, :3, 3]
     np.add.at(path, motion.node[1:], np.nan_to_num(np.linalg.norm(np.diff(positions, axis=0), axis=1)))
     for i, key in enumerate(keys):
@@ -304,7 +325,22 @@ def _prove_stretch(
 def _violations(
     context: Context, prover: Prover, moved_arm: Arm, run: Sequence[MoveStep], count: _MoveCounts
 ) -> dict[int, str]:
-    """Return the first violated requirement of moves of a stretch, by the index of the move."""
+    """Return the first violated requirement of each move of a stretch that violates one.
+
+    The requirements are those of the module docstring. After a pose out of reach, all later moves of the
+    stretch are violations. If the motion is too long, or its clearance is undecided, all moves are that have
+    no other violation.
+
+    Args:
+        context: Context whose job consists of the stretch.
+        prover: Prover with the cell models.
+        moved_arm: The arm that moves.
+        run: Moves of the stretch.
+        count: Results for the moves of the arm; its number of queries grows.
+
+    Returns:
+        Reasons by the index of the move.
+    """
     arm, motion, settings = moved_arm.name, context.motion, context.problem.settings
     machine, q = arm_model.robot_machine(moved_arm.data), motion.q[arm]
     out: dict[int, str] = {}
@@ -336,6 +372,7 @@ def _violations(
     fast = np.any(np.abs(motion.speed(arm)) > machine.data.velocity, axis=1)
     mark(np.asarray(fast), "an axis is too slow for its time")
     by_joints = np.array([move.by_joints for move in run])
+    # As in verify.singularity, with a tolerance of 0.05 deg in straight moves.
     near_singular = singularity_distance(machine, q) < settings.singularity_margin - np.deg2rad(0.05)
     mark(near_singular & ~by_joints[motion.node], "the arm comes too close to a singular posture")
     positions = motion.tcp[arm][np.arange(len(motion.time))][:, :3, 3]
@@ -374,9 +411,15 @@ def _violations(
 def _min_clearance(
     context: Context, prover: Prover, arm: str, rows: IntArray, q: FloatArray, itself: bool
 ) -> tuple[IntArray, FloatArray]:
-    """Return the samples among ``rows`` that were measured, and the smallest distance [m] at each.
+    """Return the indices (M,) of the samples that were measured, and the smallest distances (M,) [m] there.
 
-    With ``itself`` it is the distance of an arm to itself, else that of all other pairs of bodies.
+    Args:
+        context: Context of the stretch.
+        prover: Prover with the cell models.
+        arm: Name of the arm that moves. All others are at home.
+        rows: Samples (K,) at which distances are queried.
+        q: Joints (S, J) [rad] of the arm at all samples.
+        itself: Whether the distances of each arm to itself are measured, rather than all others.
     """
     problem = context.problem
     joints = {other.name: np.tile(other.home, (len(rows), 1)) for other in problem.cell.arms}

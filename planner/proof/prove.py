@@ -29,6 +29,9 @@ from planner.runtime.memory import release_memory
 def unproven_claims(claims: Claims, problem: Problem | None = None) -> list[Issue]:
     """Return issues about claims that no rule proves, and about operations without claims.
 
+    Claims on the sag of arms (``ArmSags``) do not count as claims of an operation, because they state only
+    how arms deflect.
+
     Args:
         claims: Claims by the name of the operation.
         problem: Their problem, for rules of installed packages.
@@ -127,7 +130,14 @@ def _examine_in_process(context: Context, codes: tuple[str, ...]) -> Iterator[Ru
 
 
 class _ProofRun:
-    """One proof while it runs."""
+    """One proof while it runs.
+
+    Attributes:
+        context: Context of the next rule. A rule may replace it.
+        results: Results of the rules that have run, by code.
+        outcomes: Faces, parts and curves of these rules, by code.
+        issues: Issues of all rules so far.
+    """
 
     def __init__(self, context: Context, rules: Mapping[Stage, tuple[Rule, ...]]) -> None:
         self.context, self.rules = context, rules
@@ -207,6 +217,7 @@ class _ProofRun:
                 self._parallel_outcomes |= dict.fromkeys(codes, outcomes)
 
     def _has_failed(self, *codes: str) -> bool:
+        """Return whether one of some rules has run and not passed."""
         return any(code in self.results and not self.results[code].passed for code in codes)
 
     @functools.cached_property

@@ -1,4 +1,4 @@
-"""The order in which rules run, and their stages.
+"""Stages of the proof, and the order in which rules run.
 
 The order is visible in ``proof.json``, in reports and in the documentation, so it is stated here for all
 rules of Tandem and depends on nothing else. Rules of installed packages follow the rules of their stage.

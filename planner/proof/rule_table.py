@@ -82,6 +82,7 @@ def rules_of(problem: Problem | None = None) -> tuple[Rule, ...]:
 
 
 def _rules(parts: Iterable[ProofOfLanguage | ProofOfProcess]) -> list[Rule]:
+    """Return the rules of all contributions, in order."""
     return [rule for part in parts for rule in part.rules]
 
 

@@ -44,9 +44,10 @@ class SetupSpans:
 
 
 def setup_spans(setups: tuple[Setup, ...], job: JobText) -> SetupSpans:
-    """Return the setups by stage.
+    """Return which setup is in force at which stage, and the questions that confirm each setup.
 
-    A setup starts at the first stage that asks for its confirmation. If the confirmations are incomplete or
+    A setup starts at the first stage that asks for its confirmation, and the first one at stage 0. If the
+    confirmations are incomplete or
     out of order, ``verify.setup`` reports it, and the result means nothing.
     """
     questions = operator_questions(job)
@@ -79,7 +80,8 @@ def operator_questions(job: JobText) -> list[OperatorQuestion]:
 def shown_characters(job: JobText, question: OperatorQuestion) -> str:
     """Return the letters and digits that a task shows before a question.
 
-    The text starts after the last move, question or clearing of the panel before it.
+    It is what the operator reads when he confirms. The text starts after the last move, question or clearing
+    of the panel before the question.
     """
     lines: list[str] = []
     for number in range(question.stage, -1, -1):
@@ -160,7 +162,10 @@ def claims_by_setup(
 
 
 def stock_unmoved(problem: Problem, setup: Setup) -> bool:
-    """Return whether the block has the same place as in the previous setup, because no change moves it."""
+    """Return whether the block stays where it was in the previous setup, because no change moves it.
+
+    The first setup has no previous one, so the result is False.
+    """
     change = problem.changes.get(setup.operations[0]) if setup.operations else None
     return setup.number > 1 and not (
         change is not None and set(change.stock) & {"place", "support", "held_by", "grip", "attitude"}

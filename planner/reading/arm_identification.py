@@ -245,7 +245,7 @@ def _unsupported_class(w: FloatArray, p: FloatArray, chain: UrdfChain) -> tuple[
         if abs(float(w[a] @ w[b])) > PARALLELISM_TOLERANCE_RAD:
             angle = np.arccos(abs(float(w[a] @ w[b]))) / DEG
             return f"an arm whose axes {a + 1} and {b + 1} are at {angle:.4g} degrees", _OTHER_CLASS_HINT
-    offset = float((_common_midpoint(p[3], w[3], p[4], w[4]) - p[0]) @ w[1])
+    offset = float((_common_perpendicular_midpoint(p[3], w[3], p[4], w[4]) - p[0]) @ w[1])
     if not _do_intersect(w, p, (3, 4, 5)) and abs(offset) > INTERSECTION_TOLERANCE_M:
         description = f"axes 4 and 5 intersect {abs(offset) / MM:.4g} mm off the plane of axis 1"
         return f"an arm with an offset wrist, and {description}", _OTHER_CLASS_HINT
@@ -272,8 +272,8 @@ def _difference_from_panda(w: FloatArray, p: FloatArray) -> str | None:
         return "whose axes 1, 2 and 3 do not meet"
     if not _do_intersect(w, p, (4, 5)):
         return "whose axes 5 and 6 do not meet"
-    shoulder = _common_midpoint(p[1], w[1], p[2], w[2])
-    wrist = _common_midpoint(p[4], w[4], p[5], w[5])
+    shoulder = _common_perpendicular_midpoint(p[1], w[1], p[2], w[2])
+    wrist = _common_perpendicular_midpoint(p[4], w[4], p[5], w[5])
     offsets = [abs(float((wrist - shoulder) @ w[3])), abs(float((p[6] - wrist) @ w[5]))]
     if offsets[0] > INTERSECTION_TOLERANCE_M:
         return f"whose axis 5 passes {offsets[0] / MM:.4g} mm beside the upper arm, along axis 4"
@@ -294,12 +294,12 @@ def _do_intersect(w: FloatArray, p: FloatArray, axes: Sequence[int]) -> bool:
     other = next((i for i in axes[1:] if not _are_parallel(w[first], w[i])), None)
     if other is None:
         return False
-    point = _common_midpoint(p[first], w[first], p[other], w[other])
+    point = _common_perpendicular_midpoint(p[first], w[first], p[other], w[other])
     distances = [float(np.linalg.norm(np.cross(point - p[i], w[i]))) for i in axes]
     return max(distances) < INTERSECTION_TOLERANCE_M
 
 
-def _common_midpoint(a: FloatArray, u: FloatArray, b: FloatArray, v: FloatArray) -> FloatArray:
+def _common_perpendicular_midpoint(a: FloatArray, u: FloatArray, b: FloatArray, v: FloatArray) -> FloatArray:
     """Return the midpoint (3,) of the common perpendicular of two lines.
 
     The lines pass through ``a`` along ``u`` and through ``b`` along ``v`` (unit vectors).
@@ -322,7 +322,7 @@ def _fit_wrist_arm(chain: UrdfChain) -> OpwParameters | OffsetParameters:
     the URDF to axis 2, y along axis 2, and x in the direction that the arm faces.
     """
     w, p, tip = chain.axis, chain.zero[1:7, :3, 3], chain.zero[7]
-    centre = _common_midpoint(p[3], w[3], p[4], w[4])
+    centre = _common_perpendicular_midpoint(p[3], w[3], p[4], w[4])
     foot, side, up = _base_axes(w, p[0], p[1])
     side = side if _is_facing(np.cross(side, up), p[1] - foot, centre - foot) else -side
     left = _base(foot, side, up)
@@ -393,8 +393,11 @@ def _fit_parallel_arm(chain: UrdfChain) -> ParallelParameters:
     the URDF to axis 2, and y along axis 2, to the side on which axes 5 and 6 intersect.
     """
     w, p, tip = chain.axis, chain.zero[1:7, :3, 3], chain.zero[7]
-    shoulder = _common_midpoint(p[0], w[0], p[1], w[1])
-    wrist, meeting = _common_midpoint(p[3], w[3], p[4], w[4]), _common_midpoint(p[4], w[4], p[5], w[5])
+    shoulder = _common_perpendicular_midpoint(p[0], w[0], p[1], w[1])
+    wrist, meeting = (
+        _common_perpendicular_midpoint(p[3], w[3], p[4], w[4]),
+        _common_perpendicular_midpoint(p[4], w[4], p[5], w[5]),
+    )
     foot, side, up = _base_axes(w, p[0], shoulder)
     side_offset = (meeting - shoulder) @ side
     # a wrist in the plane of axis 1 defines no side: then y is on the side of the URDF's y
@@ -447,7 +450,10 @@ def _fit_seven_axis_arm(chain: UrdfChain) -> SevenParameters:
     the URDF to the shoulder, and y along axis 2.
     """
     w, p, tip = chain.axis, chain.zero[1:8, :3, 3], chain.zero[8]
-    shoulder, wrist = _common_midpoint(p[1], w[1], p[2], w[2]), _common_midpoint(p[4], w[4], p[5], w[5])
+    shoulder, wrist = (
+        _common_perpendicular_midpoint(p[1], w[1], p[2], w[2]),
+        _common_perpendicular_midpoint(p[4], w[4], p[5], w[5]),
+    )
     foot, side, up = _base_axes(w, p[0], shoulder)
     left = _base(foot, side if side[1] >= 0.0 else -side, up)
     frame = inverse(left)

@@ -98,7 +98,7 @@ def resolve_files(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def problem_digest(source: Mapping[str, Any]) -> str:
-    """Return the SHA-256 over the values of a problem and the contents of its files.
+    """Return the digest of a problem, which each program carries: SHA-256 over its values and its files.
 
     File locations, comments and visual meshes have no effect.
     """

@@ -106,14 +106,14 @@ _SOURCED_KEYS: Final = ("payload_kg", "coupled_deg", "home_deg", "full_speed_aft
 
 
 def build_robot(spec: OwnRobotFile, folder: Path) -> RobotData:
-    """Create the robot of a file.
+    """Build the data of a custom robot from its URDF and the keys of the problem file.
 
     Args:
-        spec: Robot of the file.
+        spec: Keys of the robot in the problem file.
         folder: Folder to which file names are relative.
 
     Raises:
-        TandemError: As :func:`planner.reading.urdf.read_chain` and
+        TandemError: As :func:`planner.reading.arm_identification.read_custom_chain` and
             :func:`planner.reading.arm_identification.fit_arm`; ``robot.bodies`` for unknown collision shapes;
             ``problem.field`` for contradictory keys.
     """

@@ -118,7 +118,7 @@ MIN_TILT_AXIS_SINE: Final = np.sin(5.0 * DEG)
 
 
 def _range_faults(spec: TurntableFile | TiltFile) -> list[tuple[str, str]]:
-    """Return the faults of range and home of an axis, as (field, message)."""
+    """Return what is wrong with the range and the home value of a rotary axis, as (field, message)."""
     low, high = spec.range_deg
     out = []
     if not low < high:
@@ -132,7 +132,11 @@ def _range_faults(spec: TurntableFile | TiltFile) -> list[tuple[str, str]]:
 
 
 def _tilt_faults(spec: PositionerFile, bodies: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the faults of a positioner's tilt axis, as (field, message); ``bodies``: names of obstacles."""
+    """Return what is wrong with the tilt axis of a positioner in a cell file, as (field, message).
+
+    Fields are relative to the positioner, such as ``tilt.axis``. ``bodies`` are the names of the obstacles
+    of the cell, among which the bracket of the axis must be.
+    """
     tilt = spec.tilt
     out = _range_faults(tilt)
     low, high = tilt.range_deg
@@ -351,9 +355,9 @@ def turntable_faults(problem: Problem) -> list[Issue]:
 
 
 def _min_speed_issues(problem: Problem, table: Turntable) -> list[Issue]:
-    """Return issues of axes that at KRL's minimum speed move the stock faster than allowed near people.
+    """Return an issue for each axis that, at KRL's minimum speed, moves the stock too fast near people.
 
-    The tilt axis is checked at all values of the turntable.
+    The limit is ``MAX_BLIND_SPEED_M_S``. The tilt axis is checked at all values of the turntable.
     """
     from planner.cell import external_axis_motion
 

@@ -48,6 +48,7 @@ def drawing(robot: RobotData) -> str:
     if robot.file is None:
         raise ValueError(f"{robot.name} is not from a file")
     poses = body_poses("arm", robot, np.eye(4), robot.home[None])
+    # base and links of the arm, without the tool
     names = link_chain(robot.axes)[:-1]
     items = [
         RenderItem(

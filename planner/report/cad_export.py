@@ -134,9 +134,10 @@ def shapes(
 
 
 def lines(problem: Problem, plan: Plan, at: CellState) -> Iterator[RhinoPolyline]:
-    """Yield the path of each TCP in the world, with approach and retreat, and positions of linear cutters.
+    """Yield the lines of a CAD file: TCP paths in the world, and positions of wires and linear cutters.
 
-    Wires and cutter axes are drawn at about `MAX_WIRES` instants, in the block as it is in the state.
+    Each TCP has a path for approach, work and retreat. Wires and cutter axes are drawn at about `MAX_WIRES`
+    instants per sweep, with the block where it is in the state ``at``.
 
     Args:
         problem: Problem.
@@ -173,6 +174,7 @@ def targets(problem: Problem, plan: Plan) -> Iterator[RhinoTarget]:
             arm = setup.cell.arm(name)
             bases = scene.bases_at_targets(setup, plan.bases, operation)
             tcp = (scene.flange_poses(arm, bases, q) @ arm.tool.tcp)[:, :3, 3]
+            # -(-a // b) is a / b rounded up: every n-th target, so that at most MAX_TARGETS are drawn
             for k in range(0, len(q), -(-len(q) // MAX_TARGETS)):
                 text = {
                     "target": operation.targets.name(k),

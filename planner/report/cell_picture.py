@@ -74,10 +74,11 @@ class Picture:
 
 
 def picture(scene: VisibleScene, moment: PictureState, width: int = 900, height: int = 500) -> Picture:
-    """Render the cell from the side where the arms are apart, on a transparent ground with a shadow.
+    """Render the cell on a transparent background with a shadow on the ground.
 
-    The scene is rendered at twice the size and averaged, against jagged edges. The rows above and below the
-    cell are removed, so that the picture is lower than ``height``.
+    The view is across the line of the arms' bases, so that no arm hides another one. The scene is rendered at
+    twice the size and averaged, against jagged edges. The empty rows above and below the cell are removed, so
+    the picture may be lower than ``height``.
 
     Args:
         scene: Visible shapes of robots and fixed bodies.
@@ -188,7 +189,10 @@ def _composite(
 def _add_ground_shadow(
     camera: Camera, casters: list[RenderItem], color: FloatArray, alpha: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Add a soft shadow of bodies on the ground to a picture, darker below lower bodies."""
+    """Add a soft shadow of bodies on the ground to a picture, darker below lower bodies.
+
+    Returns the picture's colours (h, w, 3) and its opacity (h, w). All factors are chosen for the appearance.
+    """
     points = np.concatenate([_ground_points(thing.solid) for thing in casters])
     low, high = points.min(axis=0) - 0.35, points.max(axis=0) + 0.35
     cell_size = float((high - low)[:2].max()) / 260.0
@@ -205,6 +209,7 @@ def _add_ground_shadow(
     x, y = np.meshgrid(np.arange(0, camera.width, step) + 2.0, np.arange(0, camera.height, step) + 2.0)
     local = np.stack([x - 0.5 * camera.full[0], y - 0.5 * camera.full[1], np.full_like(x, camera.focal)], -1)
     ray = local @ camera.pose[:3, :3].T
+    # all rays that do not go down get a very long ray, far outside the shadow
     ray_length = (min(0.0, float(points[:, 2].min())) - camera.pose[2, 3]) / np.minimum(ray[..., 2], -1e-9)
     ground_point = camera.pose[:2, 3] + ray_length[..., None] * ray[..., :2]
     grid_position = np.moveaxis((ground_point - low[:2]) / cell_size, -1, 0)
@@ -288,11 +293,16 @@ def _home_state(problem: Problem, setup: Setup, stock_pose: FloatArray) -> Pictu
 
 
 def _cutting_state(problem: Problem, plan: Plan, setup: Setup, stock_pose: FloatArray) -> PictureState:
-    """Return the state during the longest cut of a setup, or all arms at home if nothing is cut."""
+    """Return the state of the cell that the picture of a setup shows.
+
+    It is at ``SHOWN_CUT_FRACTION`` of the longest cut, with the wire there and some of the wires before it.
+    If nothing is cut, all arms are at home.
+    """
     home_state = _home_state(problem, setup, stock_pose)
     cuts = [(len(run), -i, run) for i in setup.operations for run in _cut_runs(plan.operations[i])]
     if not cuts:
         return home_state
+    # the longest run; of equally long ones that of the first operation, because its index is negated
     _, minus_index, run = max(cuts, key=lambda cut: cut[:2])
     operation = plan.operations[-minus_index]
     target_index = int(run[int(SHOWN_CUT_FRACTION * (len(run) - 1))])
@@ -313,7 +323,7 @@ def _cutting_state(problem: Problem, plan: Plan, setup: Setup, stock_pose: Float
 
 
 def _cut_runs(operation: OperationPlan) -> list[IndexArray]:
-    """Return the indices of the targets of each run of one working segment."""
+    """Return the runs of an operation's targets that belong to one working segment, as indices (K,) each."""
     segments = operation.targets.segment
     works = np.array([segment.works for segment in segments])
     starts = np.flatnonzero(

@@ -296,7 +296,7 @@ def _decimated(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
     if len(x) <= 2 * _COLUMNS:
         return x, y
-    width = -(-len(x) // _COLUMNS)
+    width = -(-len(x) // _COLUMNS)  # points per column, rounded up; the last columns are padded with NaN
     padded = np.full(width * _COLUMNS, np.nan)
     padded[: len(y)] = y
     columns = padded.reshape(_COLUMNS, width)
@@ -586,7 +586,11 @@ def _heat_map(image: str, extent: tuple[float, float, float, float]) -> Drawing:
 
 
 def _scale_bar(span: float, tolerance: float, missed: bool, face: FaceWords) -> Drawing:
-    """Draw the colours from ``-span`` to ``span`` [m] with their words, and the tolerance as marks."""
+    """Draw the colour scale of a map of deviations, from ``-span`` to ``span`` [m].
+
+    The tolerance [m] is marked if it is within the scale. The legend explains both colours with the words of
+    ``face``, and the colour of missing points if there are such points (``missed``).
+    """
     values = np.linspace(-span, span, 200)
     image = markup.png(np.tile(diverging(values, span)[None], (2, 1, 1)))
     left, width = 60.0, 320.0

@@ -138,7 +138,11 @@ def _clearance(problem: Problem, motion: MotionSeries, time: FloatArray) -> Colo
 
 
 def _speed(motion: MotionSeries, proof: Proof, time: FloatArray) -> ColourLayer | None:
-    """Return the speed of the tool edges inside the stock, else that of the TCPs, or None if unknown."""
+    """Return the colour layer with the speed of the tool for the 3D replay, or None if it is unknown.
+
+    It is the speed of the edges of linear cutters inside the stock, with its limits. Other processes have no
+    such edges, and the layer shows the speed of each TCP instead. ``time`` [s] are the times of the replay.
+    """
     series = proof.series
     feed, edges = motion.feed, motion_charts.edge_speeds(motion.processes)
     if edges:
@@ -231,7 +235,11 @@ def _layer(
 
 
 def _deviation(problem: Problem, faces: Sequence[CutFace]) -> ColourLayer | None:
-    """Return the deviations of the simulated faces as coloured points, the worst ones included, or None."""
+    """Return the colour layer with the deviations of the simulated faces, or None without faces.
+
+    It consists of coloured points. At most about ``MAX_FACE_POINTS`` are drawn, and the worst point of each
+    face is always one of them.
+    """
     faces = [face for face in faces if len(face.points)]
     if not faces:
         return None

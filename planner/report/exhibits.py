@@ -94,10 +94,10 @@ def in_space(
 
 
 def in_plane(curves: Sequence[FloatArray], nominal: Sequence[FloatArray], value: FloatArray) -> Drawing:
-    """Draw curves superimposed in their own planes [mm], with the chord along x and its middle at 0.
+    """Draw curves on top of each other [mm], each in its own plane, to compare their shapes.
 
-    The plane of a curve contains its chord, and is perpendicular to the path from section to section. Low
-    curves are drawn with exaggerated heights.
+    The chord of each curve is along x, with its middle at 0. The plane of a curve contains its chord, and is
+    perpendicular to the path from one curve to the next. Low curves are drawn with exaggerated heights.
 
     Args:
         curves: S curves (P, 3) [m].
@@ -113,6 +113,7 @@ def in_plane(curves: Sequence[FloatArray], nominal: Sequence[FloatArray], value:
         frames.append((origin, axes * [1.0, -1.0] if is_flipped else axes))
     with_frames = zip(curves, frames, strict=True)
     width, rise = np.ptp(np.concatenate([(c - origin) @ axes for c, (origin, axes) in with_frames]), axis=0)
+    # smallest factor with which the curves are higher than 0.22 of their width
     exaggeration = next((k for k in (1, 2, 5, 10) if rise * k > 0.22 * width), 10)
     stretch = np.array([1e3, 1e3 * exaggeration])
     styled_curves: list[tuple[FloatArray, str]] = []

@@ -106,7 +106,11 @@ def _joint(axis: RotaryAxis, terms: AxisTerms) -> ControllerCheck:
 
 
 def _tilt(problem: Problem, table: Turntable, tilt: RotaryAxis, terms: AxisTerms) -> list[ControllerCheck]:
-    """Return the checks of the tilt axis of a positioner and of its load."""
+    """Return the checks of the tilt axis of a positioner and of its load, for the setup sheet.
+
+    The direction of the axis is stated in the world, and in the frame that the controller uses if
+    ``terms.frame`` names one.
+    """
     to_base = inverse(problem.cell.arm(table.arm).base)
     frames = [("the world", tilt.axis, tilt.centre)]
     if terms.frame:

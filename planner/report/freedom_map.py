@@ -59,7 +59,11 @@ class FreedomMapData:
 
 
 def figure(shown: FreedomMapData) -> FigureBlock:
-    """Draw the map over targets with its legend: a strip for each arm, and one for distances of bodies."""
+    """Draw the map of a freedom with its legend: a strip for each arm, and one for distances of bodies.
+
+    In each strip the targets are along x and the values of the freedom along y. The path that the plan takes
+    is drawn over it.
+    """
     colours = np.array(STATE_COLOURS, dtype=object)
     strips = [(arm, colours[state]) for arm, state in shown.states.items()]
     strips.append(("distance between bodies", _distance_colours(shown)))

@@ -143,7 +143,10 @@ class MotionSeries:
 
 
 def motion_series(problem: Problem, plan: Plan, proof: Proof | None) -> MotionSeries:
-    """Return the motion from the replay of the proof, or else of the plan, with its operations in sequence.
+    """Return the motion that the charts of the report show, with its operations in sequence.
+
+    It is the replay of the proof, from home to home. Without it, it is the motion of the plan, which is known
+    only at its targets.
 
     Args:
         problem: Problem.
@@ -184,7 +187,10 @@ def operation_starts(plan: Plan) -> list[float]:
 
 
 def _proven_arms(problem: Problem, series: Mapping[str, Any]) -> dict[str, ArmMotion]:
-    """Return the motion of each arm whose joint angles the proof has, from which missing speeds follow."""
+    """Return the motion of each arm whose joint angles are in the ``series`` of the proof.
+
+    If the series has no speeds of an arm, they are the derivatives of its joint angles.
+    """
     out = {}
     for arm in problem.cell.arms:
         q = series.get(f"joints/{arm.name}")
@@ -273,7 +279,11 @@ def _segment_bands(segments: Sequence[Segment], time: FloatArray) -> tuple[Chart
 
 
 def feed_figure(motion: MotionSeries) -> FigureBlock:
-    """Draw the speed of the fastest guarded point with the required window [mm/s], scaled to the work."""
+    """Draw the speed of the fastest point that the feed limits guard [mm/s], with these limits.
+
+    A minimum is drawn only where it is above 0. The vertical scale fits the work, so faster moves outside the
+    work may exceed the chart.
+    """
     f = motion.feed
     guarded = np.isfinite(f.lower) & (f.lower > 0.0)
     lines = [  # the limits are dashed
@@ -374,10 +384,11 @@ def worst_by_rule(proof: Proof | None) -> dict[str, float]:
 
 
 def margin_figures(motion: MotionSeries, settings: Settings, proof: Proof | None) -> list[FigureBlock]:
-    """Draw the distances from joint limits and from singular postures over time [deg].
+    """Draw the distances from joint limits and from singular postures over time [deg], one chart each.
 
-    Without a proof the latter is the distance from the wrist singularity. The note states the minimum that
-    the proof found if there is one, so that all parts of the report agree.
+    If the distance from singular postures is not known for all arms, because there is no proof, the distance
+    of axis 5 from the wrist singularity is drawn instead. The note states the minimum that the proof found if
+    there is one, so that all parts of the report agree.
 
     Args:
         motion: Motion.
@@ -458,6 +469,7 @@ def speed_figures(name: str, arm: ArmMotion, motion: MotionSeries, settings: Set
         percent = 100.0 * np.abs(value) / limit
         maximum = float(np.nanmax(percent))
         lines = [ChartLine(f"axis {k + 1}", arm.time, percent[:, k], k) for k in range(arm.robot.axes)]
+        # the limit is outside the chart if the values are far below it
         top = maximum * 1.15 + 1e-6 if maximum < 40.0 * fraction else max(maximum * 1.1, 108.0 * fraction)
         levels = [LimitLine(100.0 * fraction, "allowed")]
         axis = int(np.nanargmax(np.nanmax(percent, axis=0)))

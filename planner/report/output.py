@@ -139,7 +139,10 @@ def _exhibits(problem: Problem | None, plan: Plan | None) -> tuple[list[PageSect
 
 
 def _motion(problem: Problem, motion: MotionSeries, proof: Proof | None) -> list[PageSection]:
-    """Return the sections with charts over the time of the motion, and with charts of the joint angles."""
+    """Return two sections of the report: charts over the time of the motion, and charts of joint angles.
+
+    The first one contains feed, clearances, margins, speeds, and the charts of each process.
+    """
     settings = problem.settings
     figures = [motion_charts.feed_figure(motion)] if len(motion.feed.time) > 1 else []
     if motion.clearance is not None:

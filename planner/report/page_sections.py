@@ -88,7 +88,10 @@ def _title(robot: str) -> str:
 
 
 def key_tiles(problem: Problem, plan: Plan, proof: Proof | None) -> tuple[markup.Tile, ...]:
-    """Return tiles with the key values of a plan and its proof, marked where they violate a requirement."""
+    """Return the tiles at the top of the report: the key values of a plan, and of its proof if there is one.
+
+    A tile is marked if its value violates a requirement. Values that are not known have no tile.
+    """
     motion = motion_charts.motion_series(problem, plan, proof)
     processes = process_reports(problem)
     count = sum(op.targets.count for op in plan.operations)
@@ -219,7 +222,11 @@ _SEVERITY_ORDER = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.NOTE: 2}
 
 
 def issue_table(issues: Sequence[Issue]) -> markup.TableBlock:
-    """Tabulate issues, errors first: message, location, actual and allowed value, code."""
+    """Tabulate issues for the report, one row each, the most severe first.
+
+    Columns: severity, message with remedy, location, actual value, allowed value, code. The severity is a
+    coloured tag and has no heading.
+    """
     rows = [
         (
             markup.TagPhrase(issue.severity.value, issue.severity.value),
@@ -376,7 +383,11 @@ def _search_figures(search: Mapping[str, Any]) -> Block:
 
 
 def _placement_map(positions: FloatArray, score: FloatArray, chosen: int | None) -> markup.Drawing:
-    """Draw placements (K, 2 or 3) [m] as dots with the colour of their score. Infeasible ones are hollow."""
+    """Draw a map of the placements that the placement search has tried.
+
+    Placements (K, 2 or 3) [m] are dots with the colour of their ``score`` (K,), which is not finite for
+    infeasible ones. These are hollow. The placement with the index ``chosen`` is marked.
+    """
     low, high = positions[:, :2].min(axis=0), positions[:, :2].max(axis=0)
     span = np.maximum(high - low, 1e-3)
     scale = float(min(440.0 / span[0], 260.0 / span[1]))
@@ -392,6 +403,7 @@ def _placement_map(positions: FloatArray, score: FloatArray, chosen: int | None)
     for v in charts.ticks(low[1] * 1e3, high[1] * 1e3 + 1e-9, 5):
         y = 10 + (high[1] - v * 1e-3) * scale
         parts.append(f'<text class="ytick" x="46" y="{y + 4:.1f}">{markup.number(float(v))}</text>')
+    # infeasible placements first and the highest scores last, so that good placements are on top
     for i in np.argsort(np.where(is_feasible, score, -np.inf)):
         x = 60 + (positions[i, 0] - low[0]) * scale
         y = 10 + (high[1] - positions[i, 1]) * scale

@@ -161,7 +161,9 @@ class ControllerSetup:
         return " and ".join(process.hot for process in process_reports(self.problem) if process.hot)
 
     def torch_checks(self, signals: Sequence[str], restart: str) -> list[ControllerCheck]:
-        """Return what to do after a stop while a torch was burning, at this controller or a joined one.
+        """Return the checks of the setup sheet for a stop while a torch burns.
+
+        They state what to do at this controller, whether the torch is switched by it or by a joined one.
 
         Args:
             signals: Signals of the controller.

@@ -228,23 +228,25 @@ def part_meshes(part: Part | None) -> tuple[tuple[str, Mesh], ...]:
 
 
 def ruled_mesh(surface: RuledSurface) -> Mesh:
-    """Triangulate a ruled surface between its rulings, with normals along tangent x ruling.
+    """Triangulate a ruled surface, with two triangles between adjacent rulings.
 
-    The vertices at corners are duplicated, so that smooth shading leaves a sharp edge there.
+    Their normals point along tangent x ruling. The vertices of rulings at corners are duplicated, so that
+    smooth shading leaves a sharp edge there. So are those of the first ruling of a closed surface, which is
+    also its last one.
     """
     ruling_indices = np.arange(len(surface.start))
     if surface.closed:
         ruling_indices = np.append(ruling_indices, 0)
     corner = surface.corner[ruling_indices]
-    # Both neighbours of a ruling share it, but a ruling at a corner has a copy for each of them.
-    strip_rulings = np.repeat(ruling_indices, np.where(corner, 2, 1))
+    # The strips on both sides of a ruling share it, but at a corner each of them has a copy of its own.
+    copied_rulings = np.repeat(ruling_indices, np.where(corner, 2, 1))
     last_copy = np.cumsum(np.where(corner, 2, 1)) - 1
     # Each strip goes from the last copy of its ruling to the first copy of the next one.
-    a, b = last_copy[:-1], last_copy[1:] - np.where(corner[1:], 1, 0)
-    vertices = np.stack([surface.start[strip_rulings], surface.end[strip_rulings]], axis=1).reshape(-1, 3)
-    faces = np.concatenate(
-        [np.stack([2 * a, 2 * b, 2 * b + 1], axis=1), np.stack([2 * a, 2 * b + 1, 2 * a + 1], axis=1)]
-    )
+    from_copy, to_copy = last_copy[:-1], last_copy[1:] - np.where(corner[1:], 1, 0)
+    vertices = np.stack([surface.start[copied_rulings], surface.end[copied_rulings]], axis=1).reshape(-1, 3)
+    # vertex 2 k is the start of the ruling with the copy k, and vertex 2 k + 1 its end
+    a, b = 2 * from_copy, 2 * to_copy
+    faces = np.concatenate([np.stack([a, b, b + 1], axis=1), np.stack([a, b + 1, a + 1], axis=1)])
     return Mesh(vertices, faces.astype(np.int64))
 
 
@@ -364,7 +366,11 @@ class RenderedImage:
 
 
 def render_items(camera: Camera, things: list[RenderItem]) -> RenderedImage:
-    """Render items on white, with shading, ambient occlusion, and ink lines at outlines and creases."""
+    """Render items on white, with shading, ambient occlusion, and ink lines at outlines and creases.
+
+    Glowing items are not darkened. The result has the colour, the depth [m] and the index of the item at each
+    pixel, -1 without an item.
+    """
     solids = [item.solid for item in things]
     owner = np.repeat(np.arange(len(solids)), [len(solid.faces) for solid in solids])
     starts = np.cumsum([0, *(len(solid.vertices) for solid in solids[:-1])])
@@ -434,7 +440,10 @@ def _occlusion(depth: FloatArray, camera: Camera) -> FloatArray:
 
 
 def _ink(depth: FloatArray, normal: NDArray[np.float32], thing: IntArray) -> FloatArray:
-    """Return a factor (h, w) that darkens pixels at steps of depth, changes of the item, and creases."""
+    """Return a factor (h, w) that draws ink lines: below 1 at steps of depth, edges of items, and creases.
+
+    The thresholds and strengths are chosen for the appearance.
+    """
     ink = np.zeros(depth.shape)
     filled = np.where(np.isfinite(depth), depth, 1e3).astype(np.float32)
     for axis in (0, 1):
@@ -474,7 +483,7 @@ def _resolve(
     """Find the nearest of F triangles at each pixel, from their projected corners (F, 3, 3).
 
     Returns the index of the face (h, w), -1 where empty, the weights of its corners (h, w, 3), and the depth
-    (h, w) [m]. Of triangles that are ``closed`` (F,) only the front is visible.
+    (h, w) [m]. A triangle of a closed body (``closed`` (F,)) is visible only from its front.
     """
     h, w = camera.height, camera.width
     depth = np.full(h * w, np.inf)
@@ -509,10 +518,11 @@ def _resolve(
 def _fill_triangles(
     corners: FloatArray, face_index: IntArray, x: IntArray, y: IntArray, buffers: _PixelBuffers
 ) -> None:
-    """Enter triangles into the buffers at those pixels where they are nearer than what is there.
+    """Draw triangles into the buffers, at the pixels where they are nearer than the triangle drawn before.
 
-    ``corners`` (T, 3, 3) are their projected corners, ``face_index`` (T,) their indices. The pixels to test
-    are at columns ``x`` (T, 1, n) and rows ``y`` (T, m, 1).
+    ``corners`` (T, 3, 3) are their projected corners: x, y [px] and depth [m]. ``face_index`` (T,) are their
+    indices among all triangles. The pixels to test are at columns ``x`` (T, 1, n) and rows ``y`` (T, m, 1).
+    With one triangle the first axes may have the length 1.
     """
     (h, w), depth = buffers.shape, buffers.depth
     px, py = x + 0.5, y + 0.5
@@ -534,6 +544,7 @@ def _fill_triangles(
     z = 1.0 / (wa + wb + wc)
     is_nearer = z < depth[pixel]
     pixel, z, t = pixel[is_nearer], z[is_nearer], t[is_nearer]
+    # several triangles of the batch may cover one pixel; only the nearest one is kept
     np.minimum.at(depth, pixel, z)
     is_nearest = depth[pixel] == z
     pixel, z, t = pixel[is_nearest], z[is_nearest], t[is_nearest]

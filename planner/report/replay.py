@@ -372,7 +372,7 @@ def _tips(problem: Problem, keyframes: Keyframes, poses: dict[str, FloatArray]) 
 def _view(
     model: CellModel, problem: Problem, keyframes: Keyframes, tips: dict[str, FloatArray]
 ) -> dict[str, Any]:
-    """Return what the view shows first and follows.
+    """Return the data with which the 3D view chooses its first view and follows the tools.
 
     ``work``: lower and upper corner [mm] of the box of block and tools in the first operation that works;
     ``turn`` and ``lift``: direction [rad] to the camera, across the line of the bases, or of base and block;
@@ -429,10 +429,11 @@ def _wire(builder: _ReplayData, keyframes: Keyframes) -> dict[str, Any] | None:
 
 
 def _add_cuts(builder: _ReplayData, problem: Problem, plan: Plan, keyframes: Keyframes, size: float) -> None:
-    """Add the surfaces that wires and cutters sweep in the block, or a rod along the path of another tool.
+    """Add the cuts to the replay: surfaces that wires and linear cutters sweep in the block, else rods.
 
-    The thickness of the rod follows from the ``size`` [m] of the view. In a later setup whose block has
-    another size, cuts are drawn within that block.
+    An operation without such a surface gets a rod along the path of its tool. The thickness of the rod
+    follows from the ``size`` [m] of the view. Cuts are also shown in later setups. If the block has another
+    size there, cuts are drawn only within that block.
     """
     blocks = [setup.stock for setup in problem.setups]
     for cut in keyframes.sweeps:

@@ -79,7 +79,9 @@ def is_available() -> bool:
 
 
 def rhino_bytes(items: Iterable[RhinoMesh | RhinoPolyline | RhinoTarget]) -> bytes:
-    """Return shapes, lines and targets as a 3DM file of Rhino 7, each on its layer.
+    """Return shapes, lines and targets as the content of a 3DM file of Rhino 7, each on its layer.
+
+    Ids and dates in the file are fixed, so that equal items give equal bytes.
 
     Args:
         items: Shapes, lines and targets. Their order determines the ids of the objects.
@@ -120,8 +122,10 @@ def rhino_bytes(items: Iterable[RhinoMesh | RhinoPolyline | RhinoTarget]) -> byt
 def set_fixed_dates(content: bytes) -> bytes:
     """Set the dates of creation and last edit of a 3DM file to 1 January 2000.
 
-    The file consists of openNURBS chunks: type, length and content, whose last four bytes may be a CRC-32
-    of the rest.
+    Equal plans thus give files with equal bytes. The dates are in the revision history chunk.
+
+    The file consists of openNURBS chunks: type, length and content. The last four bytes of the content may be
+    a CRC-32 of the rest. A short chunk has a value instead of a length, and no content.
 
     Args:
         content: File as rhino3dm writes it.
@@ -135,7 +139,7 @@ def set_fixed_dates(content: bytes) -> bytes:
         offset += _CHUNK.size
         if kind == _HISTORY:
             end = offset + length - _CRC.size
-            position = offset + 1  # after its version
+            position = offset + 1  # after the version of the chunk, one byte
             for _ in ("made", "edited"):  # name (length and UTF-16 letters), then date
                 position += 4 + 2 * int.from_bytes(out[position : position + 4], "little")
                 out[position : position + len(_TIME)] = _TIME
@@ -144,7 +148,8 @@ def set_fixed_dates(content: bytes) -> bytes:
                 break
             out[end : end + _CRC.size] = _CRC.pack(zlib.crc32(out[offset:end]))
             return bytes(out)
-        # a short chunk has no content, and the properties are entered, because they contain the history
+        # Skip the content of a chunk. A short chunk (_VALUE) has none. The properties are not skipped,
+        # because the history is one of the chunks in their content.
         if not kind & _VALUE and kind != _PROPERTIES:
             offset += length
     raise ValueError("rhino3dm wrote no revision history at its place in openNURBS files")

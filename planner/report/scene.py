@@ -559,10 +559,10 @@ class _HomingMotion:
 
 
 def sample_keyframes(problem: Problem, plan: Plan, keys: int) -> Keyframes:
-    """Sample a plan at keyframes, from home through all setups and operations and back to home.
+    """Sample a plan at keyframes for the replay, from home through all operations and back to home.
 
-    They are denser outside the work, where the motion is fast. Approach, retreat and changes of setup have no
-    clock in the plan, so that they are shown with times of the replay.
+    Keyframes are denser outside the work, where the motion is fast. Approach, retreat and changes of setup
+    have no times in the plan, so they get times that are chosen for the replay.
 
     Args:
         problem: Problem.
@@ -589,6 +589,7 @@ def sample_keyframes(problem: Problem, plan: Plan, keys: int) -> Keyframes:
             _add_setup_pause(samples, setup, index, joints)
         if travels:
             _add_travel(samples, travels[index], index, joints)
+        # Each group moves at once, one group after the other. The arms retreat in reverse order.
         one_by_one = [(arm,) for arm in operation.arm_order]
         entry_groups = [operation.arm_order] if "entry" in operation.synchronised else one_by_one
         exit_groups = [operation.arm_order] if "exit" in operation.synchronised else one_by_one[::-1]
@@ -763,7 +764,8 @@ def _interpolate_keyframes(
 ) -> Keyframes:
     """Interpolate the samples, taken at times ``sampled`` (S,) [s], at the ``times`` (T,) [s] of keyframes.
 
-    Segment and operation are those of the later sample, except at the time of a sample.
+    Between two samples, segment and operation are those of the later one. At the time of a sample they are
+    those of that sample.
     """
     later = np.clip(np.searchsorted(sampled, times, side="right"), 1, max(len(sampled) - 1, 1))
     later = np.minimum(later, len(sampled) - 1)

@@ -45,7 +45,10 @@ _CORNERS = (
 
 
 def tool_table(setup: Setup, plan: Plan) -> Block:
-    """Tabulate tool, TCP on the flange and base in the world of each arm, and unconfirmed robot data."""
+    """Return three tables: tools, frames, and robot data that are assumed or not confirmed.
+
+    The frames of each arm are its TCP in the flange frame and its base in the world.
+    """
     rows, frames = [], []
     for arm in setup.cell.arms:
         robot = arm.data
@@ -147,15 +150,17 @@ def _support_text(setup: Setup, stock_pose: FloatArray) -> str:
 
 
 def _relative_to_bases(setup: Setup, plan: Plan) -> list[SetupRow]:
-    """Return a bottom corner of the block, and the angle of its edges, in the frame of each base."""
+    """Return where the block is in the frame of each base: a bottom corner, and the angle of its edges."""
     stock, stock_pose = setup.stock, np.asarray(plan.stock_poses[setup.number - 1])
     out: list[SetupRow] = []
     for arm in setup.cell.arms:
         base = np.asarray(plan.bases.get(arm.name, arm.base))
         in_base = np.linalg.inv(base) @ stock_pose
         corner = (in_base @ np.append(stock.lower, 1.0))[:3]
+        # x axis of the block in plan, or its y axis if the block is tilted so that x is nearly vertical
         along = in_base[:2, 0] if np.linalg.norm(in_base[:2, 0]) > 0.5 else in_base[:2, 1]
         angle = float(np.arctan2(along[1], along[0])) / DEG
+        # deviation from the nearest multiple of 90 deg
         deviation = abs((angle + 45.0) % 90.0 - 45.0)
         edges = (
             "parallel to the base"
@@ -186,7 +191,9 @@ def _grip_rows(stock: Stock) -> list[SetupRow]:
 
 
 def measured_points(setup: Setup, plan: Plan, operation: int) -> TableBlock:
-    """Tabulate TCPs at the first target and corners of the block, with space for measured values.
+    """Tabulate points to measure before the first run, with space to fill in the measured values.
+
+    These are the TCP of each arm at the first target of an operation, and corners of the block.
 
     Args:
         setup: Setup.
@@ -229,9 +236,9 @@ _CHECK_COLUMNS = ("controller", "what", "required", "done")
 
 
 def controller_checks(problem: Problem, plan: Plan) -> TableBlock:
-    """Return a table of checks to tick off, for each controller of the arms that take part.
+    """Return the table of checks to tick off before the first run, for the controllers of all used arms.
 
-    Arms of one language are at one controller, unless controllers are synchronised by handshake.
+    Arms of one language share a controller. With synchronisation by handshake each arm has its own.
     """
     used = {name for operation in plan.operations for name in operation.targets.arms}
     arms = [arm for arm in problem.cell.arms if arm.name in used]
@@ -268,7 +275,11 @@ def _check_rows(arms: Sequence[Arm], checks: Sequence[ControllerCheck]) -> list[
 
 
 def _sag_checks(arm: Arm, language: ReportOfLanguage) -> list[ControllerCheck]:
-    """Return whether program or controller compensates the sag of an arm (never both), and its stiffness."""
+    """Return the checks for an arm whose program compensates sag, or none for other arms.
+
+    The load compensation of the controller has to be off if the program compensates the sag from the load, so
+    that it is not compensated twice. The second check states the stiffness of the joints.
+    """
     if arm.sag is None or arm.stiffness is None:
         return []
     compensation_name = language.load_compensation
@@ -364,7 +375,10 @@ def _held_stock_claim(setup: Setup, plan: Plan) -> HoldsStock | None:
 def _work_facts(
     problem: Problem, setup: Setup, plan: Plan, operation: OperationPlan, proof: Proof | None
 ) -> FactsBlock:
-    """Return facts about an operation: from its process and exhibits, signals, waits, and programs."""
+    """Return the facts about an operation for the setup sheet.
+
+    They come from processes and exhibits. Signals, the total waiting time, programs and wires are added.
+    """
     targets = operation.targets
     items: list[SetupRow] = []
     for process in process_reports(problem):

@@ -133,7 +133,7 @@ def load(reference: Reference, kind: type[T]) -> T:
     """Import the object of a reference, and check its type.
 
     Args:
-        reference: Module and object.
+        reference: Module and object, as ``module:object``.
         kind: Required type of the object.
 
     Raises:

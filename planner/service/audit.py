@@ -175,6 +175,7 @@ def _rows(
 
 
 def _entry_model(row: RowMapping) -> AuditOut:
+    """Convert a database row of the audit log to its API model."""
     details = json.loads(row["about"])
     return AuditOut(
         number=row["number"],

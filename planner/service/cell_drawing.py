@@ -215,6 +215,7 @@ def _movables(problem: Problem, setup: Setup, model: CellModel) -> list[dict[str
         Fields of :class:`planner.service.cell_models.CellMove`, one dictionary for each.
     """
     out = []
+    # the field stock.place is the pose in the first setup
     if setup.number == 1 and setup.stock.held_by is None:
         fields = [_field("stock.place", model.stock_pose)]
         out.append(
@@ -317,7 +318,7 @@ def _body(name: str, kind: str, color: tuple[float, ...] | None, meshes: Sequenc
 def _targets(
     sampled: _SampledOperation, home: Mapping[str, FloatArray]
 ) -> tuple[dict[str, Any], dict[str, FloatArray]]:
-    """Find a posture for each sampled target.
+    """Find a posture of the arms for each sampled target, and describe the targets for the drawing.
 
     Args:
         sampled: Operation with its sampled targets.
@@ -429,10 +430,11 @@ def _plan_path_fields(
     freedom_map: freedom_ranges.ReachableFreedomMap,
     plan: Plan | None,
 ) -> dict[str, Any]:
-    """Return the values that a plan gave to the freedom of a map, at the sampled targets.
+    """Return the values that a plan gave to the freedom of a map, as the line that is drawn over the map.
 
-    The field ``path`` has None at targets that are missing in the plan. The result is empty if there is no
-    plan, if poses of targets with equal names differ, or if the plan contains none of the values.
+    The field ``path`` has one value for each sampled target, in the display unit, and None at targets that
+    are missing in the plan. The result is empty if there is no plan of this operation, if poses of targets
+    with equal names differ, or if the plan contains none of the values.
     """
     if plan is None or operation >= len(plan.operations):
         return {}

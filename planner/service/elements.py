@@ -332,7 +332,10 @@ class ElementStore:
         reading: UploadReading,
         idempotency_key: IdempotencyKey | None = None,
     ) -> Pieces[list[JobOut]]:
-        """Plan panels and raw-block jobs. The plan of an adjacent panel is the reference plan.
+        """Plan panels and raw-block jobs: create a job for each, all or none.
+
+        The plan of an adjacent panel becomes the reference plan of a panel, if that panel has one or gets a
+        job now. The result is empty if there is nothing to plan.
 
         Args:
             owner: Token.
@@ -350,6 +353,7 @@ class ElementStore:
         with self._database.read() as db:
             last_jobs = element_problems.last_jobs(db, element)
         panels = [str(row["id"]) for row in data["panels"]]
+        # a row with "cut_in" is a panel that is cut in the job of a raw block, together with others
         has_own_job = {str(row["id"]): "cut_in" not in row for row in data["panels"]}
         has_own_job |= dict.fromkeys(progress.block_jobs(data), True)
         panel_ids = _selected_ids(has_own_job, last_jobs, chosen)
@@ -391,8 +395,8 @@ class ElementStore:
     ) -> ElementReleases:
         """Release the programs of panels and of raw-block jobs in one act.
 
-        Released are those that are proven, not released yet, and still as they were shown. The others are
-        listed as refused.
+        A job is released if it is proven, not released yet, and still as it was shown. The others are listed
+        as refused.
 
         Args:
             element: Id of the element.
@@ -402,7 +406,8 @@ class ElementStore:
             note: Note for the audit log.
 
         Raises:
-            RefusedError: 404, 409 if none can be released, 422 if an id has no own job.
+            RefusedError: 404, 409 if none can be released, 422 if an id has no own job, because it is unknown
+                or its panel is cut in another job.
         """
         _, files = self._divided_files(element)
         with self._database.read() as db:
@@ -517,7 +522,9 @@ class ElementStore:
             put_files(db, element, {MARKS_FILE: self._service.storage.put(owner, [progress_file])[0]})
 
     def report(self, owner: str, element: str, idempotency_key: IdempotencyKey | None = None) -> JobOut:
-        """Create the job that reports on the planned panels.
+        """Create the job that reports on all planned panels of an element whose jobs have ended.
+
+        The previous report is deleted if it has ended.
 
         Args:
             owner: Token.
@@ -525,7 +532,7 @@ class ElementStore:
             idempotency_key: Idempotency key, or None.
 
         Raises:
-            RefusedError: 404, 422, 429 or 507.
+            RefusedError: 404 if there is no such panel, 422, 429 or 507.
         """
         name, files = self._divided_files(element)
         with self._database.write() as db:

@@ -45,7 +45,10 @@ class Estimates:
         self._known: dict[tuple[str, ...], tuple[float, int, dict[str, float]]] = {}
 
     def estimate(self, job: JobOut, owners: Sequence[str], now: float) -> EstimateOut:
-        """Estimate the remaining time of a job.
+        """Estimate the remaining time of a job from the median stage times of similar jobs.
+
+        Stages before the present one count with their medians. The rest of the present stage is the larger of
+        two estimates: its median minus the time spent in it, and its median times the fraction that is left.
 
         Args:
             job: Job.

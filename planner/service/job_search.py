@@ -126,13 +126,20 @@ def page_cursor(order: JobOrder, row: RowMapping) -> str:
 
 
 def _after_cursor(order: JobOrder, cursor: str) -> ColumnElement[bool]:
-    """Return the condition for jobs after a :func:`page_cursor` in a list of the same order."""
+    """Return the condition for jobs after a :func:`page_cursor` in a list of the same order.
+
+    Cursors of lists by title contain "~", those of other orders do not.
+
+    Raises:
+        RefusedError: 422, the cursor is invalid or belongs to a list with another order.
+    """
     if ("~" in cursor) != (order == "title"):
         message = "cursor: belongs to a list with another order. Start from the first page."
         raise RefusedError(422, Issue("service.request", message, field="cursor"))
     if order == "title":
         encoded_label, job_id = cursor.split("~")
         try:
+            # page_cursor strips the padding; "=" * (-n % 4) fills up to a multiple of four characters
             label = base64.urlsafe_b64decode(encoded_label + "=" * (-len(encoded_label) % 4)).decode()
         except ValueError as error:
             message = "cursor: is invalid. Start from the first page."
@@ -165,12 +172,16 @@ def older_than_cursor(
 
 
 def cursor_of(time: float, row_id: str) -> str:
-    """Return the cursor of a list that is ordered by a time or a turn.
+    """Return the cursor of a page, with which the client requests the next page.
+
+    It identifies the last row of the page in a list that is ordered by a time or a turn, then by id. Its form
+    is "TIME-ID". A turn is a number [s] that orders queued jobs.
 
     Args:
-        time: Time [s] or turn of the last row.
+        time: Time [s since 1970] or turn of the last row.
         row_id: Id of the last row.
     """
+    # !r keeps all digits, so that the row is found exactly
     return f"{time!r}-{row_id}"
 
 

@@ -493,7 +493,7 @@ class Jobs:
         return int(db.execute(select(func.count()).select_from(JOBS).where(earlier)).scalar_one())
 
     def _check_limits(self, db: Connection, new: Sequence[NewJob]) -> None:
-        """Check that an owner may store new jobs."""
+        """Check that an owner may store new jobs: the number of open jobs, and the number of all jobs."""
         owner = new[0].owner
         self._check_open_limit(db, owner, sum(new_job.of is None for new_job in new))
         count_query = select(func.count()).select_from(JOBS).where(JOBS.c.owner == owner)

@@ -99,8 +99,8 @@ class Releases:
     ) -> tuple[dict[str, ReleaseOut], dict[str, RefusedError]]:
         """Release the programs of panels of an element in one act of one person.
 
-        Released are those that are as they were shown, proven, not released yet, and whose job is still the
-        last one.
+        A panel is released if its job is proven, not released yet, as it was shown, and still the last job of
+        the panel. The others are refused one by one.
 
         Args:
             element: Id of the element.
@@ -114,7 +114,7 @@ class Releases:
             Releases, and refusals, by panel.
 
         Raises:
-            RefusedError: 422.
+            RefusedError: 422 if the name of the person is missing, or differs from that of the token.
         """
         person = _responsible_person(principal, name)
         verified: dict[str, _VerifiedJob] = {}

@@ -623,6 +623,7 @@ class _RequestBody:
         self.ended = False
 
     async def __call__(self) -> Message:
+        """Receive the next part of the body, or a disconnection if the client sends too slowly."""
         if self.ended:  # the next message is the disconnection
             return await self._receive()
         now = time.monotonic()
@@ -720,11 +721,14 @@ class RequestGuard:
     def _limit_body(self, headers: Headers, receive: Receive) -> Receive:
         """Return a function that receives the body and refuses it as soon as it is too large.
 
+        The returned function raises the same error if more bytes arrive than are allowed.
+
         Raises:
             RefusedError: 413, the declared length is too large.
         """
         allowed = int(self._limit_mb * MB)
         declared_length = headers.get("content-length", "0")
+        # 20 digits suffice: int() refuses numbers of thousands of digits, which a client may send
         if declared_length.isdecimal() and int(declared_length[:20]) > allowed:
             raise too_large("the upload", self._limit_mb)
         received = 0

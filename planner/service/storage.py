@@ -494,7 +494,9 @@ async def store_uploads(
 def _sort_form(
     form: FormData, limits: ServiceLimits, max_problems: int
 ) -> tuple[dict[str, UploadFile | str], dict[str, UploadFile]]:
-    """Return the problems and the files of a form, by their names. Text fields are problems without a name.
+    """Check the parts of an upload form, and return its problems and its files, each by name.
+
+    A problem may be a text field, which has no name. It is then called "problem N", with N from 1.
 
     Raises:
         RefusedError: 422 with all faults of the form, or 413, a mesh is too large.

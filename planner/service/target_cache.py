@@ -91,6 +91,7 @@ def cached_targets_maker(cache: FileCache, problem: Problem, accept_equivalent: 
     exact_key, equivalence_key = problem.digest, equivalence_digest(problem)
 
     def make(index: int, job: Job[Any]) -> Targets:
+        # names of the cached targets of this operation: complete ones, and brief ones of a quick check
         full_names = [f"{exact_key}-{index}", f"{equivalence_key}-{index}"]
         brief_name = f"{equivalence_key}-{index}-brief"
         for name in full_names if accept_equivalent else full_names[:1]:

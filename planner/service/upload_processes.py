@@ -308,6 +308,7 @@ class ReaderPool:
         return reader
 
     def _start_process(self) -> UploadReader:
+        """Start the process of a reader, and forget readers that have ended."""
         self._all = {reader for reader in self._all if reader.alive}
         process = subprocess.Popen(
             [
@@ -385,7 +386,12 @@ def _from_json(data: dict[str, Any]) -> ReadingResult:
 
 
 def serve() -> None:
-    """Fork a reader, and another one whenever it is killed, until standard input ends."""
+    """Keep one reader process until standard input ends: fork it, and fork another whenever it is killed.
+
+    The parent has imported the heavy modules, so that a new reader starts at once. The program's arguments
+    are the id of the service's process, and the memory limit [MB]. SIGUSR1 makes the parent import Drake for
+    the next readers, SIGUSR2 makes it kill the present reader.
+    """
     from planner.runtime.second_process import exit_with_parent
     from planner.service import upload_reader  # noqa: F401
 
@@ -454,7 +460,10 @@ def _import_drake(*_: object) -> None:
 
 
 def _serve_requests(answers: TextIO) -> None:
-    """Answer requests from standard input until it ends."""
+    """Answer requests to read uploads from standard input until it ends.
+
+    A request is a line with a number and JSON text. Its answer is a line with this number and the results.
+    """
     from planner.cell import plant
     from planner.service.upload_reader import examine, examine_element, examine_panels
 

@@ -298,7 +298,9 @@ def tool_paths(problem: Problem) -> tuple[list[tuple[str, Mesh]], list[Issue]]:
 
 
 def path_bars(positions: FloatArray, width: float) -> Mesh:
-    """Return bars with a square section between successive positions. Equal positions give none.
+    """Return a tool path as a mesh of bars with a square section between successive positions.
+
+    At most ``MAX_BARS`` bars are drawn. Equal successive positions give none.
 
     Args:
         positions: Positions (N, 3) [m].
@@ -445,9 +447,10 @@ def _stl_size(path: Path) -> MeshSize:
 
 
 def _glb_size(path: Path) -> MeshSize:
-    """Count in the JSON header of a GLB file. Meshes with several instances count once.
+    """Return the numbers of facets and vertices in the JSON header of a GLB file, to refuse large meshes.
 
-    A primitive without indices has a corner for each vertex. Three corners are a triangle.
+    Meshes with several instances count once. Both numbers are 0 if the header cannot be read. A primitive
+    without indices has a corner for each vertex. Three corners are a triangle.
     """
     with path.open("rb") as stream:
         length = int.from_bytes(stream.read(16)[12:16], "little")
@@ -467,9 +470,10 @@ def _glb_size(path: Path) -> MeshSize:
 
 
 def _size_of_3mf(path: Path) -> MeshSize:
-    """Count in a 3MF file as it is unpacked.
+    """Return the numbers of facets and vertices of a 3MF file, to refuse large meshes.
 
-    A file that unpacks to more than `MAX_UNPACKED_BYTES` counts as that many.
+    The tags are counted while the file is unpacked. Both numbers are 0 if it cannot be unpacked. A file that
+    unpacks to more than `MAX_UNPACKED_BYTES` counts as that many.
     """
     facets = vertices = 0
     try:
@@ -491,10 +495,11 @@ def _size_of_3mf(path: Path) -> MeshSize:
 
 
 def _ply_size(path: Path) -> MeshSize:
-    """Count in a PLY file by the counts in its header, and by its corners if faces may be polygons.
+    """Return the numbers of facets and vertices of a PLY file without reading its mesh, to refuse large ones.
 
-    Corners are counted if the faces come last and have a single list. Otherwise the counts of the header are
-    returned.
+    The header states the numbers of faces and vertices. Faces may be polygons, which count as several
+    triangles. Their number follows from the number of corners if the faces come last in the file and have a
+    single list. Otherwise each face of the header counts as one.
     """
     with path.open("rb") as stream:
         header, has_end, _ = stream.read(MAX_PLY_HEADER_BYTES).partition(b"end_header")
@@ -604,7 +609,7 @@ ARCHIVE_MAGIC: Final = (
 The mark of tar is further on.
 """
 TAR_MAGIC: Final = slice(257, 262)
-"""Position of the mark of a tar file."""
+"""Slice of the first bytes of a tar file that contains ``ustar``."""
 
 
 def examine(
@@ -872,12 +877,15 @@ def _remaining_issues(document: Document) -> list[Issue]:
 
 
 def _archive_issues(uploads: Mapping[str, Path]) -> Iterator[Issue]:
-    """Yield an issue for each upload that is an archive, by its first bytes. 3MF meshes are allowed."""
+    """Yield an issue for each upload that is an archive, which its first bytes show.
+
+    3MF meshes, which are archives, are allowed.
+    """
     for name, path in uploads.items():
         with path.open("rb") as stream:
             head = stream.read(512)
         if Path(base_name(name)).suffix.lower() == ".3mf" and zipfile.is_zipfile(path):
-            continue  # a mesh, whose size is checked below
+            continue  # a mesh, whose size :func:`_large_mesh_issues` checks
         if head.startswith(ARCHIVE_MAGIC) or head[TAR_MAGIC] == b"ustar":
             message = format_message("service.archive", file=name[:80])
             yield Issue("service.archive", message, file=name, field="files")

@@ -23,7 +23,7 @@ def bisect(
     size_at: Callable[[FloatArray], FloatArray],
     middle: Callable[[FloatArray, FloatArray, IntArray], FloatArray],
 ) -> tuple[FloatArray, IntArray, IntArray]:
-    """Bisect triangles until none has an edge longer than allowed.
+    """Bisect triangles until none has an edge longer than allowed, in at most `MAX_ROUNDS` rounds.
 
     Args:
         nodes: Nodes (n, d); the first three of the d values are x, y, z [m].
@@ -72,7 +72,9 @@ def bisect(
 def _split_triangles(
     triangles: IntArray, edge: IntArray, first: IntArray, cut: BoolArray, new: IntArray
 ) -> tuple[IntArray, IntArray]:
-    """Split triangles (m, 3) at cut edges.
+    """Split triangles (m, 3) at cut edges into two to four parts. Uncut triangles are kept.
+
+    If any edge of a triangle is cut, its longest edge must be cut.
 
     Args:
         triangles: Node indices (m, 3).
@@ -86,6 +88,7 @@ def _split_triangles(
     """
     corner_order = (first[:, None] + np.arange(3)) % 3
     a, b, c = np.take_along_axis(triangles, corner_order, axis=1).T
+    # corners a, b, c start at the longest edge; ab, bc and ca are the new nodes on the edges, -1 if not cut
     ab, bc, ca = (np.where(cut[e], new[e], -1) for e in np.take_along_axis(edge, corner_order, axis=1).T)
     row = np.arange(len(triangles))
     out = [np.column_stack([a, b, c, row])[ab < 0]]

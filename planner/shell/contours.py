@@ -40,6 +40,9 @@ def _area(ring: FloatArray) -> float:
 def match_contours(outlines: list[FloatArray]) -> tuple[FloatArray, IntArray]:
     """Resample contours so that equal positions face each other, and find the lines of corners.
 
+    Rows of the mesh are interpolated between the resampled contours, and no triangle crosses a line of
+    corners.
+
     Each position is a mean of the nearest position on the previous contour and of even spacing, with weight
     `EVEN_WEIGHT`. Even spacing is needed where an arc grows out of a point. A corner takes the position of a
     nearby line of corners of previous contours.
@@ -65,6 +68,7 @@ def match_contours(outlines: list[FloatArray]) -> tuple[FloatArray, IntArray]:
             nearest_positions = np.asarray(nearest, dtype=np.float64)
             # positions increase around the contour; the first may be slightly below 0
             step = np.diff(nearest_positions, prepend=nearest_positions[0])
+            # full turns by which each position is ahead, to be subtracted
             turns = np.cumsum(np.round(step / POSITIONS_AROUND)) + np.round(
                 nearest_positions[0] / POSITIONS_AROUND
             )
@@ -76,6 +80,7 @@ def match_contours(outlines: list[FloatArray]) -> tuple[FloatArray, IntArray]:
         corner_position = np.interp(
             corner, np.append(fraction, 1.0), np.append(positions, positions[0] + POSITIONS_AROUND)
         )
+        # snap distance in positions: four times the mean gap to the previous contour, at least 4 positions
         snapped, lines = _snap_corners(corner_position, lines, max(snap_distance, 4.0))
         fractions = fraction
         if len(corner):
@@ -84,6 +89,7 @@ def match_contours(outlines: list[FloatArray]) -> tuple[FloatArray, IntArray]:
             positions = np.concatenate([positions + shift, snapped])
             order = np.argsort(fractions, kind="stable")
             fractions, positions = fractions[order], np.maximum.accumulate(positions[order])
+        # periodic continuation by one turn to both sides, then inversion: fraction at each integer position
         positions = np.concatenate([positions + POSITIONS_AROUND * turn for turn in (-1, 0, 1)])
         fractions = np.concatenate([fractions + turn for turn in (-1, 0, 1)])
         out.append(points_at(ring, along, np.interp(POSITIONS_AROUND * fraction, positions, fractions) % 1.0))

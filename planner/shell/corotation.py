@@ -68,7 +68,7 @@ class _Deformed:
     Attributes:
         frame: Axes (m, 3, 3), as in `Elements`.
         corner: Coordinates x2, x3, y3 (m, 3) [m], as in `Elements`.
-        turn: Rotation vectors (m, 3, 3) [rad] of the corners relative to the triangle.
+        turn: Rotation vectors (m, 3, 3) [rad] of the corners relative to the triangle, one row per corner.
         forces: Forces (m, 12) conjugate to the deformations [N, Nm].
     """
 
@@ -93,12 +93,18 @@ class Assembly:
         self.spring = spring
         self.free: IntArray = np.flatnonzero(free.reshape(-1))
         count = len(sheet.nodes)
+        # indices of the 18 freedoms of each triangle among all 6 n
         self._freedoms = (6 * sheet.triangles[:, :, None] + np.arange(6)).reshape(-1, 18)
         self._all = 6 * count
         self._build_pattern()
 
     def _build_pattern(self) -> None:
-        """Set up the sparsity pattern of the tangent, and where the entries of each triangle are added."""
+        """Set up the sparsity pattern of the tangent, and where the entries of each triangle are added.
+
+        The pattern does not change with the state, so it is computed once. Entries of fixed freedoms are left
+        out. Each diagonal entry is in the pattern, because springs are added there.
+        """
+        # number: index among the free freedoms, -1 if fixed; key: position in a dense matrix, by columns
         number = np.full(self._all, -1, dtype=np.int64)
         number[self.free] = np.arange(len(self.free))
         local = number[self._freedoms]
@@ -143,14 +149,14 @@ class Assembly:
         return self._assemble_forces(local, state), csc_array((values, self._rows, self._starts), shape=shape)
 
     def _assemble_forces(self, local: FloatArray, state: State) -> FloatArray:
-        """Return the sums (n, 6) at the nodes of the forces (m, 18) of triangles and of those of springs."""
+        """Return the sums (n, 6) [N, Nm] at each node of the forces (m, 18) of triangles and of springs."""
         freedoms, forces = self._freedoms.reshape(-1), local.reshape(-1)
         out = np.bincount(freedoms, weights=forces, minlength=self._all).astype(np.float64).reshape(-1, 6)
         out[:, :3] += self.spring * state.u
         return out
 
     def _deform(self, state: State) -> _Deformed:
-        """Return frames, deformations and conjugate forces of all triangles in a state.
+        """Return frames, deformations and forces of all triangles in a state, from which `_rates` follows.
 
         With R = frame rotation * node rotation * initial frame^T, the rotation vector is axial(R) * asin(s) /
         s, with s = |axial(R)| (Felippa and Haugen 2005).
@@ -186,10 +192,17 @@ class Assembly:
         )
 
     def _rates(self, deformed: _Deformed) -> FloatArray:
-        """Return the matrix (m, 15, 18) from displacements and spins of the corners to rates of deformations.
+        """Return the matrix (m, 15, 18) of each triangle from rates of its corners to those of deformations.
 
-        Displacements and spins are along the global axes. The rows are three stretches, the spins of corners
-        1 to 3 relative to the frame, and the spin of the frame. Spins are along the frame's axes.
+        Its first 12 rows map rates of the corners to rates of the deformations. Their transpose maps the
+        forces of the deformations to nodal forces, and the tangent is built from all rows.
+
+        A row multiplies the displacement rate and the spin (x, y, z of each) of corner 1, then of corners 2
+        and 3, all along the global axes. The rows give, along the axes of the triangle's frame:
+
+        - 0 to 2: rates of the stretches x2, x3, y3 (the matrix D),
+        - 3 to 11: spins of corners 1 to 3 relative to the frame (with D the matrix P),
+        - 12 to 14: spin of the frame (the matrix G).
         """
         frame = deformed.frame
         e1, e2, e3 = frame[:, 0], frame[:, 1], frame[:, 2]
@@ -205,7 +218,8 @@ class Assembly:
         spin[:, 1, 6:9] = -spin[:, 1, 0:3]
         spin[:, 2, 6:9] = e2 / x2
         spin[:, 2, 0:3] = -spin[:, 2, 6:9]
-        # D, the stretches: (e1.d_21, e1.d_31 + y3 w_z, e2.d_31 - x3 w_z)
+        # D, the stretches: (e1.d_21, e1.d_31 + y3 w_z, e2.d_31 - x3 w_z). The frame turns with side 1-2, so
+        # w_z changes the coordinates of corner 3.
         out[:, 1:2] = y3[:, None] * spin[:, 2:]
         out[:, 2:3] = -x3[:, None] * spin[:, 2:]
         out[:, 0, 6:9] += e1
@@ -222,7 +236,11 @@ class Assembly:
         return out
 
     def _conjugate_forces(self, deformed: _Deformed) -> FloatArray:
-        """Return forces (m, 12) conjugate to the rates: those of stretches, and moments over spins, H^T M."""
+        """Return the forces (m, 12) conjugate to the rates of the deformations (rows 0 to 11 of `_rates`).
+
+        Forces of stretches stay as they are. Moments M, which are conjugate to the rotation vectors, become
+        those conjugate to spins, H^T M, with H from `_spin_to_vector_rate`.
+        """
         out = deformed.forces.copy()
         moments = deformed.forces[:, 3:].reshape(-1, 3, 3)
         spin_moments = np.matmul(np.swapaxes(_spin_to_vector_rate(deformed.turn), 2, 3), moments[..., None])[
@@ -236,13 +254,14 @@ class Assembly:
     ) -> FloatArray:
         """Return the symmetric parts (m, 18, 18) of the tangents K = P^T C P + F G + G^T A D of triangles.
 
-        They are along the global axes.
+        A tangent is the derivative of a triangle's nodal forces and moments by displacements and spins of its
+        corners, all along the global axes. The module docstring explains the matrices.
 
         Args:
             deformed: Triangles in a state.
-            rates: Rates (m, 15, 18): P and G.
-            pulled: Forces (m, 12) conjugate to the rates: t.
-            force: Forces (m, 18) of the corners along the global axes: f.
+            rates: Rates (m, 15, 18): P and G, from `_rates`.
+            pulled: Forces (m, 12) conjugate to the rates: t, from `_conjugate_forces`.
+            force: Forces and moments (m, 18) of the corners along the global axes: f.
         """
         count = len(rates)
         x2, x3, y3 = deformed.corner.T
@@ -307,7 +326,7 @@ def _spin_coefficients(rotation_vector: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def _spin_to_vector_rate(rotation_vector: FloatArray) -> FloatArray:
-    """Return the matrix H (..., 3, 3) from spins to rates of rotation vectors (..., 3).
+    """Return the matrix H (..., 3, 3) from spins (angular velocities) to rates of rotation vectors (..., 3).
 
     H = 1 - skew/2 + eta skew^2 (Felippa and Haugen 2005).
     """

@@ -128,7 +128,10 @@ def frames(points: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def elements(sheet: ShellSheet) -> Elements:
-    """Compute frames and stiffness of all triangles of a sheet."""
+    """Compute frames and stiffness of all triangles of a sheet in its initial shape.
+
+    The stiffness combines a membrane with bending, over the 12 deformations of each triangle.
+    """
     frame, corner = frames(sheet.nodes[sheet.triangles])
     xy = np.zeros((len(corner), 3, 2))
     xy[:, 1, 0], xy[:, 2, 0], xy[:, 2, 1] = corner.T
@@ -340,7 +343,10 @@ def _area_gradients(xy: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _quadratic_slopes(point: tuple[float, float, float]) -> FloatArray:
-    """Return the derivatives (6, 3) of the quadratic shape functions by the area coordinates at a point."""
+    """Return the derivatives (6, 3) of the quadratic shape functions by the area coordinates at a point.
+
+    The functions belong to the corners 1 to 3, then to the middles of the sides 12, 23 and 31.
+    """
     out = np.zeros((6, 3))
     for corner in range(3):
         out[corner, corner] = 4.0 * point[corner] - 1.0

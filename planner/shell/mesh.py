@@ -170,7 +170,8 @@ def mesh_walls(
         if best is mesh and count > _ACCEPTED_FRACTION * triangles:
             break
         reason = f"allow about {count}"
-        # the number of triangles that refinement adds hardly depends on the size of the others
+        # count_unrefined: before refinement near the given points, which adds a number of triangles that
+        # hardly depends on the size of the others
         count_added = count - count_unrefined
         if count > triangles and count_added > _NEAR_SHARE * triangles:
             near_size = _LARGER_NEAR * max(near_size, MIN_SIZE_RATIO * size)
@@ -267,7 +268,8 @@ class _WallLayout:
     """Parts of a wall's mesh that do not depend on the element size.
 
     Attributes:
-        around: Matched contours (r, POSITIONS_AROUND, 3) [m].
+        around: Points (r, POSITIONS_AROUND, 3) [m] of the matched contours, from the outer edge inwards.
+            Points of equal index on adjacent contours belong together.
         corners: Positions (c,) of the lines of corners.
         fixed: Positions of given points that become nodes, by index of the contour.
         kept: Indices of the contours that become rows, ascending.
@@ -288,7 +290,10 @@ class _WallLayout:
 
     @functools.cached_property
     def accumulated_bend(self) -> FloatArray:
-        """Accumulated bend (r,) [rad] of the profile up to each contour, without kinks at kept contours."""
+        """Accumulated bend (r,) [rad] of the profile up to each contour, without kinks at kept contours.
+
+        Half of the bend at each contour counts for the band above it, half for the band below.
+        """
         down = np.diff(self.around, axis=0)
         slope = np.arctan2(-down[:, :, 2].mean(axis=1), lengths(down[:, :, :2]).mean(axis=1))
         bend = np.abs(np.diff(slope, prepend=slope[:1], append=slope[-1:]))
@@ -299,21 +304,22 @@ class _WallLayout:
         """Return points (n, 3) [m] of the wall by bilinear interpolation between contours and positions.
 
         Args:
-            reach: Distances (n,) [m] down the wall.
-            position: Positions (n,) around the wall.
+            reach: Distances (n,) [m] down the wall from its first contour, as :attr:`reach`.
+            position: Positions (n,) around the wall, as fractional indices along a contour. They may be
+                outside of the range of indices, because contours are closed.
         """
-        ring = np.clip(np.searchsorted(self.reach, reach, side="right") - 1, 0, max(len(self.reach) - 2, 0))
-        inner = np.minimum(ring + 1, len(self.reach) - 1)
-        step = np.where(inner > ring, self.reach[inner] - self.reach[ring], 1.0)
-        low = np.floor(position).astype(np.int64)
-        down = ((reach - self.reach[ring]) / step)[:, None]
-        along = (position - low)[:, None]
-        high = (low + 1) % POSITIONS_AROUND
-        low = low % POSITIONS_AROUND
-        outer = (1.0 - along) * self.around[ring, low] + along * self.around[ring, high]
-        return (1.0 - down) * outer + down * (
-            (1.0 - along) * self.around[inner, low] + along * self.around[inner, high]
-        )
+        # indices of the contours above and below each point, and of the positions to both sides of it
+        upper = np.clip(np.searchsorted(self.reach, reach, side="right") - 1, 0, max(len(self.reach) - 2, 0))
+        lower = np.minimum(upper + 1, len(self.reach) - 1)
+        step = np.where(lower > upper, self.reach[lower] - self.reach[upper], 1.0)
+        before = np.floor(position).astype(np.int64)
+        down = ((reach - self.reach[upper]) / step)[:, None]
+        along = (position - before)[:, None]
+        after = (before + 1) % POSITIONS_AROUND
+        before = before % POSITIONS_AROUND
+        on_upper = (1.0 - along) * self.around[upper, before] + along * self.around[upper, after]
+        on_lower = (1.0 - along) * self.around[lower, before] + along * self.around[lower, after]
+        return (1.0 - down) * on_upper + down * on_lower
 
 
 def _lay_out_region(
@@ -409,7 +415,8 @@ def _lay_out_wall(wall: _Outlines, given_points: Sequence[FloatArray]) -> _WallL
 def _rows(layout: _WallLayout, size: float) -> tuple[FloatArray, list[list[float]]]:
     """Return the distances (r,) [m] of the rows down the wall, and the positions of fixed nodes in each row.
 
-    The rows include the kept contours.
+    The rows include the kept contours. Between two of these, rows are evenly spaced in element sizes, and
+    closer where the profile bends more than `MAX_BEND_PER_ROW` per row. ``size`` is the element size [m].
     """
     reach = layout.reach
     distances, fixed = [reach[:1]], [layout.fixed.get(0, [])]
@@ -428,9 +435,10 @@ def _rows(layout: _WallLayout, size: float) -> tuple[FloatArray, list[list[float
 def _row_positions(row: FloatArray, ends: FloatArray, size: float) -> FloatArray:
     """Return ascending positions of the nodes of a row, with ``ends`` (e,) among them.
 
-    A row has at least 12 nodes, about ``size`` [m] apart. ``row`` are its points at all positions
-    (`POSITIONS_AROUND`, 3) [m].
+    The nodes of the row become corners of triangles. A row has at least 12 nodes, about ``size`` [m] apart.
+    ``row`` are its points at all positions (`POSITIONS_AROUND`, 3) [m].
     """
+    # arc length by position, twice around, because the part after the last end goes on to the first one
     along = along_contour(row)
     twice_around = np.concatenate([along[:-1], along + along[-1]])
     number = np.arange(len(twice_around))
@@ -503,7 +511,7 @@ class _MeshParts:
             return np.where(max_length < size, max_length, np.inf)
 
         self.size_at = size_at
-        self.even = tree is None
+        self.even = tree is None  # no refinement near given points
         self.walls: list[_WallLayout] = []
         self.nodes: list[FloatArray] = []
         self.triangles: list[IntArray] = []
@@ -551,7 +559,10 @@ class _MeshParts:
             return nodes, triangles, zones
 
         def middle(first: FloatArray, second: FloatArray, adjacent: IntArray) -> FloatArray:
-            """Return the middles of edges, on the surface of the wall if a triangle of a wall is adjacent."""
+            """Return the nodes (k, 6) in the middles of edges, as `bisect` expects it.
+
+            They are on the surface of the wall if a triangle of a wall is adjacent.
+            """
             new = 0.5 * (first + second)
             new[:, 3] = np.where((zones[adjacent] == WALL).any(axis=1), first[:, 3], -1)
             around = second[:, 5] - first[:, 5]
@@ -611,7 +622,7 @@ _FOLDS = "a wall folds over between two rows; add contours or allow more triangl
 
 
 def _folded(nodes: FloatArray, triangles: IntArray) -> BoolArray:
-    """Return whether each triangle (m,) is folded over: not counterclockwise as seen from above."""
+    """Return whether each triangle (m,) is folded over: clockwise or without area as seen from above."""
     a, b, c = (nodes[triangles[:, k], :2] for k in range(3))
     return np.asarray((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] <= 0.0)
 
@@ -626,7 +637,7 @@ _Rim = tuple[IntArray, FloatArray]
 
 
 def _add_wall(layout: _WallLayout, parts: _MeshParts) -> _Rim:
-    """Add a wall and its floor, and return the nodes of the wall's first row.
+    """Add a wall and its floor to a mesh, and return the nodes of the wall's first row.
 
     Raises:
         _UnfilledError: If elements of this size do not fit.
@@ -681,7 +692,19 @@ def _add_flat_region(
     zone: int,
     parts: _MeshParts,
 ) -> None:
-    """Add the triangles of a flat region between its outlines."""
+    """Add the nodes and triangles of a flat region between its outlines to a mesh.
+
+    Args:
+        outline: Outlines of the region, whose nodes already belong to the mesh.
+        flat: Height and given points of the region.
+        size_at: Function for the element sizes (d,) [m] at distances (d,) [m] from the walls on the region,
+            or from its rim if there are none.
+        zone: `FLANGE` or `FLOOR`.
+        parts: The mesh.
+
+    Raises:
+        _UnfilledError: If elements of this size do not fit.
+    """
     rim, tops = outline.rim, outline.tops
     numbers = np.concatenate([rim[0], *(number for number, _ in tops)])
     around = np.concatenate([rim[1], *(points for _, points in tops)])
@@ -733,8 +756,9 @@ def _fill(
 ) -> tuple[FloatArray, IntArray]:
     """Triangulate a flat region with rows around its holes, or along its rim if there are none.
 
-    Points keep enough distance from the rim that its edges are triangle edges. Delaunay triangles are kept if
-    they lie in the region, and their areas must add up to its area.
+    Rows of points are laid at growing distances until they leave the region. Points keep enough distance from
+    the rim that its edges are triangle edges. Delaunay triangles are kept if they lie in the region. Their
+    areas must add up to its area, and each point must belong to one.
 
     Args:
         region: Region within the outer rim.
@@ -769,6 +793,7 @@ def _fill(
         # where rows around several holes meet, the parts of the shape have holes, hence all rings
         rings = shapely.get_rings(shapely.get_parts(shape))
         loops = [shapely.get_coordinates(ring)[:-1] for ring in rings]
+        # every other row is shifted by half a step, as in equilateral triangles
         new = np.concatenate([_loop(loop, size, 0.5 * (row % 2)) for loop in loops])
         new = new[shapely.contains_xy(region, new[:, 0], new[:, 1])]
         new = new[~shapely.dwithin(border, shapely.points(new), _MIN_SPACING_RATIO * size)]
@@ -796,7 +821,10 @@ def _fill(
 
 
 def _loop(loop: FloatArray, size: float, shift: float) -> FloatArray:
-    """Return evenly spaced points (p, 2) [m] along a closed line, from ``shift`` steps after its start on."""
+    """Return evenly spaced points (p, 2) [m] along a closed line, from ``shift`` steps after its start on.
+
+    They are about ``size`` [m] apart. There are at least 3 points.
+    """
     along = np.concatenate([[0.0], np.cumsum(lengths(np.roll(loop, -1, axis=0) - loop))])
     count = max(3, round(along[-1] / size))
     query = (np.arange(count) + shift) / count * along[-1]

@@ -96,6 +96,8 @@ def clamped(sheet: ShellSheet, border: str | float) -> Supports:
 def column_weights(sheet: ShellSheet, centre: FloatArray, width: float) -> FloatArray:
     """Return weights (n,) with sum 1 that distribute a load equally to the nodes in a square seen from above.
 
+    The other nodes have the weight 0.
+
     Args:
         sheet: Sheet.
         centre: Centre [m]; x and y are used.
@@ -153,7 +155,7 @@ def pressure_weights(sheet: ShellSheet, centre: FloatArray, width: float) -> Flo
 
 
 def _plan_cross(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the cross products (n,) of vectors (n, 2)."""
+    """Return the cross products (n,) of vectors (n, 2): twice the signed areas of their triangles."""
     return np.asarray(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
 
 
@@ -309,7 +311,17 @@ class Loading:
     def _step(
         self, at: "_BalancedState", weights: FloatArray, base: FloatArray, added: FloatArray
     ) -> "_BalancedState | None":
-        """Return the equilibrium with a load ``added`` to ``base`` (3,) [N], or None if none is nearby."""
+        """Return the equilibrium with a load ``added`` to ``base`` (3,) [N], or None if none is nearby.
+
+        None is also returned if the sheet snapped through on the way: the result is unstable, or it has moved
+        too far or against the load.
+
+        Args:
+            at: State in equilibrium with ``base``.
+            weights: Weights (n,) of the nodes.
+            base: Current load (3,) [N].
+            added: Load that is added (3,) [N].
+        """
         load = np.zeros((len(weights), 6))
         load[:, :3] = weights[:, None] * (base + added)
         try:
@@ -331,7 +343,7 @@ class Loading:
     def _find_balance(self, at: "_BalancedState", load: FloatArray) -> "_BalancedState | None":
         """Solve for the equilibrium with ``load`` (n, 6) [N, Nm], from ``at``. None if the iteration fails.
 
-        The result has the factorised tangent of its own state.
+        It fails after `MAX_ITERATIONS`. The result has the factorised tangent of its own state.
 
         Raises:
             TooFarError: If a step is too long.
@@ -370,6 +382,9 @@ class Loading:
         self, state: State, step: FloatArray, residual: FloatArray, target: FloatArray
     ) -> tuple[float, State, FloatArray]:
         """Search for a fraction of a step after which the residual does little work along the step.
+
+        The full step is taken if the residual still does positive work after it. After `MAX_SEARCHES` trials
+        the last fraction is returned.
 
         Args:
             state: Start of the step.
@@ -435,7 +450,7 @@ class Loading:
         return step
 
     def _start(self, state: State) -> "_BalancedState":
-        """Return a state with its forces and the factorised tangent.
+        """Return a state with its forces and the factorised tangent, from which `_find_balance` starts.
 
         Raises:
             TooFarError: If the tangent is singular.

@@ -22,7 +22,8 @@ class OnFlange:
 
     Attributes:
         name: Name of the tool.
-        tcp: TCP (4, 4).
+        tcp: Tool centre point (TCP): frame (4, 4) of the tool in the flange frame, for which targets are
+            given.
         mass: Mass [kg].
         cog: Centre of gravity (3,) [m].
         shapes: Solids that must not touch anything.

@@ -21,15 +21,17 @@ KNIFE_DENSITY: Final = 2700.0
 
 @dataclasses.dataclass(frozen=True)
 class Blade:
-    """A plate in the plane of the tool's x and z axes, with its edge toward x.
+    """A plate in the plane of the tool's x and z axes, whose cutting edge faces x, the cutting direction.
 
-    The TCP is the front of its straight end. From there the edge rises and advances to the full width.
+    Seen from the side, the blade ends in a straight line along x: its end face, which is deepest in the
+    material. The TCP is the front corner of this end face. From there the cutting edge rises and advances
+    along a straight line (the ground part) until the blade has its full width; above that it is vertical.
 
     Attributes:
         thickness: Thickness [m] along the tool's y axis.
         width: Full width [m] along the tool's x axis.
-        end: Length [m] of the straight end along the tool's x axis.
-        ground: Height [m] over the end at which the blade reaches its full width.
+        end: Length [m] of the end face along the tool's x axis.
+        ground: Height [m] over the end face at which the blade reaches its full width.
         length: Length [m] of the part that sticks out of the knife's body.
     """
 
@@ -40,25 +42,37 @@ class Blade:
     length: float
 
     def front(self, height: FloatArray | float) -> FloatArray:
-        """Return how far [m] ahead of the TCP the edge is at some height [m] over its end."""
-        full = self.width - self.end
+        """Return the distance [m] of the cutting edge ahead of the TCP in the cutting direction.
+
+        It grows linearly with ``height`` [m], the height over the blade's end face, from 0 to its maximum at
+        the height ``ground``, and is constant above that.
+        """
+        max_advance = self.width - self.end
         fraction = (
             np.ones_like(height) if self.ground <= 0.0 else np.clip(np.divide(height, self.ground), 0, 1)
         )
-        return np.asarray(full * fraction)
+        return np.asarray(max_advance * fraction)
 
     @property
     def corners(self) -> FloatArray:
         """Corners (5, 2) [m] of the outline: distance ahead of the TCP, and height over it."""
-        full = self.width - self.end
+        max_advance = self.width - self.end
         return np.array(
-            [[-self.end, 0.0], [0.0, 0.0], [full, self.ground], [full, self.length], [-self.end, self.length]]
+            [
+                [-self.end, 0.0],
+                [0.0, 0.0],
+                [max_advance, self.ground],
+                [max_advance, self.length],
+                [-self.end, self.length],
+            ]
         )
 
 
 @dataclasses.dataclass(frozen=True)
 class Knife(OnFlange):
-    """A knife. Its TCP is the front of its blade's end: z out of the tool, x in the cutting direction.
+    """A knife. Its TCP is the front corner of the blade's end face, with z out of the tool and x forward.
+
+    Forward is the cutting direction.
 
     Attributes:
         blade: The blade.

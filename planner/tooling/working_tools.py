@@ -399,18 +399,24 @@ def _mill_solid(cutter: Cutter, tcp: FloatArray) -> Shape:
 def _masses_and_centres(cutter: Cutter, tcp: FloatArray, plate: Shape) -> tuple[FloatArray, FloatArray]:
     """Return masses (K,) [kg] and centres (K, 3) [m] in the flange frame of the K parts of a mill.
 
-    The parts are the plate on the flange, the cutter, the pieces of the holder and the spindle. All are taken
-    as steel, except for the spindle.
+    The parts are the plate on the flange, the cutter, the pieces of the holder and, as the last one, the
+    spindle. All are solid cylinders of steel, except for the spindle, which has a density of its own.
     """
-    masses = [np.pi * plate.size[0] ** 2 * plate.size[1] * STEEL_DENSITY]
+    plate_radius, plate_thickness = plate.size[0], plate.size[1]
+    masses = [np.pi * plate_radius**2 * plate_thickness * STEEL_DENSITY]
     centres = [plate.pose[:3, 3]]
+    # cylinders as (start, end, radius) [m]; start and end are distances behind the tip
     cylinders = [(0.0, cutter.overhang, max(cutter.radius, cutter.shank))]
     cylinders += [
-        (start[0], end[0], start[1])
-        for start, end in zip(cutter.holder_outline[::2], cutter.holder_outline[1::2], strict=True)
+        (start, end, radius)
+        for (start, radius), (end, _) in zip(
+            cutter.holder_outline[::2], cutter.holder_outline[1::2], strict=True
+        )
     ]
-    for k, (start, end, radius) in enumerate(cylinders):
-        density = SPINDLE_DENSITY if k == len(cylinders) - 1 else STEEL_DENSITY
+    spindle_index = len(cylinders) - 1
+    for index, (start, end, radius) in enumerate(cylinders):
+        density = SPINDLE_DENSITY if index == spindle_index else STEEL_DENSITY
         masses.append(np.pi * radius**2 * (end - start) * density)
+        # negative: the TCP is the tip, and its z axis points out of the tool
         centres.append((tcp @ pose_along_z(-0.5 * (start + end)))[:3, 3])
     return np.array(masses), np.array(centres)

@@ -19,7 +19,7 @@ _TERMS: Final = AxisTerms(
 
 
 def _checks(setup: ControllerSetup) -> list[ControllerCheck]:
-    """Rows on the configuration of one ABB controller, each with the item and its required state."""
+    """Return rows on the configuration of one ABB controller, each with the item and its required state."""
     problem, controller = setup.problem, setup.problem.cell.controller
     uses_handshake = controller.sync == "handshake"
     ending = "sys" if controller.robotware == 6 else "sysx"
@@ -62,7 +62,10 @@ def _checks(setup: ControllerSetup) -> list[ControllerCheck]:
 
 
 def _running_wire_checks(problem: Problem, arm: str) -> list[ControllerCheck]:
-    """Rows on the two running wires between the controllers: on which device bit each one is."""
+    """Return the rows on the two running wires between the controllers.
+
+    Each row states the device bit of the wire's signal at the controller of ``arm``.
+    """
     signals = problem.cell.controller.handshake.of(arm)
     interlock = problem.cell.controller.interlock
     connections = [
@@ -80,7 +83,10 @@ def _running_wire_checks(problem: Problem, arm: str) -> list[ControllerCheck]:
 
 
 def _rail_checks(arm: Arm, robot: str) -> list[ControllerCheck]:
-    """Rows on what the configuration (MOC.cfg) of a robot must contain for the linear axes that carry it."""
+    """Return rows of the setup sheet on the linear axes that carry a robot.
+
+    They state what the configuration (MOC.cfg) of the robot must contain.
+    """
     rows = list[ControllerCheck]()
     for rail in arm.linear_axes:
         direction = ", ".join(markup.fixed_decimals(float(value), 6) for value in rail.axis)
@@ -109,7 +115,7 @@ def _rail_checks(arm: Arm, robot: str) -> list[ControllerCheck]:
 
 
 def _turntable_unit_checks(table: Turntable) -> list[ControllerCheck]:
-    """Row on the mechanical unit of a turntable, with or without a tilt axis."""
+    """Return the row on the mechanical unit of a turntable, with or without a tilt axis."""
     column = f"number {table.column + 1} ({_axis_name(table.column)})"
     task = f"of the task of arm {table.arm}"
     description = f"present, one rotary axis, external axis {column} {task}, in deg"
@@ -120,12 +126,12 @@ def _turntable_unit_checks(table: Turntable) -> list[ControllerCheck]:
 
 
 def _axis_name(column: int) -> str:
-    """Name of an external axis in a jointtarget; ``column`` counts from 0."""
+    """Return the name of an external axis in a jointtarget; ``column`` counts from 0."""
     return f"eax_{'abcdef'[column]}"
 
 
 def _task_rows(problem: Problem, arms: Sequence[Arm]) -> list[SetupRow]:
-    """Row with the RAPID task of each of the given arms; none if the problem names no tasks."""
+    """Return a row with the RAPID task of each of the given arms, or no row if the problem names no tasks."""
     tasks = zip(problem.cell.arms, problem.cell.controller.tasks, strict=False)
     task_names = [f"{arm.name}: {task}" for arm, task in tasks if arm in arms]
     return [("tasks", ", ".join(task_names))] if task_names else []

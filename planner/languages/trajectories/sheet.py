@@ -10,7 +10,10 @@ from planner.report.plugin_contributions import ControllerCheck, ControllerSetup
 
 
 def _checks(setup: ControllerSetup) -> list[ControllerCheck]:
-    """Rows on the settings of the controller and of the runner, each with the item and its required state."""
+    """Return rows of the setup sheet on the settings of the controller and of the runner.
+
+    Each has the item and its required state.
+    """
     controller = setup.problem.cell.controller
     rows: list[ControllerCheck] = []
     names = [

@@ -17,7 +17,7 @@ _STANDARD_OUTPUTS: Final = 8
 
 
 def _checks(setup: ControllerSetup) -> list[ControllerCheck]:
-    """Rows on the settings of one UR controller, each with the item and its required state."""
+    """Return the rows on the settings of one UR controller, each with the item and its required state."""
     controller = setup.problem.cell.controller
     rows: list[ControllerCheck] = []
     arm = setup.arms[0].name
@@ -48,7 +48,10 @@ def _checks(setup: ControllerSetup) -> list[ControllerCheck]:
 
 
 def _torch_checks(signal: str) -> list[ControllerCheck]:
-    """Return the requirements on a UR controller so that a torch goes out at each stop and stays out."""
+    """Return the checks whether a torch goes out at each stop of a UR controller and stays out.
+
+    ``signal`` is the output of the torch. Each row has the test and its required result.
+    """
     return [
         (
             f"Stop, Pause, emergency stop, safeguard stop, protective stop, each while {signal} is on, "
@@ -116,7 +119,7 @@ def _joined_checks(controller: Controller, arm: str) -> list[ControllerCheck]:
 
 
 def _signal_name(number: int | None, kind: str) -> str:
-    """Return the name of a digital input or output, by number, at a UR controller."""
+    """Return the name of a digital input or output (``kind``) at a UR controller, "none" without a number."""
     if number is None:
         return "none"
     if number >= _STANDARD_OUTPUTS:

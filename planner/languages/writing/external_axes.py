@@ -84,10 +84,10 @@ def external_axis_values(arm: Arm, cell: Cell, values: Mapping[str, float]) -> E
 def axis_legs(
     start: ExternalAxisValues, end: ExternalAxisValues, arm: Arm, table: Turntable | None
 ) -> list[ExternalAxisValues]:
-    """Return the values of all external axes after each leg of their way from one station to another.
+    """Return the values of all external axes after each leg of the motion from one station to another.
 
-    In each leg one axis moves. The axes of a gantry move in the order of
-    :func:`planner.problem.motion_order`. The turn axis of a positioner moves before its tilt axis.
+    In each leg one axis moves; axes whose value does not change have no leg. The axes of a gantry move in the
+    order of :func:`planner.problem.motion_order`. The turn axis of a positioner moves before its tilt axis.
 
     Args:
         start: Values at the start.

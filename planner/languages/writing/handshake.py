@@ -40,11 +40,14 @@ _MULTIMOVE_HINT = "use one MultiMove controller for both arms (sync: multimove)"
 
 
 def meeting_rows(stop: BoolArray, every: int) -> BoolArray:
-    """Return after which moves the arms meet, (M,): at all stops, and every ``every`` moves in between.
+    """Return after which moves the arms meet, (M,).
+
+    They meet after each move that ends in a stop and, counted from the last stop, after every ``every``
+    moves.
 
     Args:
         stop: Whether each move ends in a stop, (M,).
-        every: Number of moves between two meetings.
+        every: Maximum number of moves from one meeting to the next.
     """
     index = np.arange(len(stop))
     first_after_stop = np.where(np.concatenate([[True], stop[:-1]]), index, 0) if len(stop) else index
@@ -57,7 +60,7 @@ def lengthen_for_stops(
 ) -> FloatArray:
     """Return the times (M,) [s] of moves with additional stops; longer times are rounded up as written.
 
-    The motion between stops is taken as a cubic in time. From stop to stop, a move over the distance 1 in the
+    Each move is taken as a cubic in time. From stop to stop, a move over the distance 1 in the
     time 1 has the maximum speed 3/2 and the maximum acceleration 6. With a stop at one end and the mean speed
     at the other these are 4/3 and 4.
 
@@ -67,6 +70,7 @@ def lengthen_for_stops(
         min_duration: Times at the maximum allowed speed, (M,) [s].
         steps: For each arm the joint steps (M, 6) divided by the allowed accelerations [s^2].
     """
+    # number of ends of each move (0, 1 or 2) at which the arm is at rest, index of the factors below
     stop_count = (
         stop.astype(np.int64) + np.concatenate([[True], stop[:-1]]) if len(stop) else np.zeros(0, np.int64)
     )
@@ -81,7 +85,11 @@ def lengthen_for_stops(
 
 
 def handshake_refusals(problem: Problem, targets_by_operation: Sequence[Targets]) -> tuple[Issue, ...]:
-    """Return issues of operations that fail if one arm is a move ahead (``post.handshake_process``).
+    """Return issues of operations that two controllers cannot do by handshake (``post.handshake_process``).
+
+    One arm may be a whole move ahead of the other. Three kinds of work do not allow that: a wire that joins
+    the arms; a block that one arm holds while the other works on it; and a minimum feed at a target at which
+    the arms stop to meet.
 
     Args:
         problem: The problem.
@@ -117,9 +125,11 @@ def handshake_refusals(problem: Problem, targets_by_operation: Sequence[Targets]
 
 
 def _first_stop_with_min_feed(targets: Targets, every: int) -> int | None:
-    """Return the first target at which the arms stop although a minimum feed is required; None if none.
+    """Return the index of the first target at which a stop of the arms conflicts with a minimum feed.
 
-    The arms stop where they meet, every ``every`` moves, and where one of them stands still.
+    The arms stop after every ``every`` moves, where they meet, and before and after a move in which one of
+    them stands still. The result is None if there is no conflict. Stops that the targets require themselves,
+    and the first and last target, do not count.
     """
     if len(targets.arms) < 2 or targets.run_up is None or targets.count < 3:
         return None

@@ -52,7 +52,8 @@ class JointMove:
         role: Role of the move: home, entry, start, exit or station.
         id: Number of the move in a synchronised block, in which all arms move at once; None if one arm moves
             alone.
-        axis_setpoint: Values of the external axes that its program moves, None if not stated yet.
+        axis_setpoint: Values of the external axes that its program moves. None before they are known, and for
+            an arm whose program moves none.
     """
 
     q: FloatArray
@@ -134,12 +135,15 @@ class CarryLoad:
 class MoveTable:
     """Moves of one arm in one operation, one for each target that is moved to.
 
+    The index of all arrays is that of the move. The first target of an operation has no move: the arm gets
+    there by a joint move.
+
     Attributes:
         position: Positions of the targets in the work frame, rounded as written, (M, 3) [mm].
         quaternion: Orientations in the work frame, rounded as written, with continuous signs, (M, 4).
         q: Joints of the serial chain at the targets, (M, 6) [rad].
         duration: Times of the moves, rounded as written, (M,) [s].
-        distance: Distances that the TCP moves, (M,) [mm].
+        distance: Straight distance from the previous target to that of each move, (M,) [mm].
         max_zone: Maximum distance of a zone at the target, (M,) [mm].
         max_zone_rotation: Maximum rotation of a zone at the target, (M,) [rad].
         frame: Name of the work frame.
@@ -184,8 +188,8 @@ class OperationProgram:
         moves: Moves of the arm, None for an arm that waits.
         ids: Numbers of the moves, (M,).
         stop: Whether each move ends in a stop, (M,).
-        meets: Number of the handshake meeting after each move, counted with all meetings of the job; 0 if
-            there is none after it, (M,).
+        meets: Number of the handshake meeting after each move, (M,), counted from 1 over the whole job; 0 if
+            no meeting follows the move.
         segments: Segment of each move.
         targets: Index in the plan of the target of each move, (M,).
         steps: Steps of the operation.
@@ -290,10 +294,11 @@ A hot wire or a burning arc would wait there for the next module.
 
 
 def split_points(program: OperationProgram) -> BoolArray:
-    """Return after which moves a program may be split, (M,).
+    """Return after which moves the moves of an operation may be split into two modules, (M,).
 
-    It may be split at stops, unless they are inside one cut, where a hot wire or an arc would wait. Stops at
-    which the arms meet by handshake are allowed also there.
+    They may be split after each stop, with one exception: a stop between two moves of the same cut or trim
+    segment, where a hot wire or an arc would wait for the next module. After a stop at which the arms meet by
+    handshake they may be split also there, because the arms wait at it anyway.
     """
     out = program.stop.copy()
     for i in np.flatnonzero(out[:-1] & (program.meets[:-1] == 0)):
@@ -337,10 +342,11 @@ def to_ascii(text: str) -> str:
 
 
 def segment_mark(segment: Segment) -> str:
-    """Return the label of a segment in programs without procedures.
+    """Return the text that names a segment in a program, from which the proof reads it.
 
-    A label with characters other than letters, digits, underscores and slashes is replaced by the key, which
-    is what programs can distinguish.
+    Languages without a procedure for each segment use it. The text is the label of the segment, such as
+    ``cut/wall`` or ``cut/wall_in``. If the label contains other characters than ASCII letters, digits,
+    underscores and slashes, the text is the key of the segment: the label in lower-case ASCII.
     """
     label = str(segment)
     return label if re.fullmatch(r"[\w/]+", label, re.ASCII) else segment.key
@@ -352,7 +358,10 @@ def is_question(step: TaskStep | None) -> bool:
 
 
 def question_follows(steps: Sequence[TaskStep]) -> bool:
-    """Return whether the first of the steps that is not a message is a question."""
+    """Return whether the steps start with a question, or with messages that a question follows directly.
+
+    The operator must read such messages before he answers.
+    """
     other_steps = (
         step for step in steps if not (isinstance(step, ActionStep) and step.action.kind == "message")
     )
@@ -381,16 +390,17 @@ def module_parts(
 
     Args:
         job: Programs of all tasks.
-        sizes: For each operation the sizes of its moves in the largest task, (M,) [bytes].
-        frame: Size of a part without its moves [bytes].
+        sizes: For each operation the size of each move in the task in which it is largest, (M,) [bytes].
+        frame: Size of a part without its moves, such as headers and settings [bytes].
         max_moves: Maximum number of moves of a module.
         max_bytes: Maximum size of a module [bytes].
 
     Returns:
-        The parts in the order in which they are executed; a segment that is split has several.
+        The parts in the order in which they are executed. A segment that is split has several parts.
 
     Raises:
-        TandemError: Too many moves in a row have no stop at which to split them (``post.no_split``).
+        TandemError: Moves between two positions at which a split is allowed do not fit into a module
+            (``post.no_split``).
     """
     out: list[ModulePart] = []
     packer = _ModulePacker(frame, max_moves, max_bytes)
@@ -399,6 +409,7 @@ def module_parts(
         program = next(program for program in programs if program.moves is not None)
         run_starts = [run.first for run in runs]
         max_move_size = max(1, int(max(sizes[number], default=1)))
+        # a quarter of a module at most, so that parts fill modules well
         min_part_moves = max(1, min(_MIN_PART_MOVES, max_moves // 4, max_bytes // (4 * max_move_size)))
         for first, end in _split_spans(runs, program, min_part_moves):
             packer.add(program, first, end, sizes[number][first:end])
@@ -482,13 +493,15 @@ class _ModulePacker:
         self.module, self.moves, self.bytes = 1, 0, frame
 
     def add(self, program: OperationProgram, first: int, last: int, sizes: IntArray) -> None:
-        """Add moves that must stay together to the current module, or to a new one if they do not fit.
+        """Add moves that must stay together to the current module, or to a new one if they do not fit there.
+
+        Their size includes ``frame`` for each of their segments.
 
         Args:
             program: The operation.
             first: Index of the first move.
             last: Index of the move after the last one.
-            sizes: Sizes of the moves, (M,) [bytes].
+            sizes: Sizes of the moves to add, (last - first,) [bytes].
 
         Raises:
             TandemError: The moves do not fit into any module (``post.no_split``).
@@ -516,7 +529,10 @@ class _ModulePacker:
 
 
 def _operation_runs(job: JobPrograms) -> list[list[SegmentRun]]:
-    """Return the runs of segments of each operation. All tasks that take part in it have the same ones."""
+    """Return the runs of segments of each operation.
+
+    They are those of one task with moves, because all tasks with moves in the operation have equal runs.
+    """
     out = []
     for programs in zip(*(task.operations for task in job.tasks), strict=True):
         moving = next(program for program in programs if program.moves is not None)
@@ -527,9 +543,19 @@ def _operation_runs(job: JobPrograms) -> list[list[SegmentRun]]:
 def _split_spans(
     runs: Sequence[SegmentRun], program: OperationProgram, min_moves: int
 ) -> list[tuple[int, int]]:
-    """Return the spans of moves (first, end) between the positions at which an operation is split.
+    """Return the spans of moves (first, end) of an operation that stay together in one module.
 
-    Inside a segment there are at least ``min_moves`` moves between two meetings that are used for a split.
+    An operation is split at all points of :func:`split_points` but some of those inside a segment, at which
+    the arms meet by handshake. Such a point is used only if the span before it has at least ``min_moves``
+    moves.
+
+    Args:
+        runs: Runs of the operation.
+        program: The operation, in a task with moves.
+        min_moves: Minimum number of moves of a span that ends inside a segment.
+
+    Returns:
+        Index of the first move of each span, and of the move after its last one.
     """
     if not runs:
         return []

@@ -37,7 +37,8 @@ def controller_refusals(problem: Problem, targets_by_operation: Sequence[Targets
     """Return the reasons why the controllers of this cell cannot do this job.
 
     These are, in this order: arms without a language (``post.language``), arms whose programs cannot run
-    together (``post.controller``), and the reasons of each language. Only the first kind found is returned.
+    together (``post.controller``), and the reasons of each language. Only issues of the first kind that
+    occurs are returned.
 
     Args:
         problem: The problem.
@@ -58,7 +59,12 @@ def controller_refusals(problem: Problem, targets_by_operation: Sequence[Targets
 
 
 def _mixed_arms_refusal(problem: Problem, arms: Sequence[Arm]) -> Issue | None:
-    """Return the reason why the programs of several arms cannot run in one job, or None if they can."""
+    """Return the reason why the programs of several arms cannot run in one job, or None if they can.
+
+    There are three reasons: one controller for all arms is required (sync: multimove), but the arms have
+    different languages or one that does not support it; the programs of a language do not meet those of
+    another controller; a language does not work together with others.
+    """
     sync, manufacturers, in_use = problem.cell.controller.sync, manufacturer_languages(), writers_in_use(arms)
     names = " and ".join(f"{arm.name} ({arm.robot})" for arm in arms)
     if sync == "multimove" and (len(in_use) > 1 or sync not in in_use[0].syncs):
@@ -173,7 +179,11 @@ def equal_names_issue(first: Segment, second: Segment) -> Issue:
 
 
 def _shared_segment_issues(problem: Problem, targets_by_operation: Sequence[Targets]) -> list[Issue]:
-    """Return issues of segments that two operations of one setup share, so that claims of both apply."""
+    """Return issues of segments that two operations of one setup share.
+
+    The claims of both operations would then apply to the moves of both. There is an issue if a claim names
+    the shared segment or the tool works in it.
+    """
     out: list[Issue] = []
     setups = [problem.setup_of(number).number for number in range(len(targets_by_operation))]
     for number, targets in enumerate(targets_by_operation):

@@ -121,7 +121,9 @@ JOINT_TOLERANCE_RAD = 1e-6
 
 
 def build_job(plan: Plan, problem: Problem) -> layout.JobPrograms:
-    """Return the steps of every task, with meetings and blocks numbered over the whole job.
+    """Return the steps of every task, from which the writers of all languages write the programs.
+
+    Meetings and synchronised blocks are numbered over the whole job.
 
     Args:
         plan: The plan.
@@ -199,7 +201,8 @@ class _Changeover:
 
     Attributes:
         loads: What arms carry from the start of the operation on, by arm.
-        travels: Travels of external axes before the operation, and after it, each by name of the axis.
+        travels: Travels of external axes by name of the axis: first those before the operation, then those
+            after it.
         closing: Setup after the operation, if external axes go home then.
     """
 
@@ -238,8 +241,10 @@ class _JobBuilder:
     ) -> dict[str, layout.OperationProgram]:
         """Return the programs of an operation, by arm: approach, work, retreat, and changes before and after.
 
+        Arms that do not take part in the operation get a program without moves, in which they wait.
+
         Args:
-            number: Index of the operation.
+            number: Index of the operation, from 0.
             plan: Plan of the operation.
             setup: Setup of the operation.
             stock_pose: Pose of the stock in the world, (4, 4) [m].
@@ -297,6 +302,7 @@ class _JobBuilder:
         # approach: all arms at once, or arm by arm in the planned order
         from_home = number > 0 or has_setup_steps
         if "entry" in plan.synchronised:
+            # in the first operation the arms may be anywhere, so each of them moves home first, alone
             for arm in () if from_home else plan.arm_order:
                 self._solo(arm, [layout.JointMove(homes[arm], "entry")], f"{arm} is at home")
             paths = {arm: (homes[arm], *plan.approach[arm], plan.q[arm][0]) for arm in plan.arm_order}
@@ -381,14 +387,29 @@ class _JobBuilder:
         )
 
     def _meet(self, reached: str, seconds: float = 0.0, by: str = "") -> None:
-        """Append a meeting of all arms; those other than ``by`` wait for it for ``seconds`` [s]."""
+        """Append a meeting of all arms, if there are several.
+
+        Args:
+            reached: State that holds after the meeting, as a clause.
+            seconds: Planned time [s] for which the other arms wait for ``by``.
+            by: Arm that acts alone before the meeting, "" for none.
+        """
         if len(self.arms) > 1:
             self.meets += 1
             for arm in self.arms:
                 self.steps[arm].append(layout.Meeting(self.meets, reached, 0.0 if arm == by else seconds))
 
     def _solo(self, arm: str, steps: Sequence[layout.TaskStep], reached: str, seconds: float = 0.0) -> None:
-        """Append steps of one arm, if any; at a meeting the others wait for them and ``seconds`` [s]."""
+        """Append steps that one arm executes alone, and a meeting at which the other arms wait for it.
+
+        Without steps nothing is appended, not even the meeting.
+
+        Args:
+            arm: Name of the arm.
+            steps: The steps.
+            reached: State that holds after the meeting, as a clause.
+            seconds: Planned time [s] of the steps, without that of waits in actions, which is added.
+        """
         if steps:
             self.steps[arm] += steps
             seconds += sum(step.action.seconds for step in steps if isinstance(step, layout.ActionStep))
@@ -397,16 +418,23 @@ class _JobBuilder:
     def _synchronised_move(
         self, paths: Mapping[str, Sequence[FloatArray]], role: str, last_role: str | None = None
     ) -> None:
-        """Append a synchronised block that moves all arms at once through their postures, from the first on.
+        """Append a synchronised block that moves all arms at once through their postures.
 
-        The last move has the role ``last_role``, if given. If consecutive postures are equal for all arms,
-        the later one counts. If no arm moves, there is no block.
+        The arms are at their first postures already, so there is no move to these. If all arms have equal
+        postures at two consecutive waypoints, the earlier waypoint is left out. If no arm moves, there is no
+        block.
+
+        Args:
+            paths: Postures (6,) [rad] of each arm; all arms have the same number.
+            role: Role of the moves.
+            last_role: Role of the last move, None for ``role``.
         """
         postures = np.stack([np.stack(paths[arm]) for arm in paths], axis=1)
         moves = np.abs(np.diff(postures, axis=0)).max(axis=(1, 2)) >= JOINT_TOLERANCE_RAD
         if not moves.any():
             return
         started = np.logical_or.accumulate(moves)
+        # drop waypoints before the first motion, and each one that the next one equals
         postures = postures[1:][started & np.append(moves[1:], True)]
         self.blocks += 1
         for k, arm in enumerate(paths):
@@ -418,9 +446,14 @@ class _JobBuilder:
             self.steps[arm] += [layout.SyncOn(self.blocks), *steps, layout.SyncOff(self.blocks)]
 
     def _actions(self, targets: Targets, row: int, keep: IntArray) -> None:
-        """Append the leading arm's actions at the target of move ``row``, and at dropped targets after it.
+        """Append the actions at the target of move ``row``, and at the targets after it without a move.
 
-        Move -1 stands for the first target of the operation.
+        The leading arm executes them: the first arm of the job that takes part in the operation.
+
+        Args:
+            targets: Targets of the operation.
+            row: Index of the move; -1 stands for the first target of the operation.
+            keep: Index of the target of each move, (M,).
         """
         first_target = keep[row] if row >= 0 else 0
         end_target = keep[row + 1] if row + 1 < len(keep) else targets.count
@@ -440,9 +473,19 @@ class _JobBuilder:
         meets: IntArray,
         duration: FloatArray,
     ) -> None:
-        """Append the moves to the targets ``keep``, interrupted by the actions at them.
+        """Append the moves of an operation, and between them the actions at their targets.
 
-        Nonzero ``meets`` (M,) mark moves after which the arms meet; they become the numbers of the meetings.
+        If several arms move, their moves between two actions are one synchronised block. If one arm moves,
+        the other arms wait for it at a meeting after each such sequence of moves.
+
+        Args:
+            number: Index of the operation, from 0.
+            targets: Targets of the operation.
+            keep: Index of the target of each move, (M,).
+            segments: Segment of each move.
+            meets: Nonzero for moves after which the arms meet by handshake, (M,). The entries are replaced by
+                the numbers of these meetings, in place.
+            duration: Times of the moves, (M,) [s].
         """
         together = len(targets.arms) > 1
         moves_before_actions = {
@@ -476,7 +519,10 @@ def _runs(
 
 
 def _joint_moves(postures: Sequence[FloatArray], role: str) -> list[layout.TaskStep]:
-    """Return joint moves to the postures in order; of two consecutive equal ones the later one counts."""
+    """Return joint moves to the postures, in order.
+
+    Of consecutive postures that are equal within the tolerance only the last one gets a move.
+    """
     steps: list[layout.TaskStep] = []
     previous: FloatArray | None = None
     for q in postures:
@@ -488,7 +534,12 @@ def _joint_moves(postures: Sequence[FloatArray], role: str) -> list[layout.TaskS
 
 
 def _check_plan(plan: OperationPlan, one_controller: bool) -> None:
-    """Raise `TandemError` if programs cannot express the times, joints, paths or actions of the plan."""
+    """Raise `TandemError` if programs cannot express the plan of an operation.
+
+    The reasons are: times or joints that are not finite or do not match the targets; an approach or retreat
+    of all arms at once without one controller for them or with different numbers of waypoints; an action at
+    no target, or at a target other than the first one at which the arms do not stop.
+    """
     targets = plan.targets
     issues = []
     arrays = [plan.time, *plan.q.values()]
@@ -562,15 +613,23 @@ def _written_poses(
 
 
 def _moved_targets(written: Mapping[str, tuple[FloatArray, FloatArray]]) -> IntArray:
-    """Return the indices of the targets that are moved to: not the first, nor those at which no arm moves."""
+    """Return the indices (M,) of the targets to which programs contain a move.
+
+    There is none to the first target, and none to a target whose written pose equals the previous one for all
+    arms.
+
+    Args:
+        written: Positions (N, 3) and quaternions (N, 4) of each arm at all targets, as written.
+    """
     moves = [np.any(np.diff(values, axis=0) != 0.0, axis=1) for pose in written.values() for values in pose]
     return np.flatnonzero(np.any(moves, axis=0)) + 1
 
 
 def _stops(targets: Targets, keep: IntArray) -> BoolArray:
-    """Return whether each move to a target ``keep`` ends in a stop, (M,). The last one does.
+    """Return whether each move ends in a stop, (M,).
 
-    A stop at a target that no move leads to applies to the move before it.
+    A move stops if its target is a stop, or a target after it to which no move leads. The last move always
+    stops. ``keep`` (M,) are the indices of the targets of the moves.
     """
     stop = np.zeros(len(keep), dtype=bool)
     for i in np.flatnonzero(targets.stop):
@@ -585,7 +644,11 @@ def _stops(targets: Targets, keep: IntArray) -> BoolArray:
 def _pause_stops(written: Sequence[tuple[FloatArray, FloatArray]], keep: IntArray) -> BoolArray:
     """Return whether each move must stop because an arm stands still in it or in the next one, (M,).
 
-    The arms of ``written`` cannot round a corner between a move and standing still.
+    Some controllers cannot round a corner between a move and a pause.
+
+    Args:
+        written: Positions (N, 3) [mm] and quaternions (N, 4) at all targets, of the arms that cannot.
+        keep: Index of the target of each move, (M,).
     """
     still = np.zeros(len(keep), dtype=bool)
     path_targets = np.concatenate([[0], keep])
@@ -598,8 +661,14 @@ def _pause_stops(written: Sequence[tuple[FloatArray, FloatArray]], keep: IntArra
 def _rotation_stops(written: Sequence[FloatArray], targets: Targets, keep: IntArray) -> BoolArray:
     """Return whether each move must stop because a TCP stands still in it or in the next one, (M,).
 
-    The corners of the arms of ``written`` (N, 3) [mm] are lengths on the path of the TCP, which then has no
-    length. Moves with a minimum feed do not stop.
+    Some languages state a corner as a length on the path of the TCP. This path has no length if the arm only
+    rotates about the TCP, so that no corner is possible. A move does not stop if it or the next one has a
+    minimum feed.
+
+    Args:
+        written: Positions (N, 3) [mm] at all targets, of the arms whose language states corners in this way.
+        targets: Targets of the operation.
+        keep: Index of the target of each move, (M,).
     """
     still = np.zeros(len(keep), dtype=bool)
     for position in written:
@@ -611,7 +680,10 @@ def _rotation_stops(written: Sequence[FloatArray], targets: Targets, keep: IntAr
 
 
 def _durations(plan: OperationPlan, keep: IntArray) -> FloatArray:
-    """Return the times (M,) [s], which must be positive, of the moves to the targets ``keep``, as written."""
+    """Return the planned times (M,) [s] of the moves to the targets ``keep`` (M,), rounded as written.
+
+    Raises `TandemError` if a time is not positive.
+    """
     clock = np.round(plan.time, layout.TIME_DECIMALS)
     duration = np.round(clock[keep] - clock[keep - 1], layout.TIME_DECIMALS)
     without_time = np.flatnonzero(duration <= 0.0)
@@ -645,7 +717,11 @@ def _lengthened(
     arms: Mapping[str, Arm],
     settings: Settings,
 ) -> FloatArray:
-    """Return the times (M,) [s] of the moves, longer than planned if there are more stops than planned."""
+    """Return the times (M,) [s] of the moves, lengthened for the stops that programs add to the plan.
+
+    No move gets shorter. Each time is long enough for the feed, the maximum TCP speed, and the allowed joint
+    accelerations of all arms, with the arms at rest at every stop.
+    """
     targets, keep = plan.targets, moves.targets
     with np.errstate(divide="ignore", invalid="ignore"):
         min_duration = np.where(targets.travel > 0.0, targets.travel / targets.feed, 0.0)
@@ -668,7 +744,16 @@ def _move_table(
     position: FloatArray,
     quaternion: FloatArray,
 ) -> layout.MoveTable:
-    """Return the moves of one arm; ``position`` (N, 3) [mm] and ``quaternion`` (N, 4) are at all targets."""
+    """Return the moves of one arm in an operation.
+
+    Args:
+        plan: Plan of the operation.
+        arm: The arm.
+        frame: Name of the work frame in which its moves are written.
+        moves: Moves of the operation.
+        position: Positions at all targets, as written, (N, 3) [mm].
+        quaternion: Orientations at all targets, as written, (N, 4).
+    """
     keep = moves.targets
     distance = np.linalg.norm(position[keep] - position[keep - 1], axis=1)
     path_targets = np.concatenate([[0], keep])

@@ -174,7 +174,11 @@ def _controller_files(job: JobPrograms, plan: Plan, problem: Problem) -> dict[st
 
 
 def _controller_groups(job: JobPrograms, sync: str) -> list[tuple[str, Sequence[TaskProgram]]]:
-    """Return the tasks of each controller, with the name of its folder."""
+    """Return the name of each controller's folder, and the tasks that run on the controller.
+
+    A MultiMove controller runs all tasks, and its folder is named after the first one. Otherwise each arm has
+    a controller of its own, and the folder has the arm's name.
+    """
     first = job.tasks[0]
     if sync == "multimove" and sync in writer_of(first.arm).syncs:
         return [(first.task, job.tasks)]

@@ -64,9 +64,10 @@ class GraphPath:
 
 
 def compute_steps(states: BranchStates, chain: Chain, grid: SampleGrid, speed: FloatArray) -> GraphSteps:
-    """Compute step durations and turn changes of one branch.
+    """Compute step durations and turn changes of one branch, from which :class:`LayeredGraph` is built.
 
-    States without turns (:meth:`BranchStates.without_turns`) get steps that ignore turns.
+    A step in which a joint changes by more than :data:`MAX_JOINT_STEP_RAD` takes an infinite time. States
+    without turns (:meth:`BranchStates.without_turns`) get steps that ignore turns.
 
     Args:
         states: States of the branch.
@@ -169,6 +170,7 @@ class LayeredGraph:
         # number of a node: sample * width + sum over arms of stride * turn state
         origin = np.zeros((*time.shape, width), dtype=np.intp)
         is_known = np.ones(origin.shape, dtype=bool)
+        # mixed radix number of the turn states of all arms, in which the last arm counts fastest
         strides = np.cumprod((1, *self._turns[::-1]))[-2::-1]
         turn_indices = np.stack(np.unravel_index(np.arange(width), self._turns))
         for r, m, stride, turn_index in zip(states, moves, strides, turn_indices, strict=True):
@@ -217,13 +219,16 @@ class LayeredGraph:
         )
 
     def reachable_samples(self, blocked: FloatArray | None = None) -> BoolArray:
-        """Whether (N, S) some path reaches a sample from the first target."""
+        """Return for N targets and S samples whether some path from the first target reaches the sample.
+
+        ``blocked`` is as in :meth:`shortest_path`.
+        """
         costs, _ = self._forward(blocked)
         rows, samples, width = self._node_cost.shape
         return np.asarray(np.isfinite(costs).reshape(rows, samples, width).any(axis=-1))
 
     def samples_after(self, i: int, reached: BoolArray) -> BoolArray:
-        """Whether (S,) a step leads to a sample of target i from a reached sample of the previous target.
+        """Return for each of S samples of target i whether a step from a reached sample leads to it.
 
         ``reached`` (S,) says which samples of the previous target are reached. Whether the samples of target
         i are allowed does not matter.
@@ -236,7 +241,7 @@ class LayeredGraph:
         self._time[self._grid.predecessors[:, sample] == previous_sample, i - 1, sample] = np.inf
 
     def first_unreached(self, blocked: FloatArray | None = None) -> int:
-        """Index of the first target that no path reaches; N if there is none."""
+        """Return the index of the first target that no path reaches; N if paths reach all targets."""
         path = self.farthest_path(blocked)
         return 0 if path is None else len(path.sample)
 
@@ -244,7 +249,7 @@ class LayeredGraph:
         """Compute the cost (N, S*T) [s] to reach every state, and the kind of step (N-1, S*T) to it.
 
         T is the number of combinations of the arms' turn states. The kind of step is the one with which the
-        state is reached at this cost.
+        state is reached at this cost. ``blocked`` is as in :meth:`shortest_path`.
         """
         rows, samples, width = self._node_cost.shape
         node_cost = self._node_cost if blocked is None else self._node_cost + blocked[..., None]
@@ -313,7 +318,9 @@ class TurnPenalties:
 
         It is inf where these turns are not allowed.
         """
+        # codes below and above all known ones fall on the ends of the table, which stand for forbidden turns
         column = self._column_by_code[np.clip(code - (self._min_code - 1), 0, len(self._column_by_code) - 1)]
+        # from the column in the row of a state to the position in the flattened penalties
         column += self._penalty[k].shape[1] * np.arange(code.shape[-1])
         return np.asarray(self._penalty[k].ravel()[column])
 

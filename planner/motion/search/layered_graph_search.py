@@ -108,12 +108,12 @@ class DeadEnd:
 
     @property
     def reached(self) -> BoolArray:
-        """Whether (S,) a free path reaches a sample of the previous target; all False if unknown."""
+        """For each of S samples of the previous target whether a free path reaches it; False if unknown."""
         return self._connections[0]
 
     @property
     def next(self) -> BoolArray:
-        """Whether (S,) a step leads from such a sample to one of this target; `possible` if unknown."""
+        """For each of S samples whether a step from a reached one leads to it; ``possible`` if unknown."""
         return self._connections[1]
 
     @functools.cached_property
@@ -354,6 +354,7 @@ class BranchGraph:
             return end, None
         rows = np.arange(len(path.sample))
         max_excess, winding = 0.0, None
+        # whole motions shifted by up to two turns: for each joint the shift that exceeds its limits least
         turns = FULL_TURN_RAD * np.arange(-2, 3)[:, None]
         for arm, states in self.states.items():
             q, robot = np.unwrap(states.q[rows, path.sample], axis=0), scene.chains[arm].robot
@@ -487,7 +488,8 @@ def speed_limits(scene: Scene, arm: str) -> FloatArray:
 def _preference_cost(targets: Targets, grid: SampleGrid) -> FloatArray | None:
     """Compute the cost (N, S) [s] of samples for their distance from preferred values of freedoms.
 
-    The distance is relative to half of the range. Returns None if no freedom has preferred values.
+    The cost is the weight of the freedom divided by N, times the square of the distance relative to half of
+    the range. Returns None if no freedom has preferred values.
     """
     out: FloatArray | None = None
     for j, freedom in enumerate(targets.freedoms):
@@ -511,8 +513,9 @@ def _find_free_path(
     """Find the path of least cost whose targets are all free.
 
     A path is searched and its samples are checked for collisions. Samples that collide are forbidden, and the
-    search is repeated. After the first few rounds, every round checks all samples of at least one more
-    target, so the search ends.
+    search is repeated. After the first collision, some targets are checked with all of their samples, which
+    makes samples that probably collide costly. After :data:`LAZY_ROUND_COUNT` rounds, every round checks all
+    samples of at least one more target, so the search ends.
 
     Args:
         farthest_path: Finds the path of least cost to the last target that can be reached, given the cost
@@ -547,7 +550,7 @@ def _find_free_path(
 def _with_free_moves(
     scene: Scene, targets: Targets, choice: BranchGraph, checker: CollisionChecker, result: PathResult
 ) -> PathResult:
-    """Return the path if its linear moves keep clearance, else the next path whose moves do.
+    """Return a path whose linear moves keep clearance: the given one, or the next one in the order of cost.
 
     Steps with colliding moves are forbidden in the graph ``choice``, and the path is searched again. If there
     is no such path, the given one is returned with ``has_colliding_moves``. Transits of coupled TCPs are not
@@ -578,12 +581,13 @@ def _with_free_moves(
 def _find_dead_end(
     grid: SampleGrid, ends: Sequence[tuple[int, BranchGraph, CollisionChecker]]
 ) -> DeadEnd | None:
-    """Return the dead end of the branch combination whose free paths come farthest.
+    """Return the dead end of the branch combination whose free paths come farthest, to explain the failure.
 
     Args:
         grid: Samples of the freedoms.
         ends: For each combination that was tried: the first target that no free path reaches, its graph and
-            its collision checker. The target may ignore turns, and is then too late.
+            its collision checker. The target may have been found without turns. With turns, paths may end at
+            an earlier target.
 
     Returns:
         The dead end; None if no combination has a path even without collisions.
@@ -612,9 +616,15 @@ def _make_dead_end(
     tried: frozenset[tuple[int, ...]],
     shorter_count: int,
 ) -> DeadEnd:
-    """Describe the dead end at target ``index`` of a branch combination, given by its graph and its checker.
+    """Describe the dead end at target ``index`` of a branch combination, for the issue that reports it.
 
-    ``tried`` and ``shorter_count`` are those of :class:`DeadEnd`.
+    Args:
+        grid: Samples of the freedoms.
+        index: First target that no free path reaches.
+        choice: Graph of the branch combination.
+        checker: Collision checker of the branch combination.
+        tried: Branch combinations that were tried.
+        shorter_count: Number of these combinations whose paths end at an earlier target.
     """
     count = len(checker.known)
     free: BoolArray = checker.free_samples(index)

@@ -80,7 +80,10 @@ def needs_skeleton(targets: Targets) -> bool:
 def search_on_skeleton(
     scene: Scene, targets: Targets
 ) -> tuple[SampleGrid, PathResult | BlockedSearch] | None:
-    """Search a path on a skeleton of the targets.
+    """Search a path on a skeleton of the targets, and interpolate it to all of them.
+
+    Where the interpolated path has faults, the skeleton gets more targets, up to :data:`MAX_SKELETONS` times.
+    If the result is None, the caller searches all targets.
 
     Args:
         scene: Cell with the stock in its pose.
@@ -151,6 +154,7 @@ class _Skeleton:
                 standing = {a: result.q[a] for a, result in results.items()}
                 absent = frozenset(self.targets.arms) - {arm, *standing}
                 grid, result = self._search_arm(arm, OtherArms(standing, absent))
+                # without other arms to avoid, or without reach, no other order of the arms helps
                 if isinstance(result, BlockedSearch) and (not standing or result.common < len(self.rows)):
                     return grid, result
                 if isinstance(result, BlockedSearch):
@@ -190,7 +194,10 @@ class _Skeleton:
         return np.array([j for j, f in enumerate(self.targets.freedoms) if _moves_arm(f, arm)], dtype=np.intp)
 
     def _combine(self, results: Mapping[str, PathResult]) -> PathResult:
-        """Combine the paths of the single arms into one path of all arms on the skeleton."""
+        """Combine the paths of the single arms into one path of all arms on the skeleton.
+
+        Its cost is that of the slowest arm. Checks and rounds are summed, and choices multiplied.
+        """
         arms = self.targets.arms
         values = np.zeros((len(self.rows), len(self.targets.freedoms)))
         for arm in arms:
@@ -235,9 +242,10 @@ class _Skeleton:
         )
 
     def find_faults(self, path: PathResult) -> BoolArray:
-        """Whether (N,) a path of all targets violates a margin, its branch or the clearance.
+        """Return for each of N targets whether a path violates a margin, its branch or the clearance there.
 
-        It may do so at a target or on the linear move to it. Moves are checked only if all targets are good.
+        It may do so at the target or on the linear move to it. Clearance and moves are checked only if all
+        targets keep their margins.
         """
         scene, targets = self.scene, self.targets
         out = np.zeros(targets.count, dtype=np.bool_)
@@ -322,6 +330,7 @@ def _skeleton_rows(targets: Targets, progress: FloatArray) -> IndexArray:
     number = np.floor(progress / scale)
     is_chosen = np.zeros(targets.count, dtype=np.bool_)
     is_chosen[[0, -1]] = True
+    # the first target of each unit of progress, and the start of each move longer than half a unit
     is_chosen[1:] |= np.diff(number) > 0
     is_chosen[:-1] |= np.diff(progress) > 0.5 * scale
     return np.flatnonzero(is_chosen)
@@ -356,11 +365,16 @@ def find_path(
 ) -> tuple[SampleGrid, PathResult | BlockedSearch]:
     """Find the path of least cost over branches, freedoms and turns that keeps margins and clearance.
 
-    With at most one rotational freedom, slides and tables are first sampled in their middle, and at more
-    positions only if that has no path with free moves. Finally, if ``fine``, spins and slides are sampled
-    twice as densely. If not ``fine``, the search ends at a dead end that more positions do not pass either,
-    with the reasons for slides in their middle. With several rotational freedoms a roadmap is searched
-    (:func:`search_roadmap`). Very many targets are searched on a skeleton first.
+    With at most one rotational freedom, a layered graph is searched with more and more samples, until a path
+    has free moves:
+
+    1. Slides and tables are sampled in their middle.
+    2. They are sampled at :data:`SLIDE_SAMPLES` positions. If not ``fine`` and these do not help near the
+       dead end of the first search either, this search is skipped.
+    3. If ``fine``, spins and slides are sampled twice as densely.
+
+    With several rotational freedoms a roadmap is searched (:func:`search_roadmap`). Very many targets are
+    searched on a skeleton first (:func:`search_on_skeleton`).
 
     Args:
         scene: Cell with the stock in its pose.
@@ -460,7 +474,11 @@ def _search_finely(
 
 
 def _is_blocked_finely(scene: Scene, targets: Targets, dead_end: DeadEnd) -> bool:
-    """Whether the target where paths end is not free with the finest samples either, on any branches."""
+    """Whether the target where paths end has no free sample among the finest ones either.
+
+    All branch combinations that the coarse search tried are checked. If none has a free sample, a finer
+    search of all targets cannot succeed.
+    """
     single_target = select_targets(targets, np.array([dead_end.index]))
     grid = sample_freedoms(single_target, *FINE_SAMPLING)
     reach = compute_reach(scene, single_target, grid)
@@ -554,7 +572,7 @@ def aim_exhibit(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> 
         ("always toward the base, not optimised", *aimed_cells),
         ("free, not optimised", *free_cells),
     ]
-    columns = tuple(c for c in SPIN_COLUMNS if c != "[deg]")
+    columns = tuple(c for c in SPIN_COLUMNS if c != "[deg]")  # without the heading that has no cells
     return {
         "aim": {
             "kind": "table",
@@ -575,7 +593,11 @@ def _path_cells(scene: Scene, targets: Targets, freedoms: tuple[Any, ...]) -> tu
 
 
 def _format_cells(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> tuple[str, ...]:
-    """Format motion, time and smallest margins of joint paths {arm: (N, J)} as table cells."""
+    """Format motion, time and smallest margins of joint paths {arm: (N, J)} as table cells.
+
+    The columns are those of :data:`SPIN_COLUMNS` after the first: the sum of all joint changes [deg], the
+    largest of one joint [deg], the time [s] at full joint speed, and both margins [deg].
+    """
     total_motion, largest, time, limit, singularity = 0.0, 0.0, 0.0, np.inf, np.inf
     for arm in targets.arms:
         chain = scene.chains[arm]

@@ -152,7 +152,10 @@ def sample_freedoms(
 
 
 def _sample_count(freedom: Freedom, spin_step: float, slides: int) -> int:
-    """Return the number of values of one freedom, as in :func:`sample_freedoms`."""
+    """Return the number of values of one freedom; the arguments are those of :func:`sample_freedoms`.
+
+    It is 1 for an empty range, at least 4 for a full turn and at least 3 for a bounded rotation.
+    """
     width = float(np.max(freedom.upper - freedom.lower))
     if width <= 0.0:
         return 1
@@ -182,7 +185,7 @@ def _predecessors(numbers: IndexArray, counts: list[int], are_rings: list[bool],
         numbers: (S, F) number of the value of each freedom in each sample.
         counts: Number of values of each freedom.
         are_rings: Whether the last value of each freedom is followed by the first.
-        max_step: As for :func:`sample_freedoms`.
+        max_step: Maximum number of samples by which the only sampled freedom changes in one step.
     """
     max_step = max_step if sum(count > 1 for count in counts) == 1 else 1
     changes = (0, *itertools.chain.from_iterable((-k, k) for k in range(1, max_step + 1)))
@@ -305,7 +308,11 @@ def _is_same_array(first: FloatArray | None, second: FloatArray | None) -> bool:
 def _compute_arm_reach(
     scene: Scene, chain: Chain, pose: FloatArray, joint: FloatArray | None, shape: tuple[int, int]
 ) -> ArmReach:
-    """Compute the reach of one arm; the arguments are those of :func:`_cached_reach`."""
+    """Compute the reach of one arm on all of its branches.
+
+    The arguments are those of :func:`_cached_reach`. States are kept only of branches that have an allowed
+    state at every target.
+    """
     count = chain.robot.form.branches
     angles = chain.match_branches(
         chain.inverse(pose, last_joint=joint).reshape(*shape, count, chain.robot.axes)
@@ -448,8 +455,8 @@ class SharedCollisions:
         """Return the results for the pairs that belong to an arm on a branch.
 
         Returns:
-            Whether (N, S) a sample has been checked, and whether (N, S) it collides. The caller adds new
-            results to these arrays.
+            Two arrays (N, S): whether each sample of each target has been checked, and whether it collides.
+            The caller adds new results to these arrays.
         """
         if (arm, branch) not in self._results:
             unknown = np.zeros(self._shape, dtype=np.bool_)
@@ -512,12 +519,15 @@ class CollisionChecker:
         self.check_states(rows[unknown[:, 0]], unknown[:, 1])
 
     def free_samples(self, row: int) -> BoolArray:
-        """Whether (S,) every arm can take a sample of one target and nothing collides."""
+        """Return for S samples of target ``row`` whether all arms can take them without collision."""
         self.check_targets(np.array([row]))
         return np.asarray(self.possible[row] & ~self.collided[row])
 
     def check_states(self, index: IndexArray, sample: IndexArray) -> None:
-        """Check samples (B,) of targets ``index`` (B,), except those that are known already."""
+        """Check samples (B,) of targets ``index`` (B,), except those that are known already.
+
+        The results are stored in :attr:`known` and :attr:`collided`.
+        """
         is_new = ~self.known[index, sample]
         index, sample = index[is_new], sample[is_new]
         if len(index) == 0:
@@ -547,7 +557,9 @@ class CollisionChecker:
         index: IndexArray,
         sample: IndexArray,
     ) -> None:
-        """Check the pairs that belong to one arm, where neither these pairs nor the sample are decided.
+        """Check the pairs of bodies that belong to one arm, and share the results with other combinations.
+
+        A sample is skipped if these pairs were checked on another combination, or if it is known to collide.
 
         Args:
             shared: Results, which are extended.

@@ -100,7 +100,7 @@ def search_roadmap(scene: Scene, targets: Targets) -> tuple[SampleGrid, PathResu
 def search_near_samples(
     scene: Scene, targets: Targets, samples: FloatArray, branch: Mapping[str, int]
 ) -> tuple[SampleGrid, PathResult] | None:
-    """Search a path on given branches near given samples.
+    """Search a path on given branches near given samples, to start from the path of a reference plan.
 
     Args:
         scene: Cell with the stock in its pose.
@@ -120,7 +120,10 @@ def search_near_samples(
 
 
 def _path_grid(result: PathResult) -> SampleGrid:
-    """Return a grid with one sample of each target: the one that a path uses."""
+    """Return a grid with one sample of each target: the one that a path uses.
+
+    The grid has no steps between samples. It replaces the grid of a search in the planner's result.
+    """
     return SampleGrid(result.values[:, None], np.zeros((0, 1), dtype=np.intp))
 
 
@@ -193,7 +196,8 @@ class _RoadmapSearch:
     def is_blocked(self, branch: Mapping[str, int], target: int) -> bool:
         """Whether no sample of the level is free at a target, on given branches.
 
-        If so, the target becomes the last of the blocked targets, so that later searches check it first.
+        All samples within the margins are checked for clearance. If none is free, the target becomes the last
+        of the blocked targets, so that later searches check it first.
         """
         index = np.full(len(self.samples), target)
         values = self.coordinates.values(self.samples, index)
@@ -215,7 +219,10 @@ class _RoadmapSearch:
         return True
 
     def run(self) -> PathResult | None:
-        """Find a path, or None. :attr:`collision` then holds a collision that blocked paths, if any did."""
+        """Find a path over the best branch combinations, or return None.
+
+        Without a path, :attr:`collision` holds a collision that blocked paths, if any did.
+        """
         # Rank the branch combinations by their penalties, then the best of them by the cost of their paths.
         layer_targets, grid = self._layer_grid()
         reach = compute_reach(self.scene, layer_targets, grid)
@@ -255,7 +262,10 @@ class _RoadmapSearch:
         return None if states is None else _RoadmapGraph(self, states).find_free_path(MAX_NEAR_ROUNDS)
 
     def _layer_grid(self) -> tuple[Targets, SampleGrid]:
-        """Return the targets that are layers, and a grid of all samples of the level without steps."""
+        """Return the targets that are layers, and a grid of all samples of the level.
+
+        The grid has no kinds of step, because any sample of a layer may follow any other.
+        """
         count = len(self.samples)
         rows = np.repeat(self.rows[:, None], count, axis=1)
         values = self.coordinates.values(
@@ -338,10 +348,14 @@ class _RoadmapGraph:
     def _add_step_times(self, k: int) -> None:
         """Add durations and changes of turns from every state of layer k to every state of the next.
 
-        The duration is inf where a joint moves too far.
+        The duration of a step is that of its slowest joint at the speed limits, plus a small fraction of the
+        durations of all joints, which breaks ties. It is inf where a joint moves too far. The changes of
+        turns are the whole turns by which the angles of the two states differ, as codes of
+        :class:`TurnPenalties`.
         """
         slowest = np.zeros((len(self.states[k]), len(self.states[k + 1])), dtype=np.float32)
         total, change = np.zeros_like(slowest), np.empty_like(slowest)
+        # half a maximum step for each move between the layers; the moves themselves are checked later
         max_change = MAX_JOINT_STEP_RAD * max(1.0, 0.5 * float(self.rows[k + 1] - self.rows[k]))
         is_forbidden = np.zeros(slowest.shape, dtype=bool)
         for arm, q in self.q.items():
@@ -386,7 +400,7 @@ class _RoadmapGraph:
         """Find the path of least cost: its state (L,) at each layer, and its cost [s]; or None.
 
         Every state keeps only the turns of the path that reaches it best, so a path may be missed. If there
-        is no path, other turns at the first layer are tried.
+        is no path, other turns at the first layer are tried, at most 12 combinations of the arms' turns.
         """
         starts = [t.start_codes() for t in self.tables.values()]
         for number, codes in enumerate(itertools.islice(itertools.product(*starts), 12)):
@@ -401,7 +415,7 @@ class _RoadmapGraph:
         Best paths of an earlier call with the same ``number`` are continued, as far as they are still valid.
 
         Args:
-            number: Number of the start.
+            number: Number of the combination of turns at the first layer, under which best paths are kept.
             start: {arm: codes (S,) of the turns of the first layer's states}.
         """
         best_paths = self._best_paths.setdefault(number, _BestPaths())
@@ -445,6 +459,7 @@ class _RoadmapGraph:
                 codes_of_states = np.broadcast_to(codes[:, None], (len(codes), total_cost.shape[1]))
                 total_cost += table.penalty(k + 1, codes_of_states)[code_index]
             else:
+                # a joint whose angle jumps by whole turns has as many turns less, so that it is continuous
                 next_codes[arm] = turn[arm][:, None] - step
                 total_cost += table.penalty(k + 1, next_codes[arm])
         total_cost[:, self.blocked[k + 1]] = np.inf
@@ -457,7 +472,7 @@ class _RoadmapGraph:
         return predecessor, total_cost[predecessor, columns], next_turn
 
     def _discard_from(self, k: int) -> None:
-        """Discard known paths to layer k and beyond."""
+        """Discard best paths to layer k and beyond, because states or steps there were forbidden."""
         for best_paths in self._best_paths.values():
             best_paths.discard_from(k)
 
@@ -480,7 +495,10 @@ class _RoadmapGraph:
         return None
 
     def _is_blocked(self) -> bool:
-        """Whether one of the targets that have collided several times collides with all samples."""
+        """Whether a target between layers that has collided several times is blocked for all samples.
+
+        No path on these branches exists then. Each such target is checked only once.
+        """
         doubtful_targets = [i for i, count in self.doubts.items() if count >= MAX_DOUBTS]
         for i in doubtful_targets:
             self.doubts[i] = -MAX_ROUNDS  # check it only once
@@ -499,12 +517,20 @@ class _RoadmapGraph:
                 np.concatenate(unknown_states),
             )
         for k in blocked_layers:
+            # if all states collide, record the target so that other searches check it first
             if self.blocked[k].all():
                 self.search.is_blocked(self.branch, int(self.rows[k]))
         return len(blocked_layers) > 0
 
     def _check_states(self, layer: IndexArray, state: IndexArray) -> list[int]:
-        """Check states (B,) of layers (B,) that are unknown. Returns the layers of those that collide."""
+        """Check the states (B,) of layers (B,) that have not been checked yet, and forbid the blocked ones.
+
+        A state is blocked if it collides. If the ends are checked, a state of the first or the last layer is
+        also blocked if the arms cannot reach it one after the other (:func:`are_ends_free`).
+
+        Returns:
+            The layers of the blocked states, one entry for each state.
+        """
         is_new = np.array([not self.known[k][s] for k, s in zip(layer, state, strict=True)], dtype=bool)
         layer, state = layer[is_new], state[is_new]
         if len(layer) == 0:
@@ -530,7 +556,10 @@ class _RoadmapGraph:
         return [int(k) for k in layer[~free]]
 
     def _edge_coordinates(self, k: int, states: IndexArray) -> tuple[FloatArray, FloatArray]:
-        """Return the path's coordinates (F,) at layer k and at the next layer, by the shortest change."""
+        """Return the coordinates (F,) of a path at layer k and at the next layer.
+
+        Full turns change by the shortest way, so the second coordinates may exceed the range of the samples.
+        """
         samples, coordinates = self.search.samples, self.search.coordinates
         start = samples[self.states[k][states[k]]]
         end = samples[self.states[k + 1][states[k + 1]]]
@@ -539,7 +568,9 @@ class _RoadmapGraph:
     def _block_edges(self, states: IndexArray) -> bool:
         """Check the targets between the layers of a path, and forbid the steps of the path that fail.
 
-        The coordinates change linearly between the layers. Returns whether any step fails.
+        ``states`` (L,) are those of the path at the layers. The coordinates change linearly between the
+        layers. The joints of free steps are kept in :attr:`fine`, and collisions are counted in
+        :attr:`doubts`. Returns whether any step fails.
         """
         steps = [k for k in range(len(states) - 1) if (k, states[k], states[k + 1]) not in self.fine]
         row_parts, layer_parts, coordinate_parts = [], [], []
@@ -587,7 +618,10 @@ class _RoadmapGraph:
         self._discard_from(k + 1)
 
     def _assemble_path(self, states: IndexArray, cost: float, rounds: int) -> PathResult:
-        """Assemble the path at all targets, including turns, from its states (L,) at the layers."""
+        """Assemble the path at all targets, including turns, from its states (L,) at the layers.
+
+        All of its steps are free, so the joints at the targets between layers are known.
+        """
         coordinates = np.empty((self.targets.count, self.search.samples.shape[1]))
         q = {
             arm: np.empty((self.targets.count, layer_joints[0].shape[1]))
@@ -622,7 +656,9 @@ class _RoadmapGraph:
     def _block_moves(self, states: IndexArray, path: PathResult) -> bool:
         """Check a whole path, including turns and linear moves, and forbid the steps that fail.
 
-        ``states`` (L,) are those of the path at the layers. Returns whether any step fails.
+        A step fails if a target violates the joint margin with its turns, or if a joint changes too much in
+        one move. It also fails if a linear move leaves its branch or keeps no clearance. ``states`` (L,) are
+        those of the path at the layers. Returns whether any step fails.
         """
         has_failed = np.zeros(self.targets.count, dtype=bool)
         for arm, angles in path.q.items():
@@ -645,6 +681,7 @@ class _RoadmapGraph:
                 )
             lost[rows] |= ~free
         has_failed[samples.move[lost]] = True
+        # the step from layer k to the next contains the moves to all targets after layer k
         failed_layers = np.unique(
             np.clip(np.searchsorted(self.rows, np.flatnonzero(has_failed)) - 1, 0, len(self.time) - 1)
         )
@@ -670,6 +707,9 @@ def _diagnose(
 ) -> tuple[SampleGrid, BlockedSearch]:
     """Find out why an operation has no path, over samples of all levels at all targets.
 
+    If some branch combination reaches all targets, collisions are the reason. Otherwise the target that no
+    combination passes is reported. If no reason is found, it is the last target.
+
     Args:
         scene: Cell with the stock in its pose.
         targets: Targets of the operation.
@@ -685,7 +725,7 @@ def _diagnose(
     values = coordinates.values(np.broadcast_to(samples, (targets.count, *samples.shape)), rows)
     grid = SampleGrid(values, np.zeros((0, count), dtype=np.intp))
     reach: dict[str, ArmReach] = compute_reach(scene, targets, grid)
-    common = 0
+    common = 0  # number of first targets with a sample that all arms can take, on the best combination
     for branches in itertools.product(*(r.branches for r in reach.values())):
         states = [r.branches[b] for r, b in zip(reach.values(), branches, strict=True)]
         is_possible = np.logical_and.reduce([r.ok.any(axis=-1) for r in states]).any(axis=1)

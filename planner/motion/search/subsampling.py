@@ -125,7 +125,7 @@ class SampledTargets:
 
 
 def sample_coarsely(cell: Cell, targets: Targets, count: int, with_slides: bool) -> SampledTargets:
-    """Sample about ``count`` evenly spread targets of a job coarsely.
+    """Sample about ``count`` evenly spread targets of a job coarsely, to score stock poses and stations.
 
     Long slides are sampled in their middle only, unless ``with_slides``.
     """
@@ -167,7 +167,7 @@ def coarse_samples(targets: Targets) -> FloatArray:
 
 
 def are_long_slides(targets: Targets) -> BoolArray:
-    """Whether (F,) each freedom is a slide with a long range."""
+    """Return for each of F freedoms whether it is a slide with a range above :data:`MIN_LONG_SLIDE_M`."""
     return np.array(
         [
             is_sampled_as_slide(f) and float(np.max(f.upper - f.lower)) > MIN_LONG_SLIDE_M
@@ -259,7 +259,8 @@ class FreedomCoordinates:
 def nominal_rotation(targets: Targets, j: int) -> FloatArray:
     """Return the rotation (N,) [rad] of the nominal poses about the axis of freedom j since the first target.
 
-    It is summed from target to target, and 0 if the freedom is not a screw.
+    Angles of full turns are counted from it, so that they do not jump at corners. It is summed from target to
+    target, and 0 if the freedom is not a screw.
     """
     freedom = targets.freedoms[j]
     if not isinstance(freedom, ScrewFreedom):
@@ -286,6 +287,8 @@ ANGLE_TOLERANCE_RAD: Final = np.deg2rad(3.0)
 
 def carry_over(reference_targets: Targets, values: FloatArray, targets: Targets) -> list[FloatArray]:
     """Convert freedom values of reference targets to coordinates of the same freedoms of other targets.
+
+    A search near a reference path starts from these coordinates.
 
     The tools keep their pose relative to the frames of the targets. If an arm holds a frame and may rotate it
     by a full turn, there is a second result: the frame is rotated until its first targets have the same
@@ -324,7 +327,11 @@ def carry_over(reference_targets: Targets, values: FloatArray, targets: Targets)
 
 
 def sampling_levels(targets: Targets, coordinates: FreedomCoordinates) -> list[SamplingLevel]:
-    """Return samples over more and more freedoms, because a search over few of them is faster.
+    """Return samples over more and more freedoms, which a search tries in this order.
+
+    A search over few freedoms is faster. Full turns alone are sampled on a grid, other freedoms by a sequence
+    that fills their ranges evenly. In a part of the samples the freedoms that a level adds stay in their
+    middle.
 
     The levels are: full turns only, full and bounded turns, full turns and long slides, all freedoms. A level
     that adds no freedom to the previous one is left out.
@@ -335,6 +342,7 @@ def sampling_levels(targets: Targets, coordinates: FreedomCoordinates) -> list[S
     out: list[SamplingLevel] = []
     active = coordinates.is_full_turn  # freedoms of the previous level
     if active.any():
+        # with more than two full turns a coarser grid of about LEVEL_SAMPLE_COUNTS[0] samples in total
         count = (
             FULL_TURN_SAMPLES
             if active.sum() <= 2

@@ -113,7 +113,7 @@ def narrow_margins(
 
 
 def _limit_margins(chain: Chain, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Compute all margins (N, L) [rad] to joint limits and their derivatives (N, L, J).
+    """Compute all margins (N, L) [rad] to joint limits at joints ``q`` (N, J), with derivatives (N, L, J).
 
     The L margins are those to the lower and the upper limits of all joints, then those of axis 3 if a
     parallel rod couples it to joint 2.
@@ -290,7 +290,7 @@ class ClearancePenalty:
         return np.asarray(np.sqrt(self._weight) / SOFT_CLEARANCE_M * excess)
 
     def _near_targets(self, q: FloatArray) -> IndexArray:
-        """Return the targets at which bodies may be close.
+        """Return the targets at which bodies may be closer than the required clearance plus the soft range.
 
         The distances that are stored for these targets are those at joints ``q`` (N, J) afterwards.
         """
@@ -300,10 +300,11 @@ class ClearancePenalty:
         may_be_near = self._clearance_bounds(q) < limit
         # Local pairs: distance >= d + g . dq - 0.5 lever * |dq_wrist|^2 (second-order bound)
         step = q - self._queried_joints
+        # sum of the changes of those joints that move the bodies of a pair relative to each other
         wrist_part = np.einsum("nkj,nj->nk", self._mask, np.abs(step))
         linear = self._distance + np.einsum("nkj,nj->nk", self._gradient, step)
         linear -= 0.5 * self._wrist_lever * wrist_part * wrist_part
-        local_near = (self._mask.sum(axis=-1) <= 2.0) & (linear < limit)
+        local_near = (self._mask.sum(axis=-1) <= 2.0) & (linear < limit)  # moved by at most two joints: local
         joint_changes = np.abs(step)
         wrist_change = np.max(
             [joint_changes[:, part][:, -2:].sum(axis=-1) for part in self._parts.values()], axis=0
@@ -331,6 +332,7 @@ class ClearancePenalty:
         # a body that was closer than the limit by more than it moved is still close: no new bound is needed
         is_doubtful = (bound < limit) & (np.isneginf(self._bound) | (self._bound + displacement >= limit))
         extra_range = BOUND_RANGE_M if float(np.median(displacement)) < BOUND_RANGE_M else CLOSE_RANGE_M
+        # batches of at most CONFIGURATIONS_AT_ONCE targets; -(-a // b) is a / b rounded up
         batches = [
             (bounds, index)
             for kind, bounds in enumerate(self._bounds)
@@ -380,7 +382,11 @@ class ClearancePenalty:
         self._mask = self._mask[source]
 
     def _query(self, q: FloatArray, index: IndexArray) -> None:
-        """Query distances and gradients at the targets ``index`` (B,) of joints (N, J), and store them."""
+        """Query distances and gradients at the targets ``index`` (B,) of joints (N, J), and store them.
+
+        Rows of the stored arrays are padded to the largest number of pairs at any target: distance inf,
+        gradient and mask 0.
+        """
         if not len(index):
             return
         self.query_count += len(index)

@@ -141,7 +141,7 @@ def sample_moves(
 
 
 def is_clear(scene: Scene, targets: Targets, samples: MoveSamples) -> BoolArray:
-    """Whether (K,) samples of the moves keep clearance.
+    """Return for each of K samples of the moves whether the arms keep clearance there.
 
     Between targets the flexible edge is that of the nearer target.
     """
@@ -193,7 +193,7 @@ def fit_joint_path(scene: Scene, targets: Targets, samples: MoveSamples, speed: 
 
 
 def stops_with_ends(stop: BoolArray) -> BoolArray:
-    """Return the stops (N,) with the first and the last target added."""
+    """Return the stops (N,) with the first and the last target added, where a path always rests."""
     out = stop.copy()
     out[[0, -1]] = True
     return out
@@ -212,7 +212,8 @@ def track_positions(targets: Targets, samples: MoveSamples) -> FloatArray:
 def guarded_lengths(targets: Targets, samples: MoveSamples) -> FloatArray:
     """Return the path length (K - 1,) [m] of the guarded point from each sample to the next.
 
-    It is 0 outside of cuts. The guarded point is the one to which feeds apply.
+    The path parameter advances by it in cuts. It is 0 outside of cuts. The guarded point is the one to which
+    feeds apply.
     """
     previous_fraction = np.where(samples.move[1:] == samples.move[:-1], samples.fraction[:-1], 0.0)
     is_cut = np.array([segment.kind == "cut" for segment in targets.segment])
@@ -379,7 +380,7 @@ def ramp_lengths(scene: Scene, targets: Targets, samples: MoveSamples) -> FloatA
 
 
 def min_stop_to_stop_time(spline: CubicSpline, acceleration: FloatArray) -> float:
-    """Return the minimum duration [s] of a path of a single move within the joint accelerations (J,).
+    """Return the minimum duration [s] of a piece of a single move, within the joint accelerations (J,).
 
     Controllers execute such a move by a cubic, whose ends need more acceleration than a clock that brakes as
     late as possible.
@@ -404,6 +405,7 @@ def ramp_acceleration_fractions(
     """
     target_index = np.searchsorted(spline.x, knots)
     values = spline(spline.x)
+    # the last move is reversed in time, so that it starts at rest as the first one does
     first_move, last_move = values[: target_index[1] + 1], values[target_index[-2] :][::-1]
     first_ratio, last_ratio = ramp_end_ratios(length, duration)
     first_fraction = _cubic_acceleration_fraction(first_move, first_ratio, acceleration) / duration[0] ** 2
@@ -487,7 +489,7 @@ class PathCorners:
     """Corners at the inner targets (n,) of a piece.
 
     Attributes:
-        slope_before: (n, J) derivatives of the joints by the path parameter just before each corner, at
+        slope_before: (n, J) derivatives of the joints [rad] by the path parameter just before each corner, at
             constant speed in space.
         slope_after: (n, J) derivatives just after each corner.
         step: (n + 1,) lengths of the moves in the path parameter.
@@ -522,13 +524,15 @@ class PathCorners:
     ) -> FloatArray:
         """Return the fractions (n,) of the joint acceleration limits that the corners require.
 
-        Each corner is rounded by the cubic that continues the adjacent moves. Moves from and to stops are
-        ramps.
+        A fraction exceeds 1 if a corner requires more than is allowed. Each corner is rounded by the cubic
+        that continues the adjacent moves in position and velocity. The first move starts from rest and the
+        last one ends at rest, each with a ramp of speed.
 
         Args:
-            length: (n + 1,) lengths of the moves.
+            length: (n + 1,) lengths of the moves, which determine the ramps. Only their ratios matter: they
+                are in m, or in the unit of the path parameter.
             duration: (n + 1,) [s] durations of the moves.
-            acceleration: (J,) joint acceleration limits.
+            acceleration: (J,) joint acceleration limits [rad/s^2].
         """
         mean_speed = self.step / duration
         half_time = self.fraction * np.minimum(duration[:-1], duration[1:])

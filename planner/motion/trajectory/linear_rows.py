@@ -67,7 +67,8 @@ class LinearConstraints:
     ) -> None:
         """Require that accelerations or jerks of the joints stay within a bound.
 
-        Where a current value exceeds the bound, it must not grow.
+        Differences below :data:`ACTIVE_FRACTION` of the bound are not constrained. Where a current value
+        exceeds the bound, it must not grow.
 
         Args:
             band: Accelerations or jerks of the path.
@@ -92,7 +93,8 @@ class LinearConstraints:
     ) -> None:
         """Require that accelerations or jerks of all joints stay within a bound that is an unknown itself.
 
-        The bound is goal + level * (top - goal). The program lowers the level.
+        The bound is goal + level * (top - goal). The program lowers the level. Differences below
+        :data:`ACTIVE_FRACTION` of the goal are not constrained.
 
         Args:
             band: Accelerations or jerks of the path.
@@ -121,6 +123,7 @@ class LinearConstraints:
     def add_pairs(self, slopes: FloatArray, lower: FloatArray, upper: FloatArray) -> None:
         """Require that C values of each move change by an amount between ``lower`` and ``upper`` (N - 1, C).
 
+        Bounds are moved to 0 if the current values already violate them, so that no change is always allowed.
         ``slopes`` (2, N - 1, C, F) are the derivatives of the values by the freedoms of the target at the
         start and at the end of each move.
         """
@@ -134,8 +137,8 @@ class LinearConstraints:
 
         Each row is divided by its largest entry, and rows of zeros are left out. The unknowns are the steps
         of the freedoms in units of ``unit`` (F,), followed by the levels. All of them are between -1 and 1. A
-        bound that is :data:`MAX_BOUND_RATIO` times as far away as a row can reach is dropped, because an
-        interior-point solver would start as far away and would not get close enough.
+        bound that is more than :data:`MAX_BOUND_RATIO` times as far away as a row can reach is dropped.
+        Otherwise an interior-point solver would start as far away and would not get close enough.
         """
         row, column, weight = (np.concatenate(part) for part in zip(*self._entries, strict=True))
         free = self.targets * self.freedoms

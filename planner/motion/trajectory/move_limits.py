@@ -72,6 +72,9 @@ CORNER_SAMPLES: Final = 33
 def require_min_feeds(scene: Scene, targets: Targets, samples: MoveSamples, time: FloatArray) -> None:
     """Require that the clock keeps the minimum feeds.
 
+    Moves, corners and, for KUKA arms, rotations of the tool are checked. Nothing is required of targets
+    without a run-up, whose slow moves are only warned of.
+
     Args:
         scene: Cell with the arms.
         targets: N targets.
@@ -163,7 +166,7 @@ def _slow_move_issue(
     settings = scene.settings
     min_feed = float(targets.feed_min[i]) / MM
     rows = np.flatnonzero(samples.move == i)
-    rows = np.concatenate([[rows[0] - 1], rows])
+    rows = np.concatenate([[rows[0] - 1], rows])  # with the target from which the move starts
     # The fastest joint of each arm in the allowed time: fraction of its speed limit, and speed [deg/s].
     joint_speeds = {}
     for arm in targets.arms:
@@ -237,6 +240,8 @@ def _slow_corner_issues(targets: Targets, durations: FloatArray, is_slow: BoolAr
         distance = np.cumsum(targets.travel[moves])[:-1]
         run_up = np.minimum(distance, targets.travel[moves].sum() - distance) / (targets.run_up or np.inf)
         min_feed = np.minimum(targets.feed_min[moves[:-1]], targets.feed_min[moves[1:]])
+        # after the fraction f of its run-up, a point that accelerates evenly has the fraction sqrt(f) of its
+        # speed
         limit = MIN_CORNER_SPEED_FRACTION * min_feed * np.sqrt(np.minimum(run_up, 1.0))
         scale = np.ones(len(moves))  # moves from and to stops are faster at their moving end than on average
         scale[[0, -1]] = ramp_end_ratios(targets.travel[moves], durations[moves])
@@ -324,6 +329,9 @@ def clock_with_stops(
 ) -> tuple[Targets, JointPath, Clock]:
     """Compute the joint path and its clock, and add stops at sharp corners that save time.
 
+    All sharp corners become stops together. They are kept if the whole motion then takes at most
+    :data:`MAX_STOPPING_TIME_RATIO` times as long.
+
     Args:
         scene: Cell with the arms.
         targets: N targets.
@@ -354,9 +362,10 @@ def clock_with_stops(
 
 
 def _sharp_corners(targets: Targets, clock: Clock, limits: ClockLimits) -> BoolArray:
-    """Whether (N,) a target is a sharp corner between crawling moves at which the tool may stop.
+    """Return for each of N targets whether it is a sharp corner between crawling moves.
 
-    It may if a single arm works, and if neither of the moves has a minimum feed.
+    Moves crawl if they take much longer than their feeds require. Only corners at which the tool may stop
+    count. It may if a single arm works, and if neither of the moves has a minimum feed.
     """
     out = np.zeros(targets.count, dtype=bool)
     if not targets.may_stop or targets.coupled or len(targets.arms) > 1:
@@ -395,9 +404,11 @@ MAX_SLOWING_FACTOR: Final = 2.5
 
 
 def are_short(targets: Targets, values: FloatArray, time: FloatArray) -> BoolArray:
-    """Whether (N,) the move to each target is shorter than controllers handle well, in time or in length.
+    """Return for each of N targets whether the move to it is too short for controllers, in time or length.
 
-    The first target has no move, so its value is False.
+    Such moves are joined where possible, and reported if they remain. Entry i is the move from target i - 1
+    to target i. The first target has no move, so its value is False. The length includes rotation and is
+    that of the arm that moves farthest.
 
     Args:
         targets: N targets.
@@ -489,8 +500,8 @@ def select_joined(targets: Targets, kept: IndexArray) -> Targets:
     is_single = np.diff(kept, prepend=-1) == 1
     ends_at_stop = targets.stop[kept]
     starts_at_stop = np.append(True, ends_at_stop[:-1])
-    # the feed of a free move only states the minimum duration of a move
-    free = _move_times(targets.travel, targets.feed) <= 1.01 * MIN_SEGMENT_TIME_S
+    # a free move has no feed of its own: its feed only states the minimum duration of a move
+    free = _move_times(targets.travel, targets.feed) <= 1.01 * MIN_SEGMENT_TIME_S  # 1 % for rounding
     slowest_feed = np.minimum.reduceat(np.where(free, np.inf, targets.feed), starts)
     with np.errstate(divide="ignore", invalid="ignore"):
         feed = np.where(is_single | (min_time <= 0.0), targets.feed[kept], travel / min_time)
@@ -517,7 +528,7 @@ def select_joined(targets: Targets, kept: IndexArray) -> Targets:
     )
 
 
-def with_lengthened_short_moves(targets: Targets, min_times: FloatArray) -> FloatArray:
+def with_slowed_short_moves(targets: Targets, min_times: FloatArray) -> FloatArray:
     """Return minimum durations (N,) [s] of the moves, in which those of short moves are lengthened.
 
     They are lengthened if no minimum feed is required and if the targets may be joined.
@@ -533,7 +544,15 @@ def with_lengthened_short_moves(targets: Targets, min_times: FloatArray) -> Floa
 
 
 def short_move_warnings(targets: Targets, values: FloatArray, time: FloatArray) -> Iterator[Issue]:
-    """Yield ``motion.short_moves`` if moves remain shorter than controllers handle well."""
+    """Yield one warning ``motion.short_moves`` if moves remain shorter than controllers handle well.
+
+    If the moves are long enough and only too fast, the hint suggests a feed at which they are not.
+
+    Args:
+        targets: N targets of the final path.
+        values: (N, F) values of the freedoms.
+        time: (N,) [s] times of the targets.
+    """
     rows = np.flatnonzero(are_short(targets, values, time))
     if not len(rows):
         return
@@ -678,7 +697,10 @@ def _move_lengths(targets: Targets, values: FloatArray) -> FloatArray:
 
 
 def _are_fixed(targets: Targets) -> BoolArray:
-    """Whether (N,) a target must remain: ends, stops, those with actions, and the last ones of segments."""
+    """Return for each of N targets whether it must remain when short moves are joined.
+
+    These are both ends, stops, targets with actions, and the last targets of segments.
+    """
     out = targets.stop.copy()
     out[[0, -1]] = True
     out[[action.target for action in targets.actions]] = True

@@ -191,7 +191,7 @@ class _ProgramSearch:
         penalty: ClearancePenalty,
         windows: Windows | None = None,
     ) -> None:
-        """Evaluate the seed.
+        """Evaluate the seed, and derive from it the limits that an improved path has to keep.
 
         Args:
             problem: Cost and joints of paths over the targets, with the weights of the windows if there are
@@ -213,6 +213,8 @@ class _ProgramSearch:
         self.held = np.zeros(targets.count, dtype=np.bool_) if windows is None else windows.held.copy()
         self.held[[0, -1]] = True  # approach and retreat end there
         self.evaluation = self._evaluate(self.values, self.joints)
+        # tops: peaks of each joint; price: value of lowering the highest peak in windows from top to goal;
+        # fixed_cost: cost of the joints that no freedom moves
         tops, self.price, self.fixed_cost = self.evaluation.peaks, 0.0, 0.0
         if windows is not None:
             tops = windows.tops
@@ -238,7 +240,9 @@ class _ProgramSearch:
     def run(self, ready: Sequence[SolverInterface], budget: int) -> ProgramResult:
         """Solve programs until the gain of a round is small or the budget of distance queries is used up.
 
-        ``ready`` are the solvers in the order of preference.
+        There are at most :data:`MAX_ROUNDS` programs. A rejected step lowers the price of peaks in windows.
+        Otherwise the trust region shrinks to the fraction of the step that was taken. ``ready`` are the
+        solvers in the order of preference.
         """
         rounds, solver, reason = 0, "", "the banded result cannot be improved"
         while rounds < MAX_ROUNDS and self._query_count() < budget:
@@ -305,7 +309,8 @@ class _ProgramSearch:
     def _path_value(self, cost: float, joints: FloatArray) -> float:
         """Return the value that the search lowers, given the cost of a path and its joints (N, J).
 
-        It is the cost. In windows it is the part of the cost that can change plus the price of the peaks.
+        Without windows it is the cost. With windows it is the part of the cost that can change, plus the
+        price of the peaks.
         """
         if self.windows is None:
             return cost
@@ -432,7 +437,10 @@ class _ProgramSearch:
         return deviation
 
     def _add_coupling(self, rows: LinearConstraints) -> None:
-        """Add rows for the relative pose of coupled tools, with derivatives by central differences."""
+        """Add rows that bound the deviation of the relative pose of coupled tools between targets.
+
+        The derivatives by the freedoms at both ends of each move are central differences.
+        """
         if not _is_coupled(self.targets):
             return
         current, ends = self.evaluation.coupling_deviation, (self.values[:-1], self.values[1:])

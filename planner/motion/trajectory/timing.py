@@ -78,7 +78,8 @@ def solve_drake(
 ) -> FloatArray | None:
     """Compute path speeds (G,) by one run of Drake's solver on exactly this grid, or None.
 
-    The arguments are those of :func:`parameterise_drake`.
+    None means that the solver found no solution, or one on another grid. The arguments are those of
+    :func:`parameterise_drake`.
     """
     joints = spline.c.shape[2]
     # an additional joint q = integral of ds / limit, whose speed limit is 1
@@ -91,6 +92,7 @@ def solve_drake(
     relax = getattr(solver, "set_constraint_relaxation", None)
     if relax is not None:
         relax(RELAXATION)
+    # joint speeds are part of ``limit``, so 1e6 means no limit here, and so does the acceleration 1e9 below
     max_velocity = np.full(joints + 1, 1e6)
     max_velocity[-1] = 1.0
     solver.AddJointVelocityLimit(-max_velocity, max_velocity)
@@ -216,7 +218,7 @@ def settle_clock(
     corner_fractions: CornerFractions,
     clock_pieces: "dict[bytes, TimedPiece] | None" = None,
 ) -> Clock:
-    """Compute the clock with corner fractions that suit its own durations.
+    """Compute the clock with corner fractions that suit its own durations, for the final timing of a path.
 
     Corner fractions depend on the durations of the moves, and the clock depends on the corner fractions. The
     clock is computed again while corners are smaller than assumed and require too much acceleration.
@@ -310,6 +312,7 @@ class SpeedProfile:
 
         They are evaluated at ``dense`` points in each grid interval.
         """
+        # q' = q_s sqrt(x) and q'' = q_s u + q_ss x, with the squared path speed x and the path acceleration u
         fraction = (np.arange(dense) + 0.5) / dense
         square = self.speed**2
         s = (self.grid[:-1, None] + fraction * np.diff(self.grid)[:, None]).ravel()
@@ -330,7 +333,7 @@ acceleration limits that its corners require, profile, and name of the solver.
 def _piece_key(
     spline: CubicSpline, knots: FloatArray, limits: ClockLimits, first: int, last: int, min_intervals: int
 ) -> bytes:
-    """Return a digest of all numbers that :func:`_time_piece` uses, with its arguments."""
+    """Return a digest of all numbers that :func:`_time_piece` uses, with which its result is found again."""
     piece_limits = (
         limits.min_time[first + 1 : last + 1],
         limits.corner_fractions[first + 1 : last],
@@ -353,7 +356,10 @@ def _tcp_times(limits: ClockLimits, first: int, last: int) -> FloatArray:
 
 
 def _move_lengths(knots: FloatArray, limits: ClockLimits, first: int, last: int) -> FloatArray:
-    """Return the lengths (n - 1,) of the moves of a piece for :func:`ramp_end_ratios`."""
+    """Return the lengths (n - 1,) of the moves of a piece for :func:`ramp_end_ratios`.
+
+    They are in the path parameter if the limits state no lengths.
+    """
     return np.diff(knots) if limits.length is None else limits.length[first + 1 : last + 1]
 
 
@@ -366,6 +372,9 @@ def _time_piece(
     min_intervals: int = MIN_GRID_INTERVALS,
 ) -> TimedPiece:
     """Time one piece, with ramps and corners as controllers execute them.
+
+    A ramp is a move from or to a stop. If the limits are not met after :data:`MAX_CORNER_ROUNDS` rounds, or a
+    later round has no solution, the whole piece is slowed by one factor.
 
     Args:
         spline: Joint path.
@@ -388,7 +397,7 @@ def _time_piece(
     bound[on_knot] = np.minimum(max_speed[move[on_knot]], max_speed[move[on_knot] - 1])
     speed, acceleration = SPEED_FRACTION * limits.speed, ACCELERATION_FRACTION * limits.acceleration
     corners = PathCorners.from_spline(spline, knots, limits.corner_fractions[first + 1 : last])
-    weaker = np.ones(len(knots) - 2)
+    weaker = np.ones(len(knots) - 2)  # factor by which the acceleration limit of each corner is divided
     corner_limits: CornerLimits | None = None
     rounds = 0
     slower: TimedPiece | None = None
@@ -412,7 +421,7 @@ def _time_piece(
             / durations[[0, -1]]
             / MAX_RAMP_SPEED_RATIO
         )
-        if len(steps) == 1:
+        if len(steps) == 1:  # a piece of one move has no neighbour to match, so it is slowed directly
             time[1] *= max(1.0, ramp_excess[0])
             ramp_excess[:] = 0.0
         demand = corners.acceleration_fractions(move_lengths, np.diff(time), limits.acceleration)
@@ -472,6 +481,8 @@ def compute_profile(
     corners: CornerLimits | None = None,
 ) -> tuple[SpeedProfile | None, str]:
     """Compute the fastest profile that is at rest at both ends.
+
+    If the package ``toppra`` finds none, Drake's solver is used, without the limits at corners.
 
     Args:
         spline: Joint path.

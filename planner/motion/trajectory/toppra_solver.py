@@ -67,7 +67,8 @@ def path_speeds(
         corners: Limits at corners.
 
     Returns:
-        Path speeds (G,); None if the solver finds none.
+        Path speeds (G,). None if the solver finds none, or if the path would stand still at an inner grid
+        point.
     """
     acceleration_limits = JointAccelerationConstraint(
         np.stack([-acceleration, acceleration], axis=1),
@@ -106,7 +107,7 @@ def _stoppable_squares(wrapper: Any) -> list[tuple[float, float]] | None:
         next_range = low, high
         high = solve(i, None, upper, unbounded, unbounded, *next_range)[1]
         low = solve(i, None, lower, unbounded, unbounded, *next_range)[1]
-        if low != low or high != high:
+        if low != low or high != high:  # NaN: no solution
             return None
         low = max(low, 0.0)
         out[i] = low, high
@@ -131,7 +132,7 @@ def _fastest_squares(wrapper: Any, stoppable: list[tuple[float, float]]) -> list
                 break
             x = out[-1] = max(x - TINY, 0.999 * x)
             u = solve(i, None, objective, x, x, *next_range)[0]
-        if u != u:
+        if u != u:  # still NaN
             return None
         x += 2.0 * step * u
         x = min(next_range[1], max(next_range[0], x - TINY, 0.9999 * x))

@@ -96,6 +96,8 @@ def optimise_path(
 ) -> OptimisedPath:
     """Lower the cost of a path by changing the freedoms of its targets.
 
+    Each step is a damped Gauss-Newton step (Levenberg-Marquardt), halved until the exact cost falls.
+
     Args:
         scene: Cell with the arms.
         targets: N targets.
@@ -111,7 +113,7 @@ def optimise_path(
     values = problem.unwrap(values)
     joints = problem.stack(q)
     start = cost = problem.cost(values, joints)
-    damping, count = 1e-6, 0
+    damping, count = 1e-6, 0  # damping is relative to the largest diagonal entry
     while count < MAX_ITERATIONS and values.size:
         count += 1
         step, expected = problem.step(values, joints, damping)
@@ -119,7 +121,7 @@ def optimise_path(
             break
         # line search: halve the step until the exact cost falls
         step_fraction, is_accepted = 1.0, False
-        while step_fraction > 0.05:
+        while step_fraction > 0.05:  # down to 1/16
             trial = problem.clip(values + step_fraction * step)
             trial_joints = problem.joints(trial, joints)
             trial_cost = problem.cost(trial, trial_joints, cost) if trial_joints is not None else np.inf
@@ -130,6 +132,7 @@ def optimise_path(
         # a step that fails is repeated with more damping; a whole step that succeeds allows less
         if not is_accepted or trial_joints is None:
             damping *= 30.0
+            # give up with hardly any step left, or if little more can be gained
             if damping > 1e3 or (cost < start and expected < MIN_EXPECTED_GAIN_FRACTION * cost):
                 break
             continue
@@ -258,7 +261,7 @@ class PathProblem:
         return rates
 
     def plant_rates(self, model: CellModel, values: FloatArray, joints: FloatArray) -> FloatArray:
-        """Compute the same derivatives as :meth:`rates`, with the Jacobians of Drake's plant."""
+        """Compute the derivatives (N, J, F) of :meth:`rates` with the Jacobians of Drake's plant."""
         twists, q = self._freedom_twists(values), self.split(joints)
         poses, rate_parts = self.scene.tcp_poses(self.targets, values), []
         for arm, jacobian in model.jacobians(q).items():
@@ -344,7 +347,8 @@ class PathProblem:
     def step(self, values: FloatArray, joints: FloatArray, damping: float) -> tuple[FloatArray, float]:
         """Return the Gauss-Newton step (N, F) of the freedoms, and the gain that the quadratic model expects.
 
-        ``damping`` is relative to the largest diagonal entry of the model's matrix.
+        The step starts from ``values`` (N, F) with joints ``joints`` (N, J). ``damping`` is relative to the
+        largest diagonal entry of the model's matrix.
         """
         rates = self.rates(values, joints)
         blocks, gradient = self.quadratic_model(values, joints, rates)
@@ -367,7 +371,7 @@ class PathProblem:
             blocks: Matrix of the quadratic model.
             gradient: (N, F) half the gradient of the cost.
             values: (N, F) current values.
-            damping: As for :meth:`step`.
+            damping: Value that is added to the diagonal of the matrix, relative to its largest entry.
         """
         is_fixed = (self.upper <= self.lower) | ((values <= self.lower) & (gradient > 0))
         is_fixed |= (values >= self.upper) & (gradient < 0)
@@ -411,8 +415,9 @@ def _multiply_blocks(blocks: Sequence[FloatArray], x: FloatArray) -> FloatArray:
 def _lower_banded(blocks: Sequence[FloatArray], is_fixed: BoolArray, damping: float) -> FloatArray:
     """Convert a block-banded matrix to the lower banded form of :func:`scipy.linalg.solveh_banded`.
 
-    Rows and columns of fixed variables (N, F) become those of the identity. ``damping``, relative to the
-    largest diagonal entry, is added to the diagonal.
+    The matrix is given by its ``blocks`` (:data:`Blocks`), and ``is_fixed`` (N, F) says which variables are
+    fixed. Rows and columns of fixed variables (N, F) become those of the identity. ``damping``, relative to
+    the largest diagonal entry, is added to the diagonal.
     """
     rows, freedom_count = is_fixed.shape
     width = 3 * freedom_count - 1
@@ -461,6 +466,7 @@ def cost_weights(targets: Targets, rows: IndexArray | None = None) -> CostWeight
     with np.errstate(divide="ignore", invalid="ignore"):
         time = np.where(targets.feed > 0, targets.travel / targets.feed, 0.0)[1:]
     mean = float(time.mean()) if targets.count > 1 and time.sum() > 0 else 1.0
+    # relative durations, bounded so that very short or long moves do not dominate the cost
     time = np.clip(time / mean, 0.2, 5.0) if mean > 0 else np.ones(targets.count - 1)
     rows = np.arange(targets.count) if rows is None else rows
     stencil = _cost_stencil(time[rows[:-1]], targets.stop[rows], np.diff(rows) == 1, targets.count)
@@ -521,7 +527,7 @@ def unwrap_freedoms(targets: Targets, values: FloatArray) -> FloatArray:
 
 
 def narrow_freedoms(targets: Targets, values: FloatArray, rows: BoolArray, width: float) -> Targets:
-    """Restrict freedoms to a corridor at some targets.
+    """Restrict freedoms to a corridor at some targets, so that an optimised path stays close to a free one.
 
     Args:
         targets: N targets.
@@ -548,13 +554,15 @@ def narrow_freedoms(targets: Targets, values: FloatArray, rows: BoolArray, width
 
 
 def targets_around(count: int, moves: IndexArray, reach: int) -> BoolArray:
-    """Whether (count,) a target is close to a move: at most ``reach`` targets from its start or its end.
+    """Return for each of ``count`` targets whether it is close to one of the moves.
 
-    ``moves`` (M,) are the targets to which the moves lead.
+    Close means at most ``reach`` targets from the start or the end of a move. ``moves`` (M,) are the targets
+    to which the moves lead.
     """
     is_end = np.zeros(count, dtype=np.bool_)
     is_end[moves] = True
     is_end[np.maximum(moves - 1, 0)] = True
+    # +1 where the neighbourhood of an end starts and -1 after it: their running sum counts neighbourhoods
     counts = np.zeros(count + 1, dtype=np.intp)
     end_rows = np.flatnonzero(is_end)
     np.add.at(counts, np.maximum(end_rows - reach, 0), 1)

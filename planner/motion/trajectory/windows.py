@@ -110,7 +110,10 @@ def choose_windows(
     duration: FloatArray,
     stop: BoolArray,
 ) -> Windows | str:
-    """Choose the windows of a path.
+    """Choose the windows of a path, in which the program may change it.
+
+    Windows lie where the freedoms can lower the highest peaks of acceleration and jerk, then where they can
+    lower most of the cost.
 
     Args:
         scene: Cell with the arms.
@@ -152,6 +155,7 @@ def choose_windows(
         return f"its freedoms can change only {100.0 * max(fraction, 0.0):.1g} % of its cost and no peak"
     in_window, held = _place_windows(excess, cost)
     rows = np.flatnonzero(in_window)
+    # a peak need not be lower than those that stay: of joints that no freedom moves, and outside of windows
     goals = [
         max(floor, float(magnitude[_rows_outside(band, in_window & ~held)][:, moved].max(initial=0.0)))
         for band, magnitude, floor in zip(bands, magnitudes, floors, strict=True)
@@ -164,7 +168,10 @@ def choose_windows(
 def _moved_joints(
     scene: Scene, targets: Targets, branch: Mapping[str, int], values: FloatArray, joints: FloatArray
 ) -> BoolArray:
-    """Whether (J,) any freedom moves a joint, determined at some targets."""
+    """Return for each of J joints whether any freedom moves it.
+
+    This is determined at about :data:`SAMPLED_TARGETS` evenly spaced targets.
+    """
     rows = np.arange(0, targets.count, max(targets.count // SAMPLED_TARGETS, 1))
     subset_problem = PathProblem(scene, select_targets(targets, rows), branch, obstacles=None)
     return np.asarray(
@@ -215,7 +222,10 @@ def _place_windows(excess: FloatArray, cost: FloatArray) -> tuple[BoolArray, Boo
 
 
 def _rows_outside(band: DifferenceBand, free: BoolArray) -> BoolArray:
-    """Whether (M,) a difference of a band covers no target that may change, ``free`` (N,)."""
+    """Return for each of the M differences of a band whether it covers only targets that stay as they are.
+
+    ``free`` (N,) says which targets may change.
+    """
     covered = band.first[:, None] + np.arange(band.weight.shape[1])
     return np.asarray(~free[covered].any(axis=1))
 

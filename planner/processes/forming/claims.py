@@ -32,7 +32,7 @@ class FormsSheet(Claim):
         end: Level z [m] of the end.
         tolerance: Allowed depth [m].
         scallop: Height (F,) [m] that the steps of the path leave at each triangle.
-        share: Minimum fraction of that area that the ball touches.
+        share: Minimum fraction of the area, without what is flat at the start or end, that the ball touches.
     """
 
     segment: Segment
@@ -249,9 +249,10 @@ class CompensatesSpringback(Claim):
 
 @dataclasses.dataclass(frozen=True)
 class FormsLevel(Claim):
-    """Only a single level of what an operation is claimed to form is formed now.
+    """The programs form only a single level of all that an operation is claimed to form.
 
-    The problem states which level, and by how much the tools are deeper there. No other segment is formed.
+    The problem states the number of the level and the file with the shifts of the tools. No other segment is
+    formed.
 
     Attributes:
         operation: Name of the operation.
@@ -273,9 +274,9 @@ class FormsInOrder(Claim):
 class FormsByTable(Claim):
     """Two balls form a face at the clamping level of the sheet, from the inside out, by a response table.
 
-    The forming ball's lowest (highest) point is ``projection`` beyond the start level all the time. Its
-    position, seen along z, is where it would touch the face, whose wall angle there determines position angle
-    and gap by the table. The tools are square to the sheet.
+    The tip of the forming ball is ``projection`` beyond the start level all the time. Seen along z, the ball
+    is where it would touch the face. The wall angle of the face there determines the position angle and the
+    gap by the table. The tools are square to the sheet.
 
     Attributes:
         segment: Segment.
@@ -345,12 +346,13 @@ class FormsPart(Claim):
         gap: Gap tolerance [m].
         handshake: Gap tolerance [m] if two controllers are one step apart.
         pressed: Depth [m] to which tools may press.
-        passes: The user's wall angles [rad]; None: from ``limit`` on, ``angle_step`` apart.
+        passes: The user's wall angles [rad] of the passes. None: steep walls are formed in several passes,
+            the first one at up to ``limit`` and the others ``angle_step`` steeper each.
         limit: Wall angle [rad] of one pass.
         angle_step: Wall angle [rad] from pass to pass.
         repeats: Number of runs of each pass.
         mesh_tolerance: Maximum deviation [m] of the part's vertices from the intended face.
-        male: Whether a die stands up in the part.
+        male: Whether the sheet is formed over a male die, which protrudes into the part.
         sinking: Signal of the die's holder, and the distance [m] by which a pulse lowers it.
         unreached: Maximum distance [m] of balls from the part where they do not fit; None: only reported.
         features: Numbers of the features that it forms, None for all.

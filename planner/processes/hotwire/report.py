@@ -123,7 +123,7 @@ def _straight_wire_rows(wire: StraightWire) -> list[SetupRow]:
 
 
 def _cutting_rows(claims: Sequence[Claim], proof: Proof | None) -> list[SetupRow]:
-    """Return the range of speeds in the foam and of the resulting kerf."""
+    """Return rows with the range of speeds in the foam and with the kerf, if there are claims on them."""
     windows = [c for c in claims if isinstance(c, FeedWindow) and c.segment.kind == "cut"]
     cuts = [c for c in claims if isinstance(c, CutsSurface)]
     out: list[SetupRow] = []
@@ -138,7 +138,10 @@ def _cutting_rows(claims: Sequence[Claim], proof: Proof | None) -> list[SetupRow
 
 
 def _mounting_rows(setup: Setup, plan: Plan, operation: OperationPlan, wire: WireJoins) -> list[SetupRow]:
-    """Return the relative placement of the TCPs at the first target, where the wire is mounted."""
+    """Return rows with distance and angles of the TCPs at the first target, where the wire is mounted.
+
+    They follow from the planned joint values.
+    """
     arms = [setup.cell.arm(name) for name in wire.arms]
     poses = [scene.flange_poses(arm, plan.bases, operation.q[arm.name][0]) @ arm.tool.tcp for arm in arms]
     gap = poses[1][:3, 3] - poses[0][:3, 3]

@@ -97,7 +97,7 @@ class ProgramAutomaton:
     Attributes:
         actions: Actions of the program. Their ``line`` is the index of a step among its steps.
         interval: Interval of each step: number of meetings before it.
-        protocol: Whether each step belongs to the handshake, and is no work.
+        protocol: Whether each step belongs to the handshake rather than to the work.
         faults: Faults of the program, as (message, step).
     """
 
@@ -165,6 +165,9 @@ def program_automata(
 def uses_wires(arm: str, steps: Iterable[ProgramStep], sections: Sequence[Sections], wiring: Wiring) -> bool:
     """Return whether a program uses the wires between two controllers, or starts the other program.
 
+    It starts the other program if a message asks the operator to do so, or says that this program is ready to
+    meet. A program that does none of this may run alone.
+
     Args:
         arm: Name of the arm.
         steps: Steps of the program.
@@ -193,7 +196,13 @@ def counts_as_stopped(step: MessageStep) -> bool:
 
 
 def _position_naming(arm: str, arms: Sequence[str], positions: Mapping[str, Mapping[str, int]]) -> int | None:
-    """Return the position at which another program's panel names an arm, or None."""
+    """Return the position in another program at which its panel names an arm, or None.
+
+    Args:
+        arm: Name of the arm.
+        arms: Names of all arms.
+        positions: For each program the positions of its messages, by the letters of the arm that they name.
+    """
     matches = [
         positions[name][normalised_text(arm)]
         for name in arms
@@ -237,7 +246,10 @@ def _messages_before_moves(steps: Sequence[ProgramStep]) -> Iterable[int]:
 
 
 def _panel_lines(steps: Sequence[ProgramStep], last: int) -> str:
-    """Return the letters of the consecutive panel lines up to the message with index ``last``."""
+    """Return the letters of the text that the panel shows after the message with index ``last``.
+
+    The text consists of the consecutive line messages up to this one, because a long sentence takes several.
+    """
     text, index = "", last
     while index >= 0:
         step = steps[index]
@@ -321,7 +333,10 @@ class _AutomatonBuilder:
         """Whether the operator was asked anything, such as whether an earlier run is still active."""
 
     def run(self) -> None:
-        """Process all steps, and end the last work."""
+        """Process all steps, and end the last work.
+
+        It is a fault if the arm moves after the last meeting, because the other program may have ended then.
+        """
         for i, step in enumerate(self.steps):
             self.protocol.append(self._step(i, step))
             self.interval.append(self.meeting_count)
@@ -333,7 +348,12 @@ class _AutomatonBuilder:
     # ---- steps ----
 
     def _step(self, i: int, step: ProgramStep) -> bool:
-        """Process the step with index ``i``, and return whether it belongs to the handshake."""
+        """Process the step with index ``i``, and return whether it belongs to the handshake.
+
+        Moves, changes of outputs without a wire, branches, waits without an input, messages with a question,
+        and changes of loads are work. Any other step that is not part of the handshake has no effect here,
+        apart from messages that ask for the other program or say that this one is ready.
+        """
         match step:
             case SignalStep() if step.signal.lower() in self.drives:
                 self._set(i, step)
@@ -402,7 +422,11 @@ class _AutomatonBuilder:
         return False
 
     def _set(self, i: int, step: SignalStep) -> None:
-        """Process the change of a line, which begins a meeting or is the second half of one."""
+        """Process the change of the program's line to the other program.
+
+        A meeting begins when the line rises. In a toggle handshake a fall begins a meeting, too, unless it is
+        the first setting of the line. In a four-phase handshake a fall is the second half of a meeting.
+        """
         wire = self.drives[step.signal.lower()]
         if step.value not in (0.0, 1.0):
             self._fault(f"{step.signal} is set to {step.value:g}; allowed: 0 and 1", step)
@@ -426,7 +450,10 @@ class _AutomatonBuilder:
         self._add("set", wire, value, i)
 
     def _wait(self, i: int, step: WaitStep) -> None:
-        """Process a wait for the other program's line; a wait for any other input is a fault, and work."""
+        """Process a wait for an input: that of the other program's line, unless the program has a fault.
+
+        A wait for any other input is a fault, and counts as work.
+        """
         if step.signal.lower() not in self.reads:
             wired = ", ".join(sorted(self.reads)) or "none"
             self._fault(f"it waits for {step.signal}, which has no wire; wired: {wired}", step)
@@ -449,7 +476,12 @@ class _AutomatonBuilder:
         self._add("wait", self.reads[step.signal.lower()], int(step.value == 1.0), i)
 
     def _running_wait(self, i: int, step: WaitStep) -> None:
-        """Process a wait for the other program's running wire. At 1 it covers the meeting that follows."""
+        """Process a wait for the other program's running wire.
+
+        A wait for level 1 checks that the other program runs. It covers the sets and waits of the meeting
+        that follows (``covered``), which need such a check. A wait for level 0 is allowed only before the
+        first meeting.
+        """
         if step.value not in (0.0, 1.0):
             self._fault(f"it waits for another level of {step.signal} than 0 or 1", step)
         if step.flag and not self._ends_on_timeout(i, step):
@@ -472,7 +504,10 @@ class _AutomatonBuilder:
         self._add("look", 0, int(running), i)
 
     def _instant_check(self, i: int, step: CheckStep) -> None:
-        """Process a check of the other program's line and its running wire, which may end the program."""
+        """Process a check of the other program's line and running wire; the program ends if it fails.
+
+        If it also requires that the program's own running wire is 1, it covers the meeting that follows.
+        """
         line, runs = step.signal.lower(), step.runs.lower()
         if line not in self.reads or runs not in self.running_inputs:
             self._fault(
@@ -487,7 +522,10 @@ class _AutomatonBuilder:
         self._add("wait", self.reads[line], step.value, i)
 
     def _require_check(self, step: ProgramStep, value: int) -> None:
-        """Record a fault if no check of the other program's running wire covers this set or wait."""
+        """Record a fault if no check of the other program's running wire covers this set or wait.
+
+        Before the first meeting a set or wait of level 0 needs no check, because it only resets the lines.
+        """
         if self.covered:
             self.covered -= 1
         elif self.meeting_count or value:
@@ -496,12 +534,16 @@ class _AutomatonBuilder:
             self.check_timeout = None
 
     def _require_meeting(self, step: ProgramStep, what: str) -> None:
-        """Record a fault if work begins before the first meeting; ``what`` is done, as a clause."""
+        """Record a fault if a step is before the first meeting. The clause ``what`` says what it does."""
         if not self.meeting_count:
             self._fault(f"{what} before the first meeting, before which the running wires are checked", step)
 
     def _require_dwell(self, step: RunningStep) -> None:
-        """Record a fault if the other program may not see the running wire low before its first rise."""
+        """Record a fault if the running wire rises too soon after the start of the program.
+
+        The program must wait for ``MIN_SETTLING_TIME_S`` before the first rise, so that the other one sees
+        the wire at 0.
+        """
         if step.on and not self.meeting_count and step.waited < MIN_SETTLING_TIME_S:
             detail = (
                 f"{step.waited:g} s before the running wire rises at the start; at least: "
@@ -510,7 +552,11 @@ class _AutomatonBuilder:
             self._fault(f"the program waits {detail}, so that the other one sees it low", step)
 
     def _ends_on_timeout(self, i: int, step: WaitStep) -> bool:
-        """Return whether the step after a wait ends the program on a timeout, without motion before that."""
+        """Return whether the step after a wait ends the program on a timeout, without motion before that.
+
+        This step must be a branch on the wait's flag. It may show texts and change settings and outputs, and
+        its last step must be EXIT.
+        """
         next_step = self.steps[i + 1] if i + 1 < len(self.steps) else None
         if not isinstance(next_step, ChoiceStep):
             return False
@@ -524,7 +570,10 @@ class _AutomatonBuilder:
         return without_motion and isinstance(last_step, SettingStep) and last_step.kind == "EXIT"
 
     def _check_branch(self, step: ChoiceStep) -> None:
-        """Record faults of steps under a run-time condition that use the wires or wait for them."""
+        """Record the faults of a branch, whose steps depend on a condition that is known at run time only.
+
+        Such steps may neither set a line or a running wire to the other program, nor wait for an input.
+        """
         for inside in step.steps:
             if isinstance(inside, ChoiceStep):
                 self._check_branch(inside)
@@ -549,7 +598,11 @@ class _AutomatonBuilder:
             self._add("go", 0, self.meeting_count, i)
 
     def _end_work(self) -> None:
-        """End the current work, if there is any. The arm must then be at rest."""
+        """End the current work, if there is any.
+
+        It is a fault if the last move of the work does not end in a stop: the handshake that follows might
+        run before the arm has arrived.
+        """
         if self.working is None:
             return
         if self.last_move is not None and not self.last_move.zone.fine:
@@ -562,7 +615,11 @@ class _AutomatonBuilder:
         self.last_move = None
 
     def _add(self, kind: str, wire: int, value: int, i: int) -> None:
-        """Append the action of step ``i``. Before that the operator must have ruled out an earlier run."""
+        """Append the action of step ``i``.
+
+        It is a fault if the action uses a wire before the operator was asked whether the other controller
+        still runs an earlier program. No question is necessary while the program holds its running wire at 0.
+        """
         step = self.steps[i]
         if kind in ("set", "wait", "look") and not (self.operator_asked or self.holds_low):
             message = (
@@ -573,7 +630,11 @@ class _AutomatonBuilder:
         self.actions.append(AutomatonAction(kind, wire, value, self._handler_levels(step), i))  # type: ignore[arg-type]
 
     def _handler_levels(self, step: ProgramStep) -> Levels:
-        """Return the levels that the ERROR and UNDO sections of a step's procedure leave on the wires."""
+        """Return the levels that the ERROR and UNDO sections of a step's procedure leave on the wires.
+
+        The model checker needs them, because a program may stop by an error at any step. Each procedure is
+        evaluated once. It is a fault if a section switches the running wire.
+        """
         key = (step.module, step.procedure)
         if key not in self.resets:
             signals = [

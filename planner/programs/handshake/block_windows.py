@@ -23,6 +23,7 @@ from collections.abc import Hashable, Sequence
 from planner.programs.handshake.wire_operations import WireOperation
 
 _WORK = ("go", "done")
+"""Kinds of operations whose value is the number of their block."""
 _END = WireOperation("ask", -1)
 """Separator between the operations of both programs in the kind of a block."""
 
@@ -37,8 +38,9 @@ class BlockWindows:
         blocks: Block of each position in the shortened programs, by program. The end of a program belongs to
             the last block.
         starts: First position of each block, by program.
-        next_block: For each block the next one of the same kind after a block of the same kind. The first
-            such block follows the last one; a block without another one has itself.
+        next_block: For each block the next equivalent one, cyclically. Two blocks are equivalent if they are
+            of one kind and the blocks before them are of one kind. A block without an equivalent one has
+            itself.
         first_work: Position of each program's first work.
     """
 
@@ -52,9 +54,13 @@ class BlockWindows:
     """Whether a program was far beyond its first work, so that the shortening is not valid."""
 
     def equivalent_positions(self, positions: tuple[int, int]) -> tuple[int, int] | None:
-        """Return the next positions of both programs at which the same two blocks are kept, or None.
+        """Return positions of both programs in the next equivalent block, from which they continue alike.
 
-        A program that is more than one block behind stays at its position.
+        None if there is no other equivalent block. A program that is more than one block behind the other one
+        stays at its position. If it is then beyond its first work, ``is_invalid`` is set.
+
+        Args:
+            positions: Positions of both programs.
         """
         a, b = (
             program_blocks[position] for program_blocks, position in zip(self.blocks, positions, strict=True)
@@ -78,9 +84,10 @@ class BlockWindows:
 def shorten_programs(
     programs: Sequence[Sequence[WireOperation]], blocks: Sequence[Sequence[int]]
 ) -> tuple[list[list[WireOperation]], BlockWindows] | None:
-    """Return both programs with few blocks that still contain every three consecutive ones, or None.
+    """Return both programs with few blocks, which still contain every three consecutive kinds of blocks.
 
-    None means that no block can be left out.
+    The result is None if no block can be left out, if a program has no work, or if a block is empty in a
+    program.
 
     Args:
         programs: Operations of both programs.
@@ -98,7 +105,8 @@ def shorten_programs(
     if not all(working) or not all(block for part in parts for block in part):
         return None
     last_first_work = max(block_numbers[0] for block_numbers in working)
-    # blocks with equal operations, apart from the numbers of block and line, are of one kind
+    # blocks with equal operations, apart from the numbers of block and line, are of one kind; each block up
+    # to the first work of both programs, and the last block, has a kind of its own
     kinds: list[Hashable] = [
         k
         if k <= last_first_work or k == count - 1
@@ -134,9 +142,10 @@ def _shift_operation(move: WireOperation, by: int) -> WireOperation:
 
 
 def _covering_indices(kinds: Sequence[Hashable]) -> list[int]:
-    """Return indices of a sequence, in order, with exactly the same triples of consecutive kinds.
+    """Return indices of a shorter sequence with the triples of consecutive kinds of the whole one.
 
-    A section between two positions after the same two kinds is dropped if all its triples occur before it.
+    If the same two consecutive kinds occur at two positions, the section between them may be dropped: the
+    sequence continues alike after both. It is dropped if each triple in it also occurs before it.
     """
     out: list[int] = []
     first_occurrence: dict[tuple[Hashable, ...], int] = {}
@@ -146,7 +155,7 @@ def _covering_indices(kinds: Sequence[Hashable]) -> list[int]:
         if end < 2:
             continue
         first_occurrence.setdefault(tuple(kinds[i] for i in out[-3:]), end)
-        latest_occurrence = 0
+        latest_occurrence = 0  # latest of the first occurrences of the triples after index i
         for i in range(end - 1, 0, -1):
             latest_occurrence = max(
                 latest_occurrence, first_occurrence[tuple(kinds[j] for j in out[i - 1 : i + 2])]
@@ -158,7 +167,10 @@ def _covering_indices(kinds: Sequence[Hashable]) -> list[int]:
 
 
 def _next_equivalent(kinds: Sequence[Hashable]) -> list[int]:
-    """Return for each position the next one after the same two kinds; the first one follows the last."""
+    """Return for each position the next one with equal kinds at it and directly before it, cyclically.
+
+    A position without another such one has itself.
+    """
     positions_by_kinds: dict[tuple[Hashable, ...], list[int]] = {}
     for i in range(len(kinds)):
         positions_by_kinds.setdefault((i,) if i == 0 else tuple(kinds[i - 1 : i + 1]), []).append(i)

@@ -34,11 +34,14 @@ RunningWire = Literal["works", "low", "high"]
 Levels = tuple[tuple[int, int], ...]
 """Levels of wires, as pairs (number of the wire, level)."""
 _State = tuple[int, int]
-"""Offset between the positions of both programs, and bits.
+"""State of both programs and all wires at a given sum of the positions: (offset, bits).
 
-The lowest bits are three for each wire: driven level, level as read, and whether the reader has not seen the
-last change yet. Then four pairs follow, with a bit for each program: it has stopped for good, it is stopped,
-the other one reads it as stopped, its running wire is cut.
+The position of a program is the index of its next action. The offset is the position of the first program
+less that of the second one, so that sum and offset determine both positions.
+
+The bits hold the rest. The lowest bits are three for each wire: driven level, level as read, and whether the
+reader has not seen the last change yet. Then four pairs follow, with a bit for each program: it has stopped
+for good, it is stopped, the other one reads it as stopped, its running wire is cut.
 """
 _PositionFacts = tuple[int, int, bool, bool, bool, bool]
 """Facts that follow from the positions of both programs.
@@ -47,8 +50,9 @@ They are the codes of both actions (0 at the end of a program), for each program
 done the work of the previous interval, and for each program whether its gate is open.
 """
 _ProgramStep = tuple[int, int, FaultKind | None]
-"""A step of a program: number of the program, the bits after the step, and the fault that it causes."""
+"""A step of a program, which executes one action: its number (0, 1), the bits after it, and its fault."""
 _AFTER_ALL, _BEFORE_ALL = 2**60, -(2**60)
+"""Interval after that of any work, and before it."""
 _UNCONDITIONAL_FAULTS: Final = ("apart", "unwatched")
 """Faults that count even if the operator ignores the panels, and after a program has stopped for good."""
 
@@ -143,12 +147,13 @@ class ProgramProduct:
         self.table: list[AutomatonAction | None] = [None]
         code_by_action: dict[tuple[object, ...], int] = {}
         code = []
+        # actions have one code if they act equally on wires; facts state the intervals and positions in gates
         for program in programs:
             program_codes = []
             for action in program:
                 value = action.value if action.kind in ("set", "wait", "look") else 0
                 if action.kind == "go":
-                    value = min(action.value, 1)
+                    value = min(action.value, 1)  # whether the work is after the first meeting
                 key = (action.kind, action.wire, value, action.resets)
                 if key not in code_by_action:
                     code_by_action[key] = len(self.table)
@@ -177,7 +182,9 @@ class ProgramProduct:
     def kinds(self, offset: int) -> list[int]:
         """Return for each sum of the positions, at an offset, a number that encodes the facts there.
 
-        Numbers of sums that are impossible at this offset have no meaning.
+        The four lowest bits are the four truth values of :data:`_PositionFacts`, in order. The rest are the
+        codes c0, c1 of both actions, as c0 n + c1 with n codes in total. Numbers of sums that are impossible
+        at this offset have no meaning.
         """
         if offset not in self._kinds:
             total: IntArray = np.arange(self.max_sum + 1)
@@ -246,10 +253,28 @@ class _StateSet:
 
 
 class _HandshakeSearch:
-    """Search over the reachable states, see :func:`check_handshake` for the parameters.
+    """Search over the reachable states of two programs, see :func:`check_handshake` for the parameters.
 
-    Of each pair of bits in a state, ``gone_bit``, ``stopped_bit``, ``low_bit`` and ``cut_bit`` are the lower
-    ones. ``stuck``: a running wire is stuck or missing.
+    A state (:data:`_State`) changes in two ways. A **step** of a program executes its next action and leads
+    to the next sum of the positions. A **free change** keeps both positions: the reading end of a wire
+    follows its driving end, a program stops or is started again, a running wire changes or is cut. The
+    **closure** of a set of states also contains all states to which free changes lead from it. At each sum,
+    ``run`` forms the closure of the states there, and applies all steps to it. This gives the states at the
+    next sum.
+
+    Attributes:
+        product: Actions of both programs, and the facts that follow from their positions.
+        table: Distinct actions by code, None at code 0 for the end of a program.
+        wires: Number of wires.
+        gates: Whether programs wait at gates.
+        trace: Maximum number of events in the trace of a fault.
+        running: State of each running wire, None without running wires.
+        stuck: Whether a running wire is stuck or missing.
+        gone_bit: Number of the bit of program 0 for "has stopped for good". Here and below, the next higher
+            bit is that of program 1.
+        stopped_bit: Number of the bit for "is stopped".
+        low_bit: Number of the bit for "the other program reads it as stopped".
+        cut_bit: Number of the bit for "its running wire is cut".
     """
 
     def __init__(
@@ -270,7 +295,11 @@ class _HandshakeSearch:
         self.gone_bit, self.stopped_bit, self.low_bit, self.cut_bit = (3 * wires + 2 * i for i in range(4))
 
     def run(self) -> HandshakeVerdict:
-        """Visit the states sum by sum, up to the first sum with faults or to the end of both programs."""
+        """Visit the states sum by sum, and return the verdict.
+
+        The search ends at the first sum with faults, or when both programs have ended. There is one fault for
+        each kind that occurs at this sum.
+        """
         # Initial states: all levels of the wires, read as driven. With running wires both are stopped.
         initial_bits = 0
         if self.running is not None:
@@ -322,7 +351,18 @@ class _HandshakeSearch:
     def _expand(
         self, state_set: _StateSet, facts: Mapping[int, _PositionFacts]
     ) -> tuple[frozenset[_State], int, frozenset[FaultKind]]:
-        """Return the states after one step of a program, the number of states before it, and the faults."""
+        """Return what follows from the states at one sum of the positions.
+
+        Without gates, or after a program has stopped for good, only the unconditional faults count.
+
+        Args:
+            state_set: States that steps from the previous sum lead to.
+            facts: Facts at this sum, by offset.
+
+        Returns:
+            The states at the next sum, after one step of either program; the number of states in the closure
+            of ``state_set``; and the kinds of faults that occur in the closure or in these steps.
+        """
         faults: set[FaultKind] = set()
         out: set[_State] = set()
         # all states at this sum; each step of a program leads to a state at the next one
@@ -341,12 +381,17 @@ class _HandshakeSearch:
         return frozenset(out), len(closure), frozenset(faults)
 
     def _closure(self, states: frozenset[_State], facts: Mapping[int, _PositionFacts]) -> set[_State]:
-        """Return all states that states reach without a step of a program: wires follow, programs stop."""
+        """Return the closure of states under free changes, which keep the positions of both programs.
+
+        Args:
+            states: States at one sum of the positions.
+            facts: Facts at this sum, by offset.
+        """
         closure = set(states)
         todo = list(states)
         while todo:
             offset, bits = todo.pop()
-            # a reading end follows its driving end
+            # a reading end follows its driving end; bits of a wire: 1 driven, 2 read, 4 change not seen yet
             lagging = [wire for wire in range(self.wires) if (bits >> 3 * wire ^ bits >> 3 * wire + 1) & 1]
             next_bits = [bits ^ 2 << 3 * wire for wire in lagging]
             if self.running is not None:
@@ -372,7 +417,10 @@ class _HandshakeSearch:
         return closure
 
     def _external_successors(self, bits: int, facts: _PositionFacts) -> list[int]:
-        """Return the bits after each start or stop of a program, and each change or cut of a running wire."""
+        """Return the bits after each free change that involves running wires.
+
+        These are each start or stop of a program, and each change or cut of a running wire.
+        """
         out = [bits & ~(1 << self.stopped_bit + program) for program in self._startable(bits, facts)]
         for program in range(2):
             # a program stops; its wire falls (and stops the other one) or rises; a wire is cut
@@ -393,7 +441,7 @@ class _HandshakeSearch:
         return out
 
     def _wire_works(self, bits: int, program: int) -> bool:
-        """Return whether the running wire of a program is neither missing, stuck nor cut."""
+        """Return whether the running wire of a program (0 or 1) is neither missing, stuck nor cut."""
         return (
             self.running is not None
             and self.running[program] == "works"
@@ -401,7 +449,11 @@ class _HandshakeSearch:
         )
 
     def _startable(self, bits: int, facts: _PositionFacts) -> list[int]:
-        """Return the stopped programs that may be started: their wire has fallen, their gate is open."""
+        """Return the stopped programs, 0 and 1, that an operator may start now.
+
+        Such a program has not ended, nor stopped for good. The other program reads it as stopped, unless the
+        running wire does not work. If gates count, its gate must be open.
+        """
         return [
             program
             for program in range(2)
@@ -415,7 +467,9 @@ class _HandshakeSearch:
     def _is_deadlocked(self, bits: int, facts: _PositionFacts, enabled: list[_ProgramStep]) -> bool:
         """Return whether no unfinished program can ever continue.
 
-        States in which a program has stopped for good or a running wire is cut do not count.
+        This requires that no program can execute a step (``enabled`` is empty) or be started, and that no
+        wire can change any more. A state is no deadlock if both programs have ended, if a program has stopped
+        for good, or if a running wire is cut or stuck.
         """
         if enabled or bits >> self.gone_bit & 3 or bits >> self.cut_bit or not (facts[0] or facts[1]):
             return False
@@ -423,17 +477,25 @@ class _HandshakeSearch:
             return False
         if self.running is None:
             return True
+        # a running wire still has to follow its program, or a program that has ended still counts as running
         follows = any((bits >> self.stopped_bit + i ^ bits >> self.low_bit + i) & 1 for i in range(2))
         ends = any(not facts[i] and not bits >> self.stopped_bit + i & 1 for i in range(2))
         return not (self.stuck or follows or ends or self._startable(bits, facts))
 
     def _has_unread_change(self, bits: int, facts: _PositionFacts) -> bool:
-        """Return whether both programs have ended, and the last change of a wire was never seen."""
+        """Return whether both programs have ended, but the last change of a wire was never seen."""
         unseen = any(bits >> 3 * wire & 4 for wire in range(self.wires))
         return not (facts[0] or facts[1]) and not bits >> self.gone_bit & 3 and unseen
 
     def _enabled_steps(self, bits: int, facts: _PositionFacts) -> list[_ProgramStep]:
-        """Return the steps that the programs can execute in a state."""
+        """Return the steps that the programs can execute in a state, with the faults of these steps.
+
+        A program that has ended, is stopped, or waits in vain has no step.
+
+        Args:
+            bits: Bits of the state.
+            facts: Facts at its positions.
+        """
         out: list[_ProgramStep] = []
         for program in range(2):
             action = self.table[facts[program]]
@@ -453,7 +515,7 @@ class _HandshakeSearch:
                         continue
                     if bits >> shift & 1 == action.value:
                         after = bits & ~(4 << shift)  # the reading program has seen the last change
-                case "go":
+                case "go":  # the other program must have done the work of the previous interval
                     fault = None if facts[2 + program] else "apart"
                     if self.stuck and action.value:
                         fault = "unwatched"
@@ -476,7 +538,10 @@ class _HandshakeSearch:
     # ---- events that lead to a fault ----
 
     def _states_with_steps(self, total: int, state_set: _StateSet) -> dict[_State, list[_ProgramStep]]:
-        """Return all states at a sum of the positions, each with its enabled steps."""
+        """Return all states at a sum of the positions, each with its enabled steps.
+
+        They are the closure of ``state_set``, the states to which steps from the previous sum lead.
+        """
         facts = {offset: self.product.facts_at(total, offset) for offset in state_set.offsets}
         return {
             (offset, bits): self._enabled_steps(bits, facts[offset])
@@ -486,14 +551,21 @@ class _HandshakeSearch:
     def _finding(
         self, kind: FaultKind, total: int, state_sets: list[_StateSet], history: list[int]
     ) -> HandshakeFault:
-        """Return a fault with its trace: walk back from a faulty state, one sum of positions at a time."""
+        """Return a fault with its trace: walk back from a faulty state, one sum of positions at a time.
+
+        Args:
+            kind: Kind of the fault.
+            total: Sum of the positions at which it occurs.
+            state_sets: Distinct sets of states.
+            history: Index of the set of states at each sum of the positions up to ``total``.
+        """
         faulty_state, program = next(self._faulty_states(kind, total, state_sets[history[total]]))
         events: list[AutomatonEvent] = []
-        state, level = faulty_state, total
-        while level > 0 and len(events) < self.trace:
-            state, event = self._predecessor(state, level, state_sets[history[level - 1]])
+        state, state_total = faulty_state, total
+        while state_total > 0 and len(events) < self.trace:
+            state, event = self._predecessor(state, state_total, state_sets[history[state_total - 1]])
             events.append(event)
-            level -= 1
+            state_total -= 1
         offset, bits = faulty_state
         return HandshakeFault(
             kind,
@@ -508,7 +580,10 @@ class _HandshakeSearch:
     def _faulty_states(
         self, kind: FaultKind, total: int, state_set: _StateSet
     ) -> Iterator[tuple[_State, int]]:
-        """Yield states with the fault and the program at fault, those without stopped programs first."""
+        """Yield each state at a sum of the positions that has the fault, with the program at fault.
+
+        States in which no program has stopped for good come first.
+        """
         enabled_by_state = self._states_with_steps(total, state_set)
         for (offset, bits), enabled in sorted(
             enabled_by_state.items(), key=lambda item: item[0][1] >> self.gone_bit & 3
@@ -524,19 +599,32 @@ class _HandshakeSearch:
             if kind == "lost_edge" and self._has_unread_change(bits, self.product.facts_at(total, offset)):
                 yield (offset, bits), 0
 
-    def _predecessor(self, state: _State, level: int, state_set: _StateSet) -> tuple[_State, AutomatonEvent]:
-        """Return any predecessor of a state at the sum ``level``, and the event between them."""
-        for (offset, bits), enabled in self._states_with_steps(level - 1, state_set).items():
-            for program, after, _ in enabled:
-                next_offset = offset + (1 if program == 0 else -1)
-                if next_offset != state[0]:
+    def _predecessor(
+        self, state: _State, total: int, previous_set: _StateSet
+    ) -> tuple[_State, AutomatonEvent]:
+        """Return one state from which a step of a program, and then free changes, lead to ``state``.
+
+        Args:
+            state: A reached state.
+            total: Sum of the positions of both programs in ``state``.
+            previous_set: States at the previous sum.
+
+        Returns:
+            The previous state, the first one in ascending order if there are several, and the step as an
+            event.
+        """
+        previous_total = total - 1
+        target_offset = state[0]
+        facts = {target_offset: self.product.facts_at(total, target_offset)}
+        for (offset, bits), enabled in self._states_with_steps(previous_total, previous_set).items():
+            for program, bits_after_step, _ in enabled:
+                offset_after_step = offset + (1 if program == 0 else -1)
+                if offset_after_step != target_offset:
                     continue
-                if state in self._closure(
-                    frozenset({(next_offset, after)}),
-                    {next_offset: self.product.facts_at(level, next_offset)},
-                ):
-                    position = (level - 1 + offset) >> 1 if program == 0 else (level - 1 - offset) >> 1
-                    return (offset, bits), AutomatonEvent(program, position)
+                if state in self._closure(frozenset({(offset_after_step, bits_after_step)}), facts):
+                    # sum s and offset d of the positions p0, p1: p0 = (s + d) / 2, p1 = (s - d) / 2
+                    doubled_position = previous_total + offset if program == 0 else previous_total - offset
+                    return (offset, bits), AutomatonEvent(program, doubled_position >> 1)
         raise RuntimeError("a reached state has no predecessor")
 
 
@@ -546,7 +634,11 @@ def _state_set(states: frozenset[_State]) -> _StateSet:
 
 
 def _finished_intervals(program: Sequence[AutomatonAction]) -> list[int]:
-    """Return for each position the last interval whose work is done: the one before that of the next work."""
+    """Return for each position of a program the last interval whose work is done there.
+
+    It is the interval before that of the program's next work. At a position between "go" and "done" the work
+    of this interval is not done yet. After the last work all intervals are done.
+    """
     out = [_AFTER_ALL] * (len(program) + 1)
     for position in range(len(program) - 1, -1, -1):
         action = program[position]

@@ -45,6 +45,7 @@ them, and whether it monitors the other program.
 _BIT_COUNT, _BIT_MASK = 7, 127
 """Number of bits of a program, including its mode, and mask of all of them."""
 _AFTER_ALL: Final = 2**60
+"""Interval after that of any work."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,9 +104,16 @@ def check_restarts(
 class _RestartSearch:
     """Breadth-first search over the joint states of two programs.
 
-    The state of a program is an integer: its position, shifted by the number of its bits, and its bits. A
-    joint state combines the states of both, of which there are ``sides`` each. ``done`` has the last interval
-    whose work is done, at each position, by program.
+    The state of a program is an integer: its position, shifted by the number of its bits, and its bits. With
+    the states a and b of both programs the joint state is a * ``sides`` + b.
+
+    Attributes:
+        programs: Operations of both programs.
+        windows: Correspondence with the whole programs if these are shortened, else None.
+        reads_back: Whether each wait, look and watch ends the program if its own running wire is 0.
+        disturbed: Whether operators may stop, pause and start programs at any time.
+        sides: Upper bound on the states of one program.
+        done: Last interval whose work is done at each position, by program.
     """
 
     def __init__(
@@ -139,7 +147,10 @@ class _RestartSearch:
         """Events of one program by its state and the bits of the other: next state, event, whether slow."""
 
     def run(self) -> RestartResult:
-        """Return the fault with the fewest events, if any. At first both programs are off, with any lines."""
+        """Visit the states in the order of the number of events, and return the first fault, if there is one.
+
+        At first both programs are off, and their lines have any levels.
+        """
         initial = (0, _LINE_BIT | _LINE_READ_BIT)
         todo = [a * self.sides + b for a in initial for b in initial]
         self.predecessors = dict.fromkeys(todo, -1)
@@ -181,7 +192,11 @@ class _RestartSearch:
         return tuple(reversed(out))
 
     def _equivalent_states(self, pair: tuple[int, int]) -> list[int]:
-        """Return the equivalent state at other positions with the same blocks, if programs are shortened."""
+        """Return a list with the equivalent joint state at other positions of shortened programs.
+
+        The list is empty if there is no such state, or if the programs are not shortened. See
+        :meth:`BlockWindows.equivalent_positions`.
+        """
         positions = (pair[0] >> _BIT_COUNT, pair[1] >> _BIT_COUNT)
         equivalent = None if self.windows is None else self.windows.equivalent_positions(positions)
         if equivalent is None:
@@ -199,7 +214,12 @@ class _RestartSearch:
         return not other & _RUNNING_READ_BIT or (self.reads_back and not program & _RUNNING_BIT)
 
     def _fault(self, pair: tuple[int, int]) -> tuple[FaultKind, int] | None:
-        """Return the fault of a program that works in this state, with its number, or None."""
+        """Return the fault of a program that works in this joint state, and its number; None for no fault.
+
+        A program at the end of its work ("done") is at fault in two cases. Its monitor does not run. Or the
+        other program runs or is paused, and has not done the work of the previous interval, while the monitor
+        is not about to end this program.
+        """
         for i, program_state in enumerate(pair):
             moves, position = self.programs[i], program_state >> _BIT_COUNT
             if program_state & 3 != _MODE_ON or position >= len(moves) or moves[position].kind != "done":
@@ -213,7 +233,12 @@ class _RestartSearch:
         return None
 
     def _undisturbed_fault(self, pair: tuple[int, int], can_continue: bool) -> tuple[FaultKind, int] | None:
-        """Return the fault if a program ends itself without disturbance, or if no program can continue."""
+        """Return the fault if a program ends itself without disturbance, or if no program can continue.
+
+        A program ends itself by its monitor, at a wait or look if its own running wire is 0, or at a check
+        that it does not pass. The check by which the lead sees that the other program runs is left out,
+        because the operator may start that program later.
+        """
         for i, program_state in enumerate(pair):
             moves, position, other = self.programs[i], program_state >> _BIT_COUNT, pair[1 - i]
             if self._is_ending(program_state, other):
@@ -229,10 +254,12 @@ class _RestartSearch:
         return None if can_continue or ended else ("stuck", 0)
 
     def _may_happen(self, pair: tuple[int, int], program: int) -> bool:
-        """Return whether an action that takes an operator long may happen to a program now.
+        """Return whether a slow event of a program may happen now: a start, an answer or a long wait.
 
-        With disturbances it may if wires have followed and the other program is at an operation that takes
-        long, too. Without them it may if instructions ask the operator for it.
+        With disturbances it may happen if all wires have settled and the other program does not continue by
+        itself: it does not run, it waits in vain, or its operation is slow, too. Without disturbances it may
+        happen if the instructions ask the operator for it: the lead is started first, then the other program,
+        and the lead passes its first check when the panel of the other program says that it is ready.
         """
         other_state, own_state = pair[1 - program], pair[program]
         moves, position = self.programs[1 - program], other_state >> _BIT_COUNT
@@ -273,7 +300,14 @@ class _RestartSearch:
                     )
 
     def _program_events(self, i: int, program_state: int, other: int) -> Iterator[tuple[int, str, bool]]:
-        """Yield events of one program, given the bits of the other: next state, event, whether it is slow."""
+        """Yield the possible events of one program: next state, name of the event, whether it is slow.
+
+        Args:
+            i: Number of the program.
+            program_state: Its state.
+            other: Bits of the other program.
+        """
+        # a wire follows: the bit of its level as read is two bits above that of its level as driven
         for level_bit in (_RUNNING_BIT, _LINE_BIT):
             if (program_state ^ program_state >> 2) & level_bit:
                 yield program_state ^ level_bit << 2, "wire", False
@@ -321,7 +355,11 @@ def _is_read(move: WireOperation, other: int) -> bool:
 
 
 def _passes_check(move: WireOperation, program_state: int, other: int) -> bool:
-    """Return whether a program continues after a check, given the bits of both programs."""
+    """Return whether a program continues after a check, given the bits of both programs.
+
+    It reads the other program's line at the required level and its running wire at 1, and its own running
+    wire has the required level.
+    """
     line_matches = bool(other & _LINE_READ_BIT) == bool(move.value)
     return (
         line_matches
@@ -331,7 +369,11 @@ def _passes_check(move: WireOperation, program_state: int, other: int) -> bool:
 
 
 def _finished_intervals(program: Sequence[WireOperation]) -> list[int]:
-    """Return for each position the last interval whose work is done: the one before that of the next work."""
+    """Return for each position of a program the last interval whose work is done there.
+
+    It is the interval before that of the program's next work. At a position between "go" and "done" the work
+    of this interval is not done yet. After the last work all intervals are done.
+    """
     out = [_AFTER_ALL] * (len(program) + 1)
     for position in range(len(program) - 1, -1, -1):
         move = program[position]

@@ -61,8 +61,9 @@ def wire_operations(
 ) -> tuple[list[WireOperation], list[int]]:
     """Return the operations of a URScript program on its wires, and the interval of each operation.
 
-    Steps that move the arm or switch something on are work. Consecutive work of one interval becomes one
-    "go" and one "done".
+    Moves, and outputs that are switched on, are work. Consecutive work of one interval becomes one "go" and
+    one "done". Steps without effect on the wires are left out: messages without a question, outputs that are
+    switched off, and all steps of other kinds.
 
     Args:
         steps: Steps of the program.
@@ -76,7 +77,7 @@ def wire_operations(
     current_interval = 0
 
     def add(move: WireOperation) -> None:
-        """Append an operation, after the end of the work before it."""
+        """Append an operation. If the last operation begins work ("go"), the end of this work precedes it."""
         if move.kind != "go" and out and out[-1].kind == "go":
             out.append(dataclasses.replace(out[-1], kind="done"))
             blocks.append(blocks[-1])

@@ -64,15 +64,17 @@ class ClearanceMeasurement:
 
 
 def clearance_samples(context: Context, index: int, itself: bool = False) -> IntArray:
-    """Return the indices of the samples of setup ``index`` at which clearance is queried.
+    """Return the indices (K,) of the samples of setup ``index`` at which clearance is queried.
 
-    Between two of them the paths of all arms add up to at most ``MAX_SAMPLE_STRIDE_M``. The path of an arm is
-    that of its fastest point, with its tool and with what it holds. For the clearance of each arm to
-    ``itself`` only the longest path of one arm counts.
+    Between two of them the paths of all arms add up to at most the stride: the required clearance, within
+    ``MIN_SAMPLE_STRIDE_M`` and ``MAX_SAMPLE_STRIDE_M``. The path of an arm is that of its fastest point, with
+    its tool, with what it holds, and with its coordinated track. For the clearance of each arm to ``itself``
+    only the longest path of one arm counts, without tracks.
     """
     rows = np.flatnonzero(context.sample_setup == index)
     if not len(rows):
         return rows
+    # path (M,) [m]: path from the previous sample to each of the M samples of the setup, 0 at the first.
     required, path = context.problem.settings.clearance, np.zeros(len(rows))
     for task in context.job.tasks:
         arm_path = max_point_path(context, index, task.arm.name, rows)
@@ -94,7 +96,9 @@ def measure_min_distances(
 ) -> ClearanceMeasurement:
     """Measure the smallest distance between the bodies of a cell at many queries.
 
-    It is measured wherever it may be below the limit, where it is smallest, and at evenly spread queries.
+    Up to ``MAX_FULLY_MEASURED`` queries are all measured. Of more queries, those are measured whose distance
+    may be below the limit, those whose distance may be the smallest, and evenly spread ones. The search for
+    the first ends after ``MAX_VIOLATIONS`` violations.
 
     Args:
         model: Model of the cell.
@@ -115,7 +119,8 @@ def measure_min_distances(
         )
     measured = _MeasuredQueries(model, q, reach, ignore, count)
     measured.measure(np.unique(np.linspace(0, count - 1, MAX_FULLY_MEASURED // 4).astype(np.int64)))
-    # Neither the limit nor the smallest distance exceeds this, and bounds with a short range are fast.
+    # lower (B,) [m]: lower bounds of the distances. Neither the limit nor the smallest distance exceeds
+    # max_needed, so that range suffices for them, and bounds with a short range are fast.
     max_needed = max(limit, float(np.nanmin(measured.distance, initial=reach)))
     lower = clearance.distance_lower_bound(
         model, q, min(reach, max_needed + 2.0 * clearance.BOUND_ERROR), ignore
@@ -130,6 +135,7 @@ def measure_min_distances(
             message = f"{message}; allowed: {MAX_UNDECIDED}. Split the job"
             raise issue_error("verify.duration", message, value=len(undecided), limit=MAX_UNDECIDED)
         measured.measure(undecided[first : first + QUERIES_PER_BATCH])
+    # Measure queries by ascending bound, until no unmeasured one can be nearer than the nearest measured one.
     order = np.argsort(lower, kind="stable")
     for first in range(0, MAX_NEAREST_QUERIES, QUERIES_PER_BATCH):
         nearest = order[first : first + QUERIES_PER_BATCH]
@@ -180,7 +186,15 @@ def _checked_with_drake(
 
 
 class _MeasuredQueries:
-    """Distances of the queries that were measured so far."""
+    """Distances of the queries that were measured so far.
+
+    The arguments are those of :func:`measure_min_distances`; ``count`` is the number B of queries.
+
+    Attributes:
+        distance: Distance (B,) [m] at each query, NaN where it was not measured.
+        done: Whether each query was measured (B,).
+        pair: Nearest pair of bodies at each measured query, by the index of the query.
+    """
 
     def __init__(
         self, model: CellModel, q: Mapping[str, FloatArray], reach: float, ignore: Pairs, count: int
@@ -232,6 +246,7 @@ def max_point_distances(context: Context, index: int, arm: str) -> FloatArray:
         if machine.is_followed or len(machine.chain.axis) == 7:
             return offset_arm.max_axis_distances(machine.chain, tool)
         return parallel_arm.max_axis_distances(machine.table, tool)
+    # Lengths of the chain beyond each axis, from the base to the flange, plus the reach of the tool.
     p = machine.shape
     hand = abs(p.c4) + float(np.linalg.norm(p.right[:3, 3])) + tool
     forearm = float(np.hypot(p.a2, p.c3))

@@ -33,9 +33,12 @@ def slides_along(
 ) -> bool:
     """Return whether one shape slides along another, which supports it.
 
-    A plane along the motion must separate the shapes, with less than a bearing's gap between them. At both
-    ends of the motion the gap between them along the plane, along the motion and across it, must be smaller
-    than that, too. A shape that is only passed, or left behind, is not a support.
+    Pairs for which this holds need no clearance. Two conditions must hold, with the gap of a bearing
+    (``MAX_STANDING_GAP_M``) as limit:
+
+    - A plane along the motion separates the shapes, and the gap across it is below the limit.
+    - In the plane, the gap is below the limit across the motion, and also along the motion at both ends of
+      the travel. A shape that is only passed, or left behind, is not a support.
 
     Args:
         moving: Moving shape with its pose (4, 4).
@@ -43,6 +46,7 @@ def slides_along(
         direction: Unit vector (3,) of the motion.
         travel: Lower and upper end [m] of the motion, relative to the pose of the moving shape.
     """
+    # Gap along the motion: the moving shape ahead at the upper end, or behind at the lower end of the travel.
     forward_gap = _gap_along(moving, stationary, direction)
     if (
         max(forward_gap + travel[1], _gap_along(stationary, moving, direction) - travel[0])
@@ -50,6 +54,8 @@ def slides_along(
     ):
         return False
     axes = np.concatenate([pose[:3, :3].T for _, pose in (moving, stationary)])
+    # Candidates for the normal of the plane: across the motion, perpendicular to or in line with an axis of
+    # either shape.
     for normal in (*np.cross(axes, direction), *np.cross(np.cross(axes, direction), direction)):
         length = float(np.linalg.norm(normal))
         if length < MIN_NORMAL_LENGTH:
@@ -121,11 +127,12 @@ def unproven_clearance(
     if not len(first):
         return ""
     cores = distance.make_cores([*carried_solids, *still_solids])
-    previous: tuple[float, float] | None = None
+    previous: tuple[float, float] | None = None  # axis value and smallest gap [m] at the previous query
     for query in motion.samples:
         carried_poses = carried.poses_at(query)
         poses = np.stack([*carried_poses, *still_poses])
         still_rows = second + len(carried_solids)
+        # Lines (P, 3) on which the P pairs are nearest, as the distance query finds them.
         lines = distance.measure_distances(cores, first, still_rows, poses[first], poses[still_rows])[1]
         gaps = [
             -extent(carried_solids[i].shape, carried_poses[i], -line)
@@ -164,7 +171,11 @@ def stationary_solids(model: CellModel, excluded: set[str]) -> tuple[list[Solid]
 
 
 def is_round_about(shape: Shape, pose: FloatArray, centre: FloatArray, along: FloatArray) -> bool:
-    """Return whether a shape at a pose is rotationally symmetric about the axis ``along`` at ``centre``."""
+    """Return whether a shape at a pose (4, 4) is rotationally symmetric about a given axis.
+
+    Rotation about the axis then does not move it. The axis passes through ``centre`` (3,) along the unit
+    vector ``along`` (3,).
+    """
     aside = float(np.linalg.norm(np.cross(pose[:3, 3] - centre, along)))
     skew = 0.0 if shape.kind == "sphere" else float(np.linalg.norm(np.cross(pose[:3, 2], along)))
     return shape.kind in ("sphere", "cylinder", "capsule") and max(aside, skew) < DISTANCE_TOLERANCE_M
@@ -180,6 +191,7 @@ def extent(shape: Shape, pose: FloatArray, line: FloatArray) -> float:
         return middle + float((shape.vertices @ local_line).max())
     if shape.kind == "box":
         return middle + 0.5 * float(np.abs(local_line) @ np.asarray(shape.size))
+    # Spheres, capsules and cylinders: half length along z, plus the radius of the disc or the sphere.
     half_length = 0.5 * shape.size[1] * abs(float(local_line[2])) if len(shape.size) > 1 else 0.0
     across = (
         float(np.hypot(local_line[0], local_line[1]))

@@ -86,7 +86,13 @@ def _chain_joints(parent_joints: dict[str, ET.Element], base: str, tip: str) -> 
 
 
 def _build_chain(joints: list[ET.Element], user_file: bool) -> SerialChain:
-    """Return the chain of joints, which are in order from the base to the tip."""
+    """Return the chain of joints, which are in order from the base to the tip, with fixed joints merged.
+
+    In a ``user_file``, rounded frame angles are replaced (:func:`_unrounded`).
+
+    Raises:
+        ValueError: A joint mimics another one, has an invalid axis, or has invalid numbers.
+    """
     links, zero, axes, limits, steps, alignments = [], [], [], [], [], []
     # The pose in the base, and that in the previous joint frame with its axis along z.
     pose, step = np.eye(4), np.eye(4)
@@ -130,9 +136,9 @@ def _build_chain(joints: list[ET.Element], user_file: bool) -> SerialChain:
 
 
 def _frame_with_z(axis: FloatArray) -> FloatArray:
-    """Return a rotation (3, 3) with z along ``axis`` (3,), exact for axes along x, y or z."""
+    """Return a rotation (3, 3) with z along the unit vector ``axis`` (3,), exact for axes along x, y or z."""
     other = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    x = np.cross(other, axis)
+    x = np.cross(other, axis)  # other: the coordinate axis that is farthest from the given one
     x = x / np.linalg.norm(x)
     return np.stack([x, np.cross(axis, x), axis], axis=1)
 
@@ -198,8 +204,9 @@ _LENGTH_DECIMALS: Final = 11
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ArmShape:
-    """Dimensions of an arm with a spherical wrist: theta = signs * q - offsets.
+    """Dimensions of an arm with a spherical wrist, for the closed form of its inverse kinematics.
 
+    The angles theta = (t1, ..., t6) of the closed form follow from joints q by theta = signs * q - offsets.
     The tip in the base is ``left`` Rz(t1) T(a1, b, c1) Ry(t2) T(0, 0, c2) Ry(t3) T(a2, 0, c3) Rz(t4) Ry(t5)
     Rz(t6) T(0, 0, c4) ``right``. Lengths a1 to c4 are in m.
 
@@ -259,8 +266,10 @@ MIN_AXIS_DISTANCE_M: Final = 3e-3
 def _form_base(chain: SerialChain) -> FloatArray:
     """Return the base frame (4, 4) of the closed form in that of the chain.
 
-    z is along axis 1, toward axis 2 as seen from the base; if both are at one height, z points up. y is along
-    axis 2 with the sign that lets x point from axis 1 toward axis 2, else toward the wrist, else ahead.
+    z is along axis 1, toward axis 2 as seen from the base. If both are at one height, z points up. y is along
+    axis 2. Its sign lets x point from axis 1 toward axis 2. If axis 2 meets axis 1, x points toward the
+    wrist, or in an arbitrary direction if the wrist is also on axis 1. Distances up to
+    :data:`MIN_AXIS_DISTANCE_M` count as 0.
     """
     w, point = chain.axis, chain.zero[:6, :3, 3]
     rise = float(point[1] @ w[0])
@@ -303,7 +312,10 @@ def _form_tip(chain: SerialChain) -> FloatArray:
 def _shape_of(chain: SerialChain) -> ArmShape:
     """Return the dimensions of a chain whose base and tip are those of the closed form.
 
-    The axes at zero give the angles theta of the form at zero joints, so that offsets = -theta.
+    The axes at zero joints give the angles theta of the closed form there, so that offsets = -theta.
+
+    Raises:
+        ValueError: The axes are not arranged as in the closed form, or a link has no length.
     """
     w, point = chain.axis, chain.zero[:6, :3, 3]
     flange = chain.zero[6]
@@ -322,6 +334,7 @@ def _shape_of(chain: SerialChain) -> ArmShape:
     wrist_to_flange = flange[:3, 3] - wrist
     _check_meeting(np.cross(wrist_to_flange, w[5]), "the flange's origin", "axis 6")
 
+    # side: axis 2, with the sign that is nearest to the base's y. front: across axes 1 and 2, x after t1.
     side, sign2 = _aligned(w[1], np.array([0.0, 1.0, 0.0]))
     front = np.cross(side, up)
     plane = np.stack([front, side, up])  # rows of the frame that turns with axis 1
@@ -382,24 +395,28 @@ def _nearest_point(a: FloatArray, u: FloatArray, b: FloatArray, v: FloatArray) -
 
 
 def _check_parallel(a: FloatArray, b: FloatArray, name: str, other_name: str) -> None:
+    """Raise ``ValueError`` unless two unit vectors (3,) are parallel, in either direction."""
     deviation = float(np.linalg.norm(np.cross(a, b)))
     if not deviation <= AXIS_TOLERANCE:
         raise ValueError(_angle_message(name, other_name, "parallel to", deviation))
 
 
 def _check_square(a: FloatArray, b: FloatArray, name: str, other_name: str) -> None:
+    """Raise ``ValueError`` unless two unit vectors (3,) are perpendicular."""
     deviation = abs(float(a @ b))
     if not deviation <= AXIS_TOLERANCE:
         raise ValueError(_angle_message(name, other_name, "square to", deviation))
 
 
 def _angle_message(name: str, other_name: str, word: str, deviation: float) -> str:
+    """Return the message about an angle. ``deviation`` is the sine of its deviation."""
     degrees = np.rad2deg(np.arcsin(min(deviation, 1.0)))
     tolerance = np.rad2deg(AXIS_TOLERANCE)
     return f"has {name} {degrees:.6f} deg away from being {word} {other_name}; allowed: {tolerance:.0e} deg"
 
 
 def _check_meeting(gap: FloatArray, name: str, other_name: str) -> None:
+    """Raise ``ValueError`` unless two lines or points meet, by the vector ``gap`` [m] between them."""
     distance = float(np.linalg.norm(gap))
     if not distance <= AXIS_TOLERANCE:
         raise ValueError(
@@ -434,10 +451,10 @@ class RobotMachine:
 
     @property
     def is_followed(self) -> bool:
-        """Whether the arm has an offset wrist, whose branches no program text names.
+        """Whether the joints of straight moves are followed step by step from the joints before them.
 
-        Its straight moves continue from the joints before them
-        (:mod:`planner.proof.kinematics.offset_arm`).
+        This is so for an arm with an offset wrist, because no program text names the branches of its inverse
+        kinematics (:mod:`planner.proof.kinematics.offset_arm`).
         """
         return isinstance(self.data.form, OffsetParameters)
 
@@ -513,10 +530,11 @@ def robot_hint(data: RobotData) -> str:
 
 
 def compare_with_problem(stated: Mapping[str, Any], data: RobotData) -> list[str]:
-    """Return differences of the robot's file from the one with which programs were planned.
+    """Return the differences between a user's robot file and the data with which programs were planned.
 
-    The URDF is read again for this. ``stated`` is what the problem states: ``urdf``, ``base`` and ``tip``. A
-    robot of the catalogue has no differences.
+    The URDF that the problem names is read again, and its text and the links of base and tip are compared
+    with those in ``data``. ``stated`` is the problem's entry, with ``urdf``, ``base`` and ``tip``. A robot of
+    the catalogue has no differences.
     """
     file, out = data.file, []
     if file is None:

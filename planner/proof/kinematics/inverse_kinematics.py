@@ -117,7 +117,10 @@ def branch_of(machine: RobotMachine, q: FloatArray) -> IntArray:
 
 
 def nearest_turns(q: FloatArray, reference: FloatArray) -> FloatArray:
-    """Return ``q`` (..., 6) with the whole turns of axes 1, 4 and 6 that are nearest to ``reference``."""
+    """Return joints ``q`` (..., 6) [rad] with whole turns added to axes 1, 4 and 6.
+
+    The turns bring them as near as possible to ``reference`` (..., 6) [rad].
+    """
     out = np.array(q)
     for axis in (0, 3, 5):
         out[..., axis] += FULL_TURN_RAD * np.round((reference[..., axis] - q[..., axis]) / FULL_TURN_RAD)
@@ -125,10 +128,11 @@ def nearest_turns(q: FloatArray, reference: FloatArray) -> FloatArray:
 
 
 def unwrapped_path(machine: RobotMachine, q: FloatArray, start: FloatArray) -> FloatArray:
-    """Return the joint angles (B, 6) along a path without jumps by whole turns.
+    """Return joint angles ``q`` (B, 6) [rad] along a path with whole turns added, so that they do not jump.
 
-    The first posture takes the turns nearest to ``start`` (6,), each other one those nearest to the posture
-    before it. This concerns axes 1, 4 and 6, and all axes of an arm without a spherical wrist.
+    The first posture takes the turns nearest to ``start`` (6,). Each other posture takes the turns nearest to
+    the posture before it. Turns are added to axes 1, 4 and 6, and to all axes of an arm without a spherical
+    wrist.
     """
     out = np.array(q)
     for axis in range(6) if machine.spherical_shape is None else (0, 3, 5):
@@ -188,12 +192,19 @@ either side of the border.
 
 
 def select_by_confdata(machine: RobotMachine, flange: FloatArray, conf: IntArray) -> FloatArray:
-    """Return the joint angles (B, 6) [rad] that confdata (B, 4) select, NaN where no solution fits.
+    """Return the joint angles (B, 6) [rad] that confdata alone select, NaN where no solution fits.
 
-    Flange poses (B, 4, 4) are in the base. Confdata are quadrants of axes 1, 4 and 6, and the branch.
+    verify.confdata compares them with the motion.
+
+    Args:
+        machine: The robot, with a spherical wrist or parallel axes.
+        flange: Flange poses (B, 4, 4) in the base.
+        conf: Confdata (B, 4): quadrants of axes 1, 4 and 6, and the branch (cfx, 0 to 7).
     """
     q = solve(machine, flange, conf[:, 3])
     for column, axis in enumerate(_CONF_AXES):
+        # Add the whole turns that bring the axis nearest to the middle of its quadrant. If it does not lie
+        # in the quadrant then, no solution fits.
         middle = (conf[:, column] + 0.5) * QUADRANT_ANGLE_RAD
         q[:, axis] += FULL_TURN_RAD * np.round((middle - q[:, axis]) / FULL_TURN_RAD)
         outside = np.abs(q[:, axis] - middle) > 0.5 * QUADRANT_ANGLE_RAD + QUADRANT_TOLERANCE_RAD
@@ -203,7 +214,10 @@ def select_by_confdata(machine: RobotMachine, flange: FloatArray, conf: IntArray
 
 
 def fits_confdata(machine: RobotMachine, q: FloatArray, conf: IntArray) -> BoolArray:
-    """Return whether (B,) confdata (B, 4) are those of joint angles (B, 6), with a tolerance at borders."""
+    """Return flags (B,): whether joint angles ``q`` (B, 6) [rad] fit confdata ``conf`` (B, 4).
+
+    They must have the stated quadrants of axes 1, 4 and 6, with a tolerance at borders, and the branch.
+    """
     middle = (conf[:, :3] + 0.5) * QUADRANT_ANGLE_RAD
     quadrant = np.all(
         np.abs(q[:, _CONF_AXES] - middle) <= 0.5 * QUADRANT_ANGLE_RAD + QUADRANT_TOLERANCE_RAD, axis=-1
@@ -256,7 +270,14 @@ def select_by_status(machine: RobotMachine, flange: FloatArray, status: int, tur
     """Return all solutions of a flange pose (4, 4) within the limits that have KUKA's Status and Turn.
 
     The pose is in the base. Solutions of all eight branches are tried, with all whole turns of all axes that
-    the limits allow. The bits of both numbers are those of the module's description.
+    the limits allow. An axis within a tolerance of 0 fits both values of its bit in Turn.
+
+    Args:
+        machine: The robot, with a spherical wrist.
+        flange: Flange pose (4, 4) in the base.
+        status: Status: bit 0 for a wrist behind axis 1, bit 1 for axis 3 beyond the stretched elbow, bit 2
+            for a negative axis 5.
+        turn: Turn: bit i - 1 is set if axis i is negative.
     """
     branch_solutions = solve(machine, np.tile(flange, (8, 1, 1)), np.arange(8))
     branch_solutions = branch_solutions[np.isfinite(branch_solutions).all(axis=1)]

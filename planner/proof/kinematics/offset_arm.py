@@ -25,8 +25,8 @@ POSE_TOLERANCE: Final = 1e-10
 SOLUTION_TOLERANCE_RAD: Final = 1e-7
 """Joint difference [rad] up to which solutions are equal."""
 STRIDE: Final = 16
-"""Every so many samples one is followed from the one before. The samples between them are solved together,
-from interpolated joints, and checked.
+"""Number of samples from one that is followed step by step to the next one. The samples between them are
+solved together, from interpolated joints, and checked.
 """
 _MAX_ITERATIONS: Final = 8
 """Maximum number of Newton iterations."""
@@ -50,14 +50,15 @@ def compare_with_plan(planned: OffsetParameters, chain: SerialChain, tolerance: 
 
 
 def follow(chain: SerialChain, flange: FloatArray, start: FloatArray) -> FloatArray:
-    """Return the joints (S, 6) [rad] along flange poses (S, 4, 4) in the base, from joints ``start`` on.
+    """Return the joints (S, 6) [rad] along flange poses (S, 4, 4) in the base, from joints ``start`` (6,) on.
 
-    Each pose continues from the joints of the pose before. Joints are NaN from the first pose on at which
-    none continue them.
+    The joints at each pose are the solution next to the joints at the pose before it. They are NaN from the
+    first pose on at which there is no such solution.
     """
     out = np.full((len(flange), 6), np.nan)
     if not len(flange) or not np.isfinite(start).all():
         return out
+    # Fast attempt: every STRIDE-th pose is followed, and the poses between are solved in one batch.
     marks = np.unique(np.append(np.arange(STRIDE - 1, len(flange), STRIDE), len(flange) - 1))
     coarse = _follow_stepwise(chain, flange[marks], start)
     if np.isfinite(coarse).all():
@@ -73,7 +74,10 @@ def follow(chain: SerialChain, flange: FloatArray, start: FloatArray) -> FloatAr
 
 
 def _follow_stepwise(chain: SerialChain, flange: FloatArray, start: FloatArray) -> FloatArray:
-    """Return the joints along poses as in :func:`follow`, with each one solved from the one before."""
+    """Return the joints along poses as :func:`follow` does, but solve them one after the other.
+
+    Each posture is solved from the one before it. This is slower, and needs no check.
+    """
     out, joints = np.full((len(flange), 6), np.nan), start
     for k in range(len(flange)):
         joints = _newton(chain, joints[None], flange[k : k + 1])[0]
@@ -84,7 +88,7 @@ def _follow_stepwise(chain: SerialChain, flange: FloatArray, start: FloatArray) 
 
 
 def _newton(chain: SerialChain, guess: FloatArray, flange: FloatArray) -> FloatArray:
-    """Return the joints (S, 6) of poses (S, 4, 4) next to ``guess`` (S, 6), by Newton's method.
+    """Return the joints (S, 6) [rad] of flange poses (S, 4, 4) next to ``guess`` (S, 6), by Newton's method.
 
     Joints are NaN if the iteration does not converge within ``MAX_JOINT_STEP_RAD``, or if the determinant of
     the Jacobian changes its sign, as it does across singular postures.

@@ -43,7 +43,8 @@ def compare_lines(
     Args:
         planned: Planned form of the arm.
         axes: Axis of each joint's frame about which the joint turns: 0 for x, 1 for y, 2 for z.
-        steps: Planned translations [m] from each joint to the next, in the frame of the former.
+        steps: Planned translation [m] to each joint from the previous one, in the frame of the previous
+            joint; to the first joint in the base.
         tip: Planned tip (4, 4) on the last joint.
         chain: Chain of J joints.
         tolerance: Allowed deviation [m] and [rad].
@@ -51,6 +52,7 @@ def compare_lines(
     p, zero, axis = planned, chain.zero, chain.axis
     pose = np.eye(4) if p.left is None else np.array(p.left)
     for i, (about, step) in enumerate(zip(axes, steps, strict=True)):
+        # Frame of joint i at zero. ``line`` is its axis with the planned sign, (3,).
         pose = pose @ translation(*step) @ _rotation_about(about, -float(p.offsets[i]))
         line = p.signs[i] * pose[:3, about]
         angle = float(np.linalg.norm(np.cross(line, axis[i]))) if line @ axis[i] > 0.0 else np.pi
@@ -66,7 +68,7 @@ def compare_lines(
 
 
 def translation(ahead: float, aside: float, up: float) -> FloatArray:
-    """Return a translation (4, 4) along x, y and z [m]."""
+    """Return a translation (4, 4) by ``ahead`` along x, ``aside`` along y and ``up`` along z [m]."""
     pose = np.eye(4)
     pose[:3, 3] = ahead, aside, up
     return pose

@@ -47,6 +47,7 @@ def singularity_distance(chain: SerialChain, q: FloatArray) -> FloatArray:
     point = np.moveaxis(frames[:, :7, :3, 3], 1, 0)
     shoulder = _intersection(point[0], line[0], point[1])
     wrist = _intersection(point[4], line[4], point[5])
+    # Upper arm and forearm in the plane across axis 4. The values below are the sines of the angles.
     upper, fore = (_component_across(v, line[3]) for v in (point[3] - shoulder, wrist - point[3]))
     upper_length = np.linalg.norm(upper, axis=1)
     bend = np.linalg.norm(np.cross(upper, fore), axis=1) / (upper_length * np.linalg.norm(fore, axis=1))

@@ -62,7 +62,11 @@ PointCloud = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 class _Target:
-    """Points of surfaces with normals, and a search for the point with the nearest position and normal."""
+    """Points of surfaces with normals, and a search for the point with the nearest position and normal.
+
+    It holds the surfaces that the programs produce, onto which those of the part file are aligned. ``size``
+    [m] is the size of the part (root mean square distance from its centre), to which weights are relative.
+    """
 
     def __init__(self, parts: list[Samples], size: float) -> None:
         self.points, self.normals, self.weight, number = _merged(parts)
@@ -83,6 +87,7 @@ class _Target:
         difference of normals, too. It is bounded, so that outliers have less weight.
         """
         distances, indices = self._tree.query(self._features(points, normals, number))
+        # 0.3 of the part's size bounds the effect of one outlier.
         return np.asarray(indices), np.minimum(np.asarray(distances), 0.3 * self.size)
 
 
@@ -140,8 +145,9 @@ def _straighten(
     """Return the pose of a nearly flat surface, rotated about its mean normal so that the borders coincide.
 
     Distances to tangent planes leave this rotation free, so distances along the surface count as well. Their
-    weight is small, because sample points are apart along the surface even in the right pose. Other surfaces
-    keep their pose.
+    weight is small, because sample points are apart along the surface even in the right pose. Rotations
+    within a range are tried, and the range is narrowed around the best one. Parts that are not nearly flat
+    (``_FLAT_MEAN``) keep their pose.
     """
     axis = cloud[2] @ (cloud[1] @ pose[:3, :3].T)
     size = float(np.linalg.norm(axis))
@@ -165,6 +171,7 @@ def _straighten(
             moved = rotation @ best
             moved_bound = _transformed(moved, bound)
             moved[:3, 3] += centre - 0.5 * (moved_bound.min(axis=0) + moved_bound.max(axis=0))
+            # Of equal distances, the smaller rotation is taken.
             candidates.append((squared_distance(moved), abs(float(angle)), moved))
         best = min(candidates, key=lambda candidate: candidate[:2])[2]
         spread /= _FAN_STEPS
@@ -172,7 +179,11 @@ def _straighten(
 
 
 def piece_pose(piece: Samples, whole: Samples) -> FloatArray:
-    """Return the pose (4, 4) of ``whole`` at which one region of it is nearest to ``piece``."""
+    """Return the pose (4, 4) of ``whole`` at which one region of it is nearest to ``piece``.
+
+    Strips are located by it on a larger surface. Initial poses put the centre of the piece on points all over
+    ``whole``, with equal normals, and with several rotations about the normal.
+    """
     cloud = _merged([piece])
     points, normals, weight, _ = cloud
     size = float(np.sqrt(weight @ np.sum((points - weight @ points) ** 2, axis=1)))
@@ -215,7 +226,11 @@ def _best_pose(
 
 
 def _icp_step(pose: FloatArray, cloud: PointCloud, goal: _Target, rows: IntArray) -> FloatArray:
-    """Return a pose after one step of iterative closest points, with the source points ``rows``."""
+    """Return a pose (4, 4) after one step of iterative closest points, with the source points ``rows``.
+
+    Each point of the moved cloud is paired with the nearest target point, and the small motion that brings
+    the points closest to the tangent planes there is applied.
+    """
     moved_points = _transformed(pose, cloud[0][rows])
     nearest, _ = goal.nearest(moved_points, cloud[1][rows] @ pose[:3, :3].T, cloud[3][rows])
     return np.asarray(
@@ -225,6 +240,7 @@ def _icp_step(pose: FloatArray, cloud: PointCloud, goal: _Target, rows: IntArray
 
 
 def _transformed(pose: FloatArray, points: FloatArray) -> FloatArray:
+    """Return points (N, 3) moved by a pose (4, 4)."""
     return np.asarray(points @ pose[:3, :3].T + pose[:3, 3])
 
 
@@ -290,7 +306,10 @@ def _inertia_poses(
 
 
 def _all_around(bound: FloatArray, centre: FloatArray) -> list[FloatArray]:
-    """Return poses in all orientations, reproducibly, with the box around ``bound`` at ``centre``."""
+    """Return initial poses (4, 4) that cover all orientations. They are the same list in every call.
+
+    In each of them, the box around the moved points ``bound`` (K, 3) has its centre at ``centre`` (3,).
+    """
     out = []
     for rotation in Rotation.random(_ORIENTATIONS, random_state=0).as_matrix():
         pose = np.eye(4)
@@ -365,7 +384,7 @@ ON_FACE: Final = 1e-4
 
 
 def claimed_points(produced: ProducedSurface, count: int) -> Samples:
-    """Return ``count`` points of the claimed surface, by which a part is located in the block."""
+    """Return ``count`` evenly spread points of the claimed surface, to locate the part in the block."""
     corners = produced.vertices[produced.faces]
     return on_triangles(corners, np.arange(len(corners)) + 1, count)
 

@@ -81,9 +81,10 @@ def nurbs(
 
 
 def interpolate_control(at: FloatArray, control: FloatArray, u: FloatArray) -> FloatArray:
-    """Interpolate control points between curves.
+    """Interpolate the control points of a loft between its curves.
 
-    The interpolant is the cubic spline through them with as few joints as possible (not-a-knot).
+    The interpolant is the cubic spline through them with the not-a-knot condition: its first two pieces are
+    one cubic, and so are its last two. A single curve is repeated.
 
     Args:
         at: Parameters (P,) of the curves.
@@ -275,18 +276,21 @@ def _spline(entity: Any) -> FloatArray | None:
 
 
 def join_pieces(pieces: list[FloatArray]) -> list[DrawingCurve]:
-    """Join pieces (N, 3) [m] with common ends into curves. Closed pieces stay as they are.
+    """Join pieces (N, 3) [m] of a drawing into curves at ends that are common to two of them.
 
-    Each curve runs in the direction of its first piece. A closed curve also starts with its first piece.
+    The nearest piece is joined first. Closed pieces stay as they are. Each curve runs in the direction of its
+    first piece. A closed curve also starts with its first piece.
     """
     out: list[DrawingCurve] = []
     remaining = list(range(len(pieces)))
     all_ends = np.array([piece[[0, -1]] for piece in pieces]).reshape(-1, 2, 3)
     all_open = np.array([not _is_closed(piece) for piece in pieces], dtype=bool)
     while remaining:
+        # prepended: number of points before the first piece.
         chain, count, prepended = pieces[remaining.pop(0)], 1, 0
         while remaining and not _is_closed(chain):
             ends, is_open = all_ends[remaining], all_open[remaining]
+            # gap (P, 2, 2) [m]: from the two ends of each remaining piece to the two ends of the chain.
             gap = np.linalg.norm(ends[:, :, None] - chain[[0, -1]][None, None], axis=3)
             gap[~is_open] = np.inf
             which, end, chain_end = np.unravel_index(int(np.argmin(gap)), gap.shape)
@@ -321,7 +325,7 @@ START_POINTS: Final = 720
 
 @dataclasses.dataclass(frozen=True)
 class GuideCurve:
-    """A guide of a ruled surface.
+    """A guide of a ruled surface: a curve along which one end of the rulings runs.
 
     Attributes:
         points: Points (N, 3) [m], the first not repeated in a closed guide.
@@ -341,7 +345,7 @@ class GuideCurve:
 
 @dataclasses.dataclass(frozen=True)
 class GuideRulings:
-    """A ruled surface. The side away from the part is the direction of ``start`` x the rulings.
+    """A ruled surface. Its normal away from the part is (direction along ``start``) x (ruling).
 
     Attributes:
         start: Starts (M, 3) of the rulings, the first again at the end of a closed surface.
@@ -378,7 +382,7 @@ def polyline_guide(points: FloatArray, closed: bool, angle: float, either: bool 
 
 
 def with_corners_at(curve: GuideCurve, at: FloatArray) -> GuideCurve:
-    """Return the curve with anchors only where it is nearest to points ``at`` (C, 3), and at open ends."""
+    """Return the curve with anchors only at its points nearest to ``at`` (C, 3) [m], and at open ends."""
     anchor = np.zeros(len(curve.points), dtype=np.bool_)
     if len(at):
         anchor[np.linalg.norm(curve.points[:, None] - at[None], axis=2).argmin(axis=0)] = True
@@ -409,7 +413,10 @@ def join_guides(start: GuideCurve, end: GuideCurve, match: str) -> list[GuideRul
 
 
 def match_guides(start: GuideCurve, end: GuideCurve, match: str) -> GuideRulings:
-    """Return the ruled surface between two guides that start together and run in the same direction."""
+    """Return the ruled surface between two guides that start together and run in one direction.
+
+    ``match`` is that of :func:`join_guides`. Both guides must have equal numbers of anchors.
+    """
     return _rule(start, end, match)[1]
 
 
@@ -439,10 +446,12 @@ def start_at(curve: GuideCurve, first: int) -> GuideCurve:
 
 
 def _rulings_in_direction(start: GuideCurve, end: GuideCurve, match: str) -> list[tuple[float, GuideRulings]]:
-    """Return ruled surfaces for given directions of both guides, each with its mean square ruling length.
+    """Return the ruled surfaces for given directions of both guides, each with its mean square ruling length.
 
-    Closed guides are joined from their anchors on. Without anchors, the start point of the second guide is
-    the one with the smallest mean square.
+    The first anchor of a closed guide is joined with each anchor of the other one in turn, so there are as
+    many surfaces as anchors. Without anchors there is one surface: for ``match`` "parameter" from the start
+    points on, else with the start point of the second guide that gives the shortest rulings. There is none if
+    the guides have different numbers of anchors.
     """
     if int(start.anchor.sum()) != int(end.anchor.sum()):
         return []
@@ -459,17 +468,20 @@ def _rulings_in_direction(start: GuideCurve, end: GuideCurve, match: str) -> lis
     mean_squares = np.array(
         [np.mean(np.sum((a - np.roll(b, -k, axis=0)) ** 2, axis=1)) for k in range(START_POINTS)]
     )
-    k = int(mean_squares.argmin())
+    k = int(mean_squares.argmin())  # the start is at the fraction k / START_POINTS of the second guide
     length = _arc_lengths(np.concatenate([end.points, end.points[:1]]))
     first = int(np.abs(length[:-1] / length[-1] - k / START_POINTS).argmin())
     return [_rule(start, start_at(end, first), match)]
 
 
 def _rule(start: GuideCurve, end: GuideCurve, match: str) -> tuple[float, GuideRulings]:
-    """Return the rulings between the pieces of two guides, which are joined in order from anchor to anchor.
+    """Return the rulings between two guides, whose pieces from anchor to anchor are joined in order.
 
-    Returned first is the mean square [m^2] of the distances of points at equal fractions of each piece's
-    length.
+    There is a ruling at each point of either guide. ``match`` is that of :func:`join_guides`.
+
+    Returns:
+        Mean square length [m^2] of rulings, always between points at equal fractions of each piece's length,
+        and the ruled surface.
     """
     starts: list[FloatArray] = []
     ends: list[FloatArray] = []
@@ -481,18 +493,22 @@ def _rule(start: GuideCurve, end: GuideCurve, match: str) -> tuple[float, GuideR
         fractions = np.union1d(fractions_a, fractions_b)
         fractions = fractions[np.append(True, np.diff(fractions) > POINT_TOLERANCE_M)]
         fractions[-1] = 1.0
-        checkpoints = np.linspace(0.0, 1.0, 33)
+        checkpoints = np.linspace(0.0, 1.0, 33)  # fractions at which the mean square is taken
         difference = _interpolate(a, _length_fractions(a), checkpoints) - _interpolate(
             b, _length_fractions(b), checkpoints
         )
         total, count = total + float(np.sum(difference**2)), count + len(checkpoints)
+        # The first ruling of a piece is the last one of the piece before.
         starts.append(_interpolate(a, fractions_a, fractions)[slice(1 if starts else 0, None)])
         ends.append(_interpolate(b, fractions_b, fractions)[slice(1 if ends else 0, None)])
     return total / max(count, 1), GuideRulings(np.concatenate(starts), np.concatenate(ends))
 
 
 def _pieces(curve: GuideCurve) -> list[tuple[FloatArray, FloatArray]]:
-    """Return the pieces of a guide between its anchors: points (N, 3), and parameters (N,) from 0 to 1."""
+    """Return the pieces of a guide between its anchors: points (N, 3), and parameters (N,) from 0 to 1.
+
+    A closed guide starts at its first point. It is one piece if it has no anchors.
+    """
     points, parameter = curve.points, curve.parameter
     cut = np.flatnonzero(curve.anchor)
     if curve.closed:
@@ -512,15 +528,18 @@ def _pieces(curve: GuideCurve) -> list[tuple[FloatArray, FloatArray]]:
 
 
 def _arc_lengths(points: FloatArray) -> FloatArray:
+    """Return the length (N,) of a polyline up to each of its points (N, 3)."""
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
 
 
 def _length_fractions(points: FloatArray) -> FloatArray:
+    """Return the fraction (N,) of the length of a polyline up to each of its points (N, 3)."""
     length = _arc_lengths(points)
     return length / length[-1] if length[-1] > 0.0 else np.linspace(0.0, 1.0, len(points))
 
 
 def _interpolate(points: FloatArray, fractions: FloatArray, queries: FloatArray) -> FloatArray:
+    """Interpolate points (N, D), which are given at ascending fractions (N,), at queries (K,)."""
     return np.stack([np.interp(queries, fractions, column) for column in points.T], axis=1)
 
 

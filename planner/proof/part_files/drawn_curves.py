@@ -24,7 +24,7 @@ class CurveReadError(ValueError):
 
 
 def curve_points(drawn: DrawnCurve) -> tuple[FloatArray, bool]:
-    """Return the points of a curve: the stated points of a polyline, many points of a spline.
+    """Return the points of a curve: the only one of its file, or the stated polyline, or points of a spline.
 
     Returns:
         Points (N, 3) [m], and whether the curve may run in the other direction as well. This is so for a
@@ -64,6 +64,7 @@ def _only_curve(drawn: DrawnCurve, file: Path) -> tuple[FloatArray, bool]:
 
 
 def _closed_points(curve: curves.DrawingCurve) -> FloatArray:
+    """Return a copy of the points (N, 3) [m] of a curve, with the first one repeated if it is closed."""
     points = curve.points
     return np.concatenate([points, points[:1]]) if curve.closed else points.copy()
 
@@ -86,7 +87,7 @@ def curves_of(drawn: DrawnCurve) -> list[curves.DrawingCurve]:
     return out
 
 
-def split_curves(drawn: tuple[DrawnCurve, ...]) -> tuple[DrawnCurve, ...]:
+def explode_drawings(drawn: tuple[DrawnCurve, ...]) -> tuple[DrawnCurve, ...]:
     """Return curves, with each entry that names layers replaced by the curves of its file as polylines.
 
     Raises:

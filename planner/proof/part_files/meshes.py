@@ -133,6 +133,7 @@ def read_points(path: Path) -> FloatArray:
 
 
 def _is_number(word: str) -> bool:
+    """Return whether a word is a number."""
     try:
         float(word)
     except ValueError:
@@ -172,6 +173,7 @@ def _fans(vertices: FloatArray, polygons: Sequence[Sequence[int]] | IntArray) ->
     triangles, numbers = [np.zeros((0, 3), dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
     for length in np.unique(lengths[lengths > 2]).tolist():
         rows = np.flatnonzero(lengths == length)
+        # polygon_rows (P, length): the P polygons with this number of corners.
         all_equal = len(rows) == len(polygons)
         polygon_rows = np.asarray(
             polygons if all_equal else [polygons[i] for i in rows.tolist()], dtype=np.int64
@@ -197,6 +199,7 @@ def _stl(data: bytes) -> Facets:
     if "endsolid" not in words:
         raise UnreadError("it is neither a binary STL of the right length nor a text STL")
     last = len(words) - 1 - words[::-1].index("endsolid")
+    # Words after the last "endsolid" are the name of a solid, which may be "vertex".
     positions = np.flatnonzero(np.array(words[:last]) == "vertex")
     numbers = [[float(word) for word in words[i + 1 : i + 4]] for i in positions]
     corners = np.array(numbers, dtype=np.float64).reshape(-1, 3, 3)
@@ -286,9 +289,10 @@ def _ply_elements(head: list[list[str]]) -> list[_PlyElement]:
 
 
 def _ply_text(element: _PlyElement, numbers: FloatArray, offset: int) -> tuple[dict[str, Any], int]:
-    """Return the columns of an element whose numbers start at ``offset``, and where the next one starts.
+    """Return the columns of an element of a text file, and the index of the first number of the next element.
 
-    Lists of equal length, which is the usual case, are read in one step.
+    ``numbers`` are all numbers after the header. The element starts at index ``offset``. If the lists of all
+    rows are as long as those of the first row, which is the usual case, they are read in one step.
     """
     lengths, position = [], offset
     for _, _, count in element.properties:
@@ -323,10 +327,11 @@ def _ply_text(element: _PlyElement, numbers: FloatArray, offset: int) -> tuple[d
 
 
 def _ply_binary(element: _PlyElement, body: bytes, offset: int, order: str) -> tuple[dict[str, Any], int]:
-    """Return the columns of an element whose bytes start at ``offset``, and where the next one starts.
+    """Return the columns of an element of a binary file, and the index of the first byte of the next element.
 
-    Lists of equal length, which is the usual case, are read in one step. ``order`` is the byte order, "<" or
-    ">".
+    ``body`` are the bytes after the header. The element starts at index ``offset``. If the lists of all rows
+    are as long as those of the first row, which is the usual case, they are read in one step. ``order`` is
+    the byte order, "<" or ">".
     """
     lengths = _first_lengths(element, body, offset, order)
     fields: list[Any] = []
@@ -424,7 +429,9 @@ def mesh_face(entry: Entry) -> MeshFace:
 
 
 def face_of(corners: FloatArray, number: IntArray, flip: bool) -> MeshFace:
-    """Return triangles as a face. Equal corners become one vertex, and triangles without area are left out.
+    """Return triangles as a face with indexed vertices and normals.
+
+    Equal corners become one vertex, and triangles without area are left out.
 
     Args:
         corners: Corners (F, 3, 3) [m] of the triangles.
@@ -467,21 +474,23 @@ def grid_face(
     flip: bool,
     kinks: tuple[FloatArray, FloatArray] = (np.zeros(0), np.zeros(0)),
 ) -> MeshFace:
-    """Return the face of a surface as triangles on a grid of exact points.
+    """Return the face of a surface as triangles between exact points of the surface on a grid.
 
-    Normals come from central differences with a small step.
+    The grid is so fine that triangles deviate by at most ``LOFT_TOLERANCE_M``, as far as ``LOFT_CELLS``
+    allows. Normals come from central differences with a small step.
 
     Args:
         at: The surface S(u, v).
         u: Range of its parameter u.
         v: Range of its parameter v.
         flip: Whether the normal away from the part is -dS/du x dS/dv.
-        kinks: Parameters along u, and along v, of kinks, which must be on lines of the grid.
+        kinks: Parameters along u, and along v, of kinks, through which lines of the grid are added.
     """
     cells = _cell_count(at, u, v)
     grid_lines = [np.linspace(*ends, cells + 1) for ends in (u, v)]
     for k, (low, high) in enumerate((u, v)):
         inner = kinks[k][(kinks[k] > low) & (kinks[k] < high)]
+        # Lines that nearly coincide would give cells without area.
         all_lines = np.union1d(grid_lines[k], inner)
         tolerance = _VERTEX_TOLERANCE * (high - low)
         grid_lines[k] = all_lines[np.append(True, np.diff(all_lines) > tolerance)]
@@ -506,9 +515,9 @@ Region = tuple[tuple[float, float], tuple[float, float]]
 
 
 def straight_parameters(at: SurfaceFunction, region: Region) -> list[int]:
-    """Return the parameters along which a surface is straight: u (0), v (1), both or none.
+    """Return the parameters along which a surface is straight, so that it is ruled: 0 for u, 1 for v.
 
-    Lines at evenly spaced values of the other parameter are examined.
+    Both, or none, may be returned. Lines at 41 evenly spaced values of the other parameter are examined.
     """
     grid = [low + _POSITIONS * (high - low) for low, high in region]
     u, v = (part.ravel() for part in np.meshgrid(*grid, indexing="ij"))
@@ -557,10 +566,11 @@ def rulings(
 
 
 def _cell_count(surface: SurfaceFunction, u: tuple[float, float], v: tuple[float, float]) -> int:
-    """Return the number of cells along each parameter with which their deviation is ``LOFT_TOLERANCE_M``.
+    """Return the number of cells along each parameter with which they deviate by ``LOFT_TOLERANCE_M``.
 
-    The deviation is measured at the midpoints of the coarsest grid's double cells. It falls with the square
-    of the cell size, so that n = n0 / 2 * sqrt(deviation / tolerance) for double cells of n0 / 2.
+    The deviation is measured on the coarsest grid, of n0 cells, at the middles of double cells, of which
+    there are n0 / 2. It falls with the square of the cell size, so that n = n0 / 2 sqrt(deviation /
+    tolerance). The result is within ``LOFT_CELLS``.
     """
     min_cells, max_cells = LOFT_CELLS
     grid = np.meshgrid(np.linspace(*u, min_cells + 1), np.linspace(*v, min_cells + 1), indexing="ij")
@@ -575,7 +585,12 @@ def _cell_count(surface: SurfaceFunction, u: tuple[float, float], v: tuple[float
 
 
 def loft_points(entry: Entry, u: FloatArray, v: FloatArray) -> FloatArray:
-    """Return points (N, 3) [m] of a loft, at u (N,) from curve to curve and v (N,) along each curve."""
+    """Return points (N, 3) [m] of a loft, at u (N,) from curve to curve and v (N,) along each curve.
+
+    With a rail, the curves are profiles in half planes through a vertical axis, and u is the fraction of the
+    rail's angle about this axis. The first coordinate of a profile is the distance beyond the rail's radius,
+    the second one the height. Without a rail, the curves are sections in space.
+    """
     rail = entry.get("rail")
     curves = entry.get("sections") if rail is None else entry.get("profiles")
     kind = "bezier_mm" if curves[0].get("bezier_mm") is not None else "bspline_mm"  # type: ignore[index]
@@ -606,10 +621,16 @@ def boundary_edges(face: MeshFace) -> IntArray:
 
 
 def ruled_edges(front: MeshFace, back: MeshFace, moved: bool) -> list[GuideRulings]:
-    """Return the ruled edges between the rims of two faces, empty if a face does not have exactly one rim.
+    """Return the ruled edges between the rims of a front and its back.
 
-    If the back has the vertices of the front, ``moved``, equal vertices are joined, else points at equal
-    lengths along both rims. All equally short ways to join the rims are returned.
+    Args:
+        front: Front of the part.
+        back: Back of the part.
+        moved: Whether the back consists of the moved vertices of the front. Then vertices of equal index are
+            joined. Otherwise points at equal fractions of the length of both rims are joined.
+
+    Returns:
+        All ways to join the rims that are equally short. Empty if a face does not have exactly one rim.
     """
     loops = [_closed_loop(boundary_edges(face)) for face in (front, back)]
     if loops[0] is None or loops[1] is None:

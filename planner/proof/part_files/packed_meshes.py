@@ -105,6 +105,7 @@ def _primitive_triangles(document: dict[str, Any], numbers: bytes, primitive: di
     order: IntArray = np.arange(len(vertices))
     if "indices" in primitive:
         order = _read_accessor(document, numbers, primitive["indices"])[:, 0].astype(np.int64)
+    # In a strip every second triangle has the opposite orientation.
     if mode == 4:
         indices = order[: len(order) // 3 * 3].reshape(-1, 3)
     elif mode == 5:
@@ -116,7 +117,11 @@ def _primitive_triangles(document: dict[str, Any], numbers: bytes, primitive: di
 
 
 def _read_accessor(document: dict[str, Any], numbers: bytes, index: int) -> Any:
-    """Return the array (N, 1 to 4) that an accessor describes."""
+    """Return the array (N, D) that an accessor describes, with D from 1 to 4 components.
+
+    Raises:
+        UnreadError: The numbers are not stored as a plain array, or the file is truncated.
+    """
     accessor = document["accessors"][index]
     if "sparse" in accessor or "bufferView" not in accessor:
         raise UnreadError("its numbers are not stored as a plain array")
@@ -178,8 +183,18 @@ def _placed_triangles(
 ) -> Iterator[FloatArray]:
     """Yield the triangles of an object and of all its components, placed by ``pose`` (4, 4).
 
-    The object has the number ``number`` in the file ``part`` of the archive. ``read`` reads a file of the
-    archive into ``parts``; ``depth`` is the nesting depth.
+    Supports and objects of the type "other" are left out.
+
+    Args:
+        read: Function that reads a file of the archive into ``parts``.
+        parts: Objects that were read: {file: {number of the object: object}}.
+        part: File in the archive with the object.
+        number: Number of the object in this file.
+        pose: Pose (4, 4) of the object.
+        depth: Nesting depth of the object.
+
+    Raises:
+        UnreadError: Components are nested too deep.
     """
     if depth > _MAX_DEPTH:
         raise UnreadError("its components are nested too deep")

@@ -9,8 +9,8 @@ from scipy.sparse import csr_array
 from planner.geometry.arrays import FloatArray, IntArray
 
 CREASE_COSINE = np.cos(np.deg2rad(20.0))
-"""Cosine of the angle (20 degrees) between the normals of two triangles above which the edge between them is
-a crease. Normals are not smoothed across creases.
+"""Cosine of 20 degrees. If the normals of two triangles are farther apart, the edge between them is a crease,
+across which normals are not smoothed.
 """
 PLAN_TOLERANCE_M = 1e-6
 """Distance [m] in plan up to which a point counts as on a triangle."""
@@ -43,6 +43,7 @@ class PlanFace:
         edge_a, edge_b = (self.corners[:, k, :2] - self.corners[:, 0, :2] for k in (1, 2))
         twice = edge_a[:, 0] * edge_b[:, 1] - edge_a[:, 1] * edge_b[:, 0]
         flat = np.abs(twice) < 1e-18
+        # Triangles that are vertical, so flat in plan, get an infinite area and thus constant weights.
         self._edges = edge_a, edge_b
         self._twice = np.where(flat, np.inf, twice)
 
@@ -66,10 +67,14 @@ class PlanFace:
 
 
 def smooth_normals(corners: FloatArray, faces: IntArray) -> FloatArray:
-    """Return unit normals (F, 3, 3) at the corners (F, 3, 3) of triangles with vertex indices (F, 3).
+    """Return smooth unit normals (F, 3, 3) at the corners of triangles.
 
     Each is the mean of the normals of the triangles around the vertex, weighted by their angles there.
-    Normals that differ from that of the corner's own triangle by more than a crease are left out.
+    Triangles whose normals differ from that of the corner's own triangle by 20 degrees or more are left out.
+
+    Args:
+        corners: Corners (F, 3, 3) of the triangles.
+        faces: Vertex index (F, 3) of each corner.
     """
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     unit_normals = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
@@ -82,6 +87,7 @@ def smooth_normals(corners: FloatArray, faces: IntArray) -> FloatArray:
     incidence = csr_array(
         (np.ones(count), (np.arange(count), faces.ravel())), shape=(count, int(faces.max()) + 1)
     )
+    # Pairs of corners at one vertex. Corners are numbered 3 f + k, so corner // 3 is the triangle.
     pair = (incidence @ incidence.T).tocoo()
     corner, other = pair.row, pair.col
     is_smooth = (unit_normals[corner // 3] * unit_normals[other // 3]).sum(axis=1) > CREASE_COSINE

@@ -157,7 +157,11 @@ class _NurbsPatch:
 
 
 def _only_surface(entry: Entry) -> _NurbsPatch:
-    """Return the only face that the entry selects; several faces, or a face with holes, are refused."""
+    """Return the only face that the entry selects, as a NURBS surface with the ranges that the face covers.
+
+    Raises:
+        UnreadError: The selection has not exactly one face, or the face has holes.
+    """
     model, size = _read_model(entry)
     candidates = [
         (brep_face, brep)
@@ -188,7 +192,19 @@ def _only_surface(entry: Entry) -> _NurbsPatch:
 
 
 def _face_region(whole: _NurbsPatch, trims: Any, edges: Any, size: float) -> Region:
-    """Return the parameter ranges of a face, from points of the edges that trim the surface ``whole``."""
+    """Return the ranges of u and v that a face covers, from points of the edges that bound it.
+
+    A bound near an end of the surface's own range becomes this end.
+
+    Args:
+        whole: The surface, with its own ranges.
+        trims: Trims of the face's only loop. Each refers to an edge.
+        edges: Edges of the body.
+        size: Metres per unit of the file.
+
+    Raises:
+        UnreadError: An edge is not on the surface.
+    """
     numbers = [trim.EdgeIndex for trim in trims if trim.EdgeIndex >= 0]
     edge_points = []
     for number in set(numbers):
@@ -235,6 +251,7 @@ def _surface_parameters(patch: _NurbsPatch, point: FloatArray) -> FloatArray:
     start = np.clip([u[first], v[first]], low + 1e-9 * (high - low), high - 1e-9 * (high - low))
 
     def residual(parameters: FloatArray) -> FloatArray:
+        """Return the vector (3,) [mm] from the point to the surface at parameters (2,)."""
         return np.asarray(1e3 * (patch.at(parameters[:1], parameters[1:])[0] - point))  # mm
 
     tolerance = 1e-15
@@ -298,6 +315,7 @@ def _selected_geometry(model: Any, entry: Entry) -> Iterator[Any]:
 
 
 def _kind(geometry: Any) -> str:
+    """Return the kind of an object without its prefix, such as ``Curve`` or ``Brep``."""
     return str(geometry.ObjectType).split(".")[-1]
 
 
@@ -307,12 +325,15 @@ def _full_knots(knots: Any) -> FloatArray:
 
 
 def _homogeneous(point: Any) -> tuple[float, float, float, float]:
+    """Return a control point of Rhino as weighted coordinates and weight."""
     return point.X, point.Y, point.Z, point.W
 
 
 def _homogeneous_points(points: Any) -> FloatArray:
+    """Return the control points of a curve as homogeneous points (N, 4)."""
     return np.array([_homogeneous(point) for point in points], dtype=np.float64)
 
 
 def _from_homogeneous(homogeneous: FloatArray) -> FloatArray:
+    """Return points (N, 3) of homogeneous points (N, 4)."""
     return np.asarray(homogeneous[:, :3] / homogeneous[:, 3:])

@@ -34,9 +34,11 @@ SLOPE_STEP_M = 2e-4
 
 
 def mesh_noise(vertices: FloatArray, faces: IntArray) -> float:
-    """Return the distance [m] from a smooth face that all but 0.3 % of the vertices of a mesh keep.
+    """Return the noise of a mesh: the distance [m] from a smooth face that 99.7 % of its vertices keep.
 
-    It is 0 for a mesh without noise. The residual of each vertex from the plane through its neighbours is
+    It is three standard deviations, and 0 for a mesh without noise.
+
+    The residual of each vertex from the plane through its neighbours is
     compared with the mean of the neighbours' residuals, so that curvature, which neighbours share, drops out.
     The difference is linear in the heights of the vertices, so that its size for unit noise is known exactly.
     A low quantile of it is used, because folds of the face increase it.
@@ -65,6 +67,7 @@ def mesh_noise(vertices: FloatArray, faces: IntArray) -> float:
             normal[:, a, b] = np.bincount(row, weights=basis[:, a] * basis[:, b], minlength=count)
     scale = np.sqrt(np.maximum(np.einsum("nkk->nk", normal), 1e-300))
     scaled = normal / scale[:, :, None] / scale[:, None, :]
+    # Vertices with enough neighbours that are not on one line. With fewer than 20 there is no estimate.
     is_valid = (neighbour_count >= 4) & (np.linalg.det(scaled) > 1e-3)
     if is_valid.sum() < 20:
         return 0.0
@@ -75,6 +78,8 @@ def mesh_noise(vertices: FloatArray, faces: IntArray) -> float:
     plane_weights = csr_array(
         ((height_weights[row] * basis).sum(axis=1), (row, column)), shape=(count, count)
     )
+    # Matrices (V, V) that act on heights: residual of each vertex, mean over its neighbours, and the
+    # difference of both (second). ``unit_noise`` is the size of the difference for noise of size 1.
     residual = diags_array(is_valid.astype(np.float64)) - plane_weights
     neighbour_mean = (
         diags_array(1.0 / np.maximum(graph @ is_valid, 1.0))
@@ -104,8 +109,9 @@ def mesh_noise(vertices: FloatArray, faces: IntArray) -> float:
 def _fold_height(corners: FloatArray, faces: IntArray) -> float:
     """Return how far [m] two adjacent triangles are out of one plane at the flattest edges of a mesh.
 
-    The value is scaled to a standard deviation. It is 0 for a mesh with flat regions, however few triangles
-    these have.
+    If it is small, the mesh has no noise. It is a low quantile (``QUIET_FRACTION``), scaled to a standard
+    deviation. It is 0 for a mesh without shared edges, and for one in which that fraction of the edges is
+    flat.
     """
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
     order = np.lexsort((ends[:, 0], ends[:, 1]))
@@ -140,7 +146,7 @@ class Deviations:
 
 
 def vertex_deviations(vertices: FloatArray, height: FloatArray, steep: FloatArray) -> Deviations:
-    """Return the deviation of vertices from a face.
+    """Return the deviation of vertices from a face, one by one and as means over cells.
 
     Args:
         vertices: Vertices (V, 3) [m].
@@ -159,7 +165,7 @@ def vertex_deviations(vertices: FloatArray, height: FloatArray, steep: FloatArra
 
 
 def largest_deviating_group(faces: IntArray, deviation: FloatArray, limit: float) -> IntArray:
-    """Return the indices of the largest connected group of vertices that deviate by over ``limit`` one way.
+    """Return the indices of the largest connected group of vertices that deviate to one side by over a limit.
 
     The edges of ``faces`` (F, 3) connect vertices. Noise produces only small groups, but a ridge that was
     smoothed away produces a large one. Deviations and limit are in metres.
@@ -257,8 +263,14 @@ def sheet_face(part: Entry, claimed: float = 0.0) -> FormedSheetFace:
 def _allowed_deviation(entry: Entry, face: MeshFace, corners: FloatArray, claimed: float) -> float:
     """Return the allowed deviation [m] of the vertices from the intended face.
 
-    It is the value that the user states, else the smaller one of the claimed deviation and the estimated
-    noise.
+    It is the value that the user states, else the smaller one of the claimed deviation and 1.2 times the
+    estimated noise.
+
+    Args:
+        entry: Entry of the sheet's mesh.
+        face: Face as read.
+        corners: Corners (F, 3, 3) [m] of its triangles in the sheet's frame.
+        claimed: Maximum claimed deviation [m].
     """
     value = entry.get("tolerance_mm", "auto")
     if value != "auto":

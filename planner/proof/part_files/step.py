@@ -90,9 +90,10 @@ def _metres_per_unit(entry: Entry) -> float:
 
 
 def _read_arrays(request: dict[str, Any]) -> dict[str, Any]:
-    """Return the arrays of a ``face`` or of its ``rulings``, whichever the request wants.
+    """Return the arrays of a face or of its rulings, for :func:`_read_in_process`.
 
-    Those of a face are the fields of `MeshFace`, those of rulings their starts and ends (M, 3) [m].
+    ``request["want"]`` is ``face`` or ``rulings``. The arrays of a face are the fields of `MeshFace`, and
+    those of rulings their starts and ends (M, 3) [m].
     """
     from OCP.BRep import BRep_Tool
     from OCP.BRepTools import BRepTools
@@ -105,6 +106,7 @@ def _read_arrays(request: dict[str, Any]) -> dict[str, Any]:
     size = float(request["size"])
 
     def at(u: FloatArray, v: FloatArray) -> FloatArray:
+        """Return points (N, 3) [m] of the surface at parameters u and v (N,)."""
         points = (surface.Value(float(a), float(b)) for a, b in zip(u, v, strict=True))
         return size * np.array([(p.X(), p.Y(), p.Z()) for p in points])
 
@@ -160,6 +162,7 @@ def _selected_face(request: dict[str, Any]) -> Any:
     colour_tool = XCAFDoc_DocumentTool.ColorTool_s(document.Main())
 
     def subshapes(shape: Any, *kinds: Any) -> list[Any]:
+        """Return the shapes of the first kind in a shape, except those inside a shape of the second kind."""
         shapes, walk = [], TopExp_Explorer(shape, *kinds)
         while walk.More():
             shapes.append(walk.Current())
@@ -167,11 +170,13 @@ def _selected_face(request: dict[str, Any]) -> Any:
         return shapes
 
     def shape_name(shape: Any) -> str:
+        """Return the name that the file gives a body or a face, "" for none."""
         entity = transfer.EntityFromShapeResult(shape, 1)
         name = getattr(entity, "NameValue" if iges else "Name", lambda: None)()
         return "" if name is None else str(name.ToCString()).strip()
 
     def shape_colour(shape: Any) -> str:
+        """Return the colour of a shape as ``#RRGGBB``, "" for none."""
         quantity_colour = Quantity_Color()
         if colour_tool.GetColor(shape, XCAFDoc_ColorSurf, quantity_colour) or colour_tool.GetColor(
             shape, XCAFDoc_ColorGen, quantity_colour
@@ -179,6 +184,7 @@ def _selected_face(request: dict[str, Any]) -> Any:
             return str(Quantity_Color.ColorToHex_s(quantity_colour).ToCString())
         return ""
 
+    # Solids, shells outside solids, and faces outside shells count as bodies. Colours are inherited.
     labels: Any = Sequence_TDF_Label()
     XCAFDoc_DocumentTool.ShapeTool_s(document.Main()).GetFreeShapes(labels)
     number, selected = 0, []

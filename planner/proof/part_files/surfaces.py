@@ -85,6 +85,7 @@ def read_section(path: Path) -> FloatArray:
     Raises:
         UnreadError: The file has no points, or other numbers of points than it states.
     """
+    # Without a byte order mark. Each line with two numbers is a point, relative to the chord or not.
     pairs = _rows(path.read_bytes().decode("utf-8", errors="replace").lstrip("\ufeff"))
     if len(pairs) < 3:
         raise UnreadError("it has no points")
@@ -98,6 +99,7 @@ def read_section(path: Path) -> FloatArray:
     keep = np.append(True, np.hypot(*np.diff(pairs, axis=0).T) > 1e-9)
     points = pairs[keep]
     points = _from_trailing_edge(points)
+    # Sections whose chord already extends from 0 to 1, within 0.2 %, stay as they are.
     nose_x, tail_x = points[:, 0].min(), 0.5 * (points[0, 0] + points[-1, 0])
     if max(abs(nose_x), abs(tail_x - nose_x - 1.0)) > 2e-3:
         points = np.column_stack([points[:, 0] - nose_x, points[:, 1]]) / (tail_x - nose_x)
@@ -121,7 +123,10 @@ def _rows(text: str) -> FloatArray:
 
 
 def _from_trailing_edge(points: FloatArray) -> FloatArray:
-    """Return the points of a section from the trailing edge on, over the upper side first."""
+    """Return the points (N, 2) of a section from the trailing edge on, over the upper side first.
+
+    Files may start at the nose, or run over the lower side first.
+    """
     low, high = points[:, 0].min(), points[:, 0].max()
     if max(points[0, 0], points[-1, 0]) < 0.5 * (low + high):  # starts at the nose
         if np.hypot(*(points[0] - points[-1])) < 1e-9 * (high - low):
@@ -149,7 +154,13 @@ def section_of_digits(digits: str) -> FloatArray:
 
 
 def _camber(digits: str, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return height and slope of the camber line at x (N,), relative to the chord."""
+    """Return height and slope (N,) of the camber line of four or five NACA digits at x (N,).
+
+    Heights and x are relative to the chord.
+
+    Raises:
+        UnreadError: There is no camber line for five digits.
+    """
     if len(digits) == 4:
         high, position = int(digits[0]) / 100.0, int(digits[1]) / 10.0
         if high == 0.0:
@@ -176,7 +187,7 @@ def _camber(digits: str, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     return lift * k / 6.0 * line, lift * k / 6.0 * slope
 
 
-SHARP_EDGE_M: Final = 1e-6
+MAX_SHARP_EDGE_THICKNESS_M: Final = 1e-6
 """Thickness [m] up to which a trailing edge counts as sharp."""
 _SECTION_POINTS: Final = 600
 """Number of points along each side of a section."""
@@ -209,7 +220,7 @@ def wing_skin(entry: Entry) -> GuideRulings:
     twists = (0.0, radians(entry.get("twist_deg") or 0.0))
     guides = []
     for k, (points, chord) in enumerate(zip(sections, chords, strict=True)):
-        curve = _section_curve(points, chord, max(gaps) > SHARP_EDGE_M)
+        curve = _section_curve(points, chord, max(gaps) > MAX_SHARP_EDGE_THICKNESS_M)
         x, z = curve.points[:, 0] - 0.25 * chord, curve.points[:, 1]
         c, s = np.cos(twists[k]), np.sin(twists[k])  # the nose, at negative x, moves down
         placed = np.column_stack(
@@ -224,9 +235,9 @@ def wing_skin(entry: Entry) -> GuideRulings:
 
 
 def _with_trailing_edge(points: FloatArray, min_gap: float) -> FloatArray:
-    """Return the section with a trailing edge that is at least ``min_gap`` thick, relative to the chord.
+    """Return the section (N, 2) with a trailing edge at least ``min_gap`` thick, relative to the chord.
 
-    Its upper and lower sides are moved apart in proportion to x.
+    If it is thinner, the upper and the lower side are moved apart in proportion to x.
     """
     gap = float(np.hypot(*(points[0] - points[-1])))
     if gap >= min_gap:
@@ -357,6 +368,7 @@ def _read_named(entry: Entry, reader: Callable[[], Any]) -> Any:
 
 
 def _file_name(entry: Entry) -> str:
+    """Return the name of the file of an entry, without its folder."""
     return file_of(entry).name
 
 
@@ -371,13 +383,18 @@ def _read_face(entry: Entry) -> tuple[MeshFace, str]:
 
 
 def _face_surface(name: str, file: str, face: MeshFace, spare: float = 0.0) -> PartSurface:
+    """Return a face as a surface with points to compare. ``spare`` [m] is the additional deviation."""
     samples = on_triangles(face.corners, face.number, SURFACE_POINTS)
     bound = face.vertices[np.unique(face.faces)]
     return PartSurface(name, file, (samples,), bound, spare, face=face)
 
 
 def _front_and_back(front: Entry, back: Entry | None, edges: bool) -> list[PartSurface]:
-    """Return the front of a panel, its back if it has one, and the ruled edges between both if requested."""
+    """Return the front of a panel, its back if it has one, and the ruled edges between both if requested.
+
+    The back is a face of its own, or the front offset inwards. Without exactly one rim of each there are no
+    edges.
+    """
     front_face, name = _read_face(front)
     out = [_face_surface("front", name, front_face)]
     if not back:
@@ -396,6 +413,10 @@ def _front_and_back(front: Entry, back: Entry | None, edges: bool) -> list[PartS
 def _ruled_surface(
     name: str, file: str, candidates: list[GuideRulings], count: int = SURFACE_POINTS, guides: bool = False
 ) -> PartSurface:
+    """Return a ruled surface with ``count`` points to compare, one set for each of the candidates.
+
+    With ``guides``, the points lie only on both guides.
+    """
     samples = tuple(on_rulings(candidate.start, candidate.end, count, guides) for candidate in candidates)
     return PartSurface(name, file, samples, np.concatenate([candidates[0].start, candidates[0].end]))
 
@@ -413,7 +434,12 @@ def _wing_surface(entry: Entry) -> PartSurface:
 
 
 def _read_ruled(entry: Entry) -> PartSurface:
-    """Return a ruled surface: a face of a Rhino or STEP file, or the surface between two guides."""
+    """Return a ruled surface: a face of a Rhino or STEP file, or the surface between two guides.
+
+    A closed surface faces away from what it encloses, or toward it if it is a ``hole``. An open one is
+    reversed by ``flip``. With the match "least_twist" the planner chooses the rulings, so only the guides are
+    compared.
+    """
     closed = bool(entry.get("closed"))
     match = str(entry.get("match") or "arc_length")
     if entry.get("rhino") or entry.get("step"):
@@ -444,7 +470,11 @@ def _read_ruled(entry: Entry) -> PartSurface:
 
 
 def _read_guide(entry: Entry, closed: bool) -> GuideCurve:
-    """Return a guide from a polyline, the only closed or open curve of a drawing, or a spline."""
+    """Return a guide from a polyline, a spline, or the only curve of a drawing that is closed or open.
+
+    ``closed`` says which curve of the drawing is meant. ``z_mm`` replaces its heights, and ``corners_mm`` the
+    corners of any guide.
+    """
     angle = radians(entry.get("corner_deg", CORNER_ANGLE_DEG))
     if entry.get("polyline_mm") is not None:
         curve = polyline_guide(points_in_metres(entry["polyline_mm"]), closed, angle)
@@ -501,9 +531,10 @@ def _read_drawing(entry: Entry, kind: str) -> list[DrawingCurve]:
 
 
 def _facing_outwards(surface: GuideRulings, hole: bool) -> GuideRulings:
-    """Return a closed surface that faces away from what it encloses, or toward it for a hole."""
+    """Return a closed surface that faces away from what it encloses, or toward it if it is a ``hole``."""
     middle = 0.5 * (surface.start + surface.end)
     middle = middle - middle.mean(axis=0)
+    # Vector area of the middle line. It points along the rulings if the surface faces outwards.
     around = np.cross(middle[:-1], middle[1:]).sum(axis=0)
     outside = float(around @ (surface.end - surface.start).mean(axis=0)) > 0.0
     return surface if outside != hole else GuideRulings(surface.start[::-1], surface.end[::-1])

@@ -67,16 +67,16 @@ class SaggingArm:
         feed: FloatArray | None = None,
         height: FloatArray | None = None,
     ) -> FloatArray:
-        """Return the serial angles (M, 6) [rad] of the loaded arm.
+        """Return the serial angles (M, 6) [rad] of the loaded arm, at which its links and tool really are.
 
-        Fixed point of q_loaded = q + compliance(torque(q_loaded)).
+        They are the fixed point of q_loaded = q + compliance(torque(q_loaded)), by iteration.
 
         Args:
-            q: Serial angles (M, 6) [rad] of the drives.
-            fraction: Fraction (M,) of the working force that acts.
+            q: Serial angles (M, 6) [rad] of the drives, as the controller commands them.
+            fraction: Fraction (M,) of the working force that acts, 0 to 1.
             feed: Direction (M, 3) in which the tool moves. None if the force does not depend on it.
-            height: Height (M,) [m] in the stock's frame at which the force is read from its table, NaN for
-                the height of the tool.
+            height: Height (M,) [m] in the stock's frame at which the force is read from its table. NaN, or
+                None for all, stands for the height of the tool itself.
         """
         feed = np.zeros((len(q), 3)) if feed is None else feed
         height = np.full(len(q), np.nan) if height is None else height
@@ -124,10 +124,16 @@ class SaggingArm:
         return deflection
 
     def _work_force(self, tcp_poses: FloatArray, feed: FloatArray, height: FloatArray) -> FloatArray:
-        """Return the full working force (M, 3) [N] in the world at TCP poses ``tcp_poses`` (M, 4, 4)."""
+        """Return the full working force (M, 3) [N] in the world at TCP poses ``tcp_poses`` (M, 4, 4).
+
+        The claim has the force in the frame of the tool, of the stock, or of the feed: x along the feed
+        across the tool axis, z along the tool axis, y = z x x. The table is constant beyond both ends.
+        ``feed`` (M, 3) and ``height`` (M,) are those of :meth:`loaded_joints`.
+        """
         height = np.where(np.isnan(height), self.heights(tcp_poses), height)
         knots = self.claim.height
-        # Linear interpolation of the force between the table rows below and above the height.
+        # Linear interpolation of the force between the table rows below and above the height. A table with
+        # one row has below = above and the weight 0.
         above = np.clip(np.searchsorted(knots, height), 1, max(len(knots) - 1, 1))
         below, above = above - 1, np.minimum(above, len(knots) - 1)
         span = np.where(above > below, knots[above] - knots[below], np.inf)
@@ -154,7 +160,7 @@ class SaggingArm:
 def with_sag(
     motion: Motion, arms: Sequence[Mapping[str, SaggingArm]], sample_setup: IntArray, node_setup: IntArray
 ) -> Motion:
-    """Return the motion with the poses of the deflected arms.
+    """Return the motion with the poses of the deflected arms, which all rules on tools and bodies use.
 
     ``tcp``, ``node_tcp`` and the poses between samples become those of the deflected arms, and
     ``loaded_joints`` has their joints. ``q`` keeps the joints of the controllers.
@@ -189,10 +195,16 @@ def _sagging_motion(
     sample_setup: IntArray,
     node_setup: IntArray,
 ) -> tuple[Poses, FloatArray, Poses, FloatArray]:
-    """Return TCP poses at samples, at nodes and at intermediate instants, and joints at samples, of one arm.
+    """Return the poses and joints of one deflected arm.
 
-    The arguments are those of :func:`with_sag`, for arm ``name``, whose loads are in ``arm_setups`` by setup.
+    In setups without its loads the poses stay as they are. The arguments are those of :func:`with_sag`, for
+    arm ``name``, whose loads are in ``arm_setups`` by the index of the setup.
+
+    Returns:
+        S TCP poses at the samples, TCP poses (K, 4, 4) at the nodes, C TCP poses at the instants between
+        samples, and joints (S, 6) [rad] at the samples.
     """
+    # Fractions and feeds at nodes, (K,) and (K, 3), and at samples, (S,) and (S, 3); heights at samples (S,).
     at_node = work_fractions(motion)
     fraction = _sample_fractions(motion, name, at_node)
     node_feed, feed = _feed_directions(motion, name, arm_setups, at_node, node_setup)
@@ -250,11 +262,15 @@ def _displacement(arm: SaggingArm, q: FloatArray, links: FloatArray) -> FloatArr
 
 
 def _batches(rows: IntArray) -> list[IntArray]:
+    """Split indices into batches that limit memory."""
     return [rows[i : i + POSTURES_PER_BATCH] for i in range(0, len(rows), POSTURES_PER_BATCH)]
 
 
 def work_fractions(motion: Motion) -> FloatArray:
-    """Return the fraction (K,) of the working force that acts at the end of each move: 1 or 0."""
+    """Return the fraction (K,) of the working force that acts at the end of each move: 1 or 0.
+
+    It is 1 in segments whose kind works (``works``), such as cuts, except in their phases, such as lead-ins.
+    """
     works = [segment.works and not segment.phase for segment in motion.node_segment]
     return np.array(works, dtype=np.float64)
 
@@ -262,7 +278,8 @@ def work_fractions(motion: Motion) -> FloatArray:
 def _sample_fractions(motion: Motion, name: str, at_node: FloatArray) -> FloatArray:
     """Return the fraction (S,) of the working force that acts at each sample.
 
-    Between the ends of a move it is interpolated. ``at_node`` is that of :func:`work_fractions`.
+    Along a move it is interpolated between the fractions at both ends, by the path of arm ``name``.
+    ``at_node`` (K,) is that of :func:`work_fractions`.
     """
     node = motion.node
     previous = np.concatenate([[0.0], at_node[:-1]])
@@ -284,12 +301,14 @@ def _force_heights(
     node_setup: IntArray,
     node_feed: FloatArray,
 ) -> FloatArray:
-    """Return the heights (S,) [m] in the stock's frame at which a changing force is read from its table.
+    """Return the heights (S,) [m] in the stock's frame at which a force that changes is read from its table.
 
-    On a move along which the acting fraction changes, the force belongs to the height of the loaded tool at
-    the end at which it acts in full. On other moves the result is NaN: the force belongs to the current
-    height of the tool.
+    While the force ramps up or down along a move, it is that at the height of the loaded tool at the working
+    end of the move. On all other moves the result is NaN, which stands for the current height of the tool.
+    The arguments are those of :func:`_sagging_motion`. ``at_node`` (K,) are the fractions at the nodes, and
+    ``node_feed`` (K, 3) the feed directions there.
     """
+    # works: whether the force acts at each node. The loop examines moves along which this changes.
     out, works = np.full(len(motion.time), np.nan), np.append(at_node, 0.0) > 0.0
     for node in np.flatnonzero(works[:-1] != np.append(False, works[:-2])):
         full_node = node if works[node] else node - 1
@@ -305,7 +324,11 @@ def _force_heights(
 
 
 def _move_progress(motion: Motion, name: str, rows: IntArray) -> FloatArray:
-    """Return the fraction (M,) of the current move that the tool has covered at samples ``rows`` (M,)."""
+    """Return the fraction (M,) of the current move that the tool has covered at samples ``rows`` (M,).
+
+    It is the projection of the tool of arm ``name`` on the straight line between both ends of the move. On a
+    move of at most ``MIN_PATH_M`` it is the fraction of the time.
+    """
     moves = np.asarray(motion.node[rows], dtype=np.int64)
     start, end = _move_ends(motion, name, moves - 1), _move_ends(motion, name, moves)
     path = end - start
@@ -324,10 +347,12 @@ def _feed_directions(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the mean feed direction of the loaded arm at nodes (K, 3) and at samples (S, 3).
 
-    It is 0 where no force turns with the feed.
+    A force that turns with the feed is computed from it. It is 0 where there is no such force. The arguments
+    are those of :func:`_sagging_motion`, and ``at_node`` (K,) are the fractions at the nodes.
     """
     at_nodes, at_samples = np.zeros((len(at_node), 3)), np.zeros((len(motion.time), 3))
     works = np.flatnonzero(at_node > 0.0)
+    # run: successive nodes at which the force acts.
     for run in np.split(works, np.flatnonzero(np.diff(works) != 1) + 1):
         arm = arm_setups.get(int(node_setup[run[0]])) if len(run) else None
         if arm is None or not arm.turns_with_feed:

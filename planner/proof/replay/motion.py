@@ -35,12 +35,13 @@ class RunLengthVectors:
 
     @staticmethod
     def of(vectors: FloatArray) -> "FloatArray | RunLengthVectors":
-        """Encode vectors (S, 3) if runs are long, else return them unchanged."""
+        """Encode vectors (S, 3) if runs are long enough to save memory, else return them unchanged."""
         if not len(vectors):
             return vectors
         bits = np.ascontiguousarray(vectors).view(np.int64)
         starts_run = np.ones(len(vectors), dtype=np.bool_)
         np.any(bits[1:] != bits[:-1], axis=1, out=starts_run[1:])
+        # The mean length of the runs is the number of vectors divided by the number of runs.
         if MIN_MEAN_RUN * np.count_nonzero(starts_run) > len(vectors):
             return vectors
         return RunLengthVectors(vectors[starts_run], np.cumsum(starts_run, dtype=np.int32) - np.int32(1))
@@ -74,7 +75,7 @@ MIN_MEAN_RUN = 4
 
 @dataclasses.dataclass(frozen=True)
 class Poses:
-    """S poses in compact form. Indexing returns them as matrices (..., 4, 4), with rounding of x and y.
+    """S poses in compact form. Indexing returns matrices (..., 4, 4), whose x and y axes are rounded.
 
     Attributes:
         position: Positions (S, 3).
@@ -143,7 +144,7 @@ class Poses:
 
 
 class GrowingArray:
-    """Array to which rows of one shape are appended.
+    """Array to which rows of one shape are appended, to collect a long motion with little memory.
 
     All rows are in one array, which is allocated with twice the needed length. The reserve takes no memory,
     because it is not written. If parts were concatenated instead, most of a long motion would exist twice.
@@ -200,7 +201,7 @@ class GrowingPoses:
 def _orthonormal_basis(z: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return two unit vectors (..., 3) orthogonal to unit vectors ``z`` (..., 3) and to each other.
 
-    The second one is z x first.
+    They are a reference for angles about z that depends on z only. The second one is z x first.
 
     Source: Duff et al. (2017), Building an orthonormal basis, revisited, listing 3.
     """
@@ -221,7 +222,7 @@ class ReplayFault:
         message: Description for the user.
         task: Name of the task.
         line: Line of the move.
-        index: Node of the move.
+        index: Index of the node at which the move ends.
     """
 
     kind: str
@@ -269,7 +270,10 @@ class MergedSamples:
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
-    """Replayed motion of a whole job, with S samples and K nodes (targets).
+    """Replayed motion of a whole job, with S samples and K nodes.
+
+    A node is the end of one move of each moving arm, and also stands for that move. Nodes are numbered
+    through all stages. Between two nodes are many samples.
 
     For an arm that deflects under its loads, ``q`` has the joints of its controller, and the tool poses are
     those of the deflected arm.
@@ -287,12 +291,14 @@ class Motion:
         node_duration: Durations (K,) [s] of the moves.
         node_line: Lines {arm: (K,)} in the text, 0 where the arm has no move.
         node_tcp: TCP poses {arm: (K, 4, 4)} in the world.
-        node_conf_q: Joints {arm: (K, 6)} that confdata alone select, NaN where the arm has no such target.
-        node_conf_ok: Whether confdata fit the motion {arm: (K,)}.
+        node_conf_q: Joints {arm: (K, 6)} that confdata alone select, NaN where no solution has them or the
+            arm has no such target.
+        node_conf_ok: Whether the replayed joints have the quadrants and the branch of the confdata
+            {arm: (K,)}, True where the arm has none.
         step_time: Time [s], number of the stage, name of the task, and step, of all steps other than moves.
         faults: Reasons why the motion differs from what the text states.
         between: Poses between samples, where they matter.
-        loaded_joints: Joints {arm: (S, 6)} of deflected arms.
+        loaded_joints: Joints {arm: (S, 6)} [rad] of deflected arms, with the deflection.
         track_positions: Distances {arm: (S,)} [m] of bases on coordinated tracks from their stations.
     """
 
@@ -354,9 +360,9 @@ class Motion:
         return sorted(changes, key=lambda change: change[0])
 
     def signal_on_time(self, signal: str, tasks: Collection[str], time: FloatArray) -> FloatArray:
-        """Return for how long (T,) [s] a signal has been on at given times (T,) [s], -1 where it is off.
+        """Return for how long (T,) [s] a signal has been on at times ``time`` (T,) [s], -1 where it is off.
 
-        ``tasks`` are the tasks of the signal's controller.
+        ``tasks`` are the tasks of the signal's controller. A repeated switch to 1 does not restart the time.
         """
         changes = self.signal_changes(signal, tasks)
         out = np.full(len(time), -1.0)
@@ -396,7 +402,7 @@ class Motion:
 
     @functools.cached_property
     def node_label(self) -> NDArray[np.str_]:
-        """Segment label (K,) of each move, as the programs have it: the ``key`` of a claimed segment."""
+        """Segment label (K,) of the move to each node. It equals the ``key`` of the claimed segment."""
         return np.array([str(segment) for segment in self.node_segment], dtype=np.str_)
 
     @functools.cached_property
@@ -414,9 +420,10 @@ _SAMPLES_PER_BATCH = 16_384
 
 
 def finite_differences(time: FloatArray, q: FloatArray, order: int) -> FloatArray:
-    """Return speeds (``order`` 1) or accelerations (2) of joints (S, ...) at nearly evenly spaced times (S,).
+    """Return speeds (``order`` 1) or accelerations (2) of joints ``q`` (S, ...) at times (S,) [s].
 
-    A speed is the one-sided difference with the larger absolute value. The values at both ends are 0.
+    The times are nearly evenly spaced. A speed is the one-sided difference with the larger absolute value.
+    The first and the last value are 0, because the motion starts and ends at rest.
     """
     out = np.zeros(q.shape)
     if len(time) < 3:
@@ -451,7 +458,8 @@ still.
 def motion_across_wire(points: FloatArray) -> FloatArray:
     """Return the distances (T - 1, P) [m] that points of a wire move across the wire between stations.
 
-    ``points`` (T, P, 3) [m] are P points along the wire at T stations.
+    A station is an instant at which the shape of the wire is known. ``points`` (T, P, 3) [m] are P points
+    along the wire at T stations. A motion along the wire does not cut.
     """
     motion = np.diff(points, axis=0)
     along = np.gradient(points[:-1] + points[1:], axis=1)
@@ -460,14 +468,21 @@ def motion_across_wire(points: FloatArray) -> FloatArray:
 
 
 def wire_speed(points: FloatArray, time: FloatArray, inside: BoolArray) -> FloatArray:
-    """Return the speed (T, P) [m/s] of points (T, P, 3) of a wire across the wire at T stations.
+    """Return the speed (T, P) [m/s] of points of a wire across the wire at T stations, for its kerf.
 
     It is a mean over a part of the path around each station. The part reaches at least to the previous and
-    the next station, and so far that the fastest point ``inside`` (T, P) the foam has moved by
-    ``MELTED_PATH_M`` in both directions. If no point is inside the foam, all points count.
+    the next station. It also reaches so far, before and after, that the fastest point inside the foam has
+    moved by ``MELTED_PATH_M``. If no point is inside the foam, the fastest of all points counts.
+
+    Args:
+        points: Points (T, P, 3) [m] along the wire.
+        time: Times (T,) [s] of the stations.
+        inside: Whether each point is inside the foam (T, P).
     """
     if len(points) < 2:
         return np.zeros(points.shape[:2])
+    # step (T - 1, P) [m] per interval. path (T,) [m]: path of the fastest point. across (T, P) [m]: path of
+    # each point. low, high (T,): path lengths between which the mean at each station is taken.
     step = motion_across_wire(points)
     stays_inside = inside[1:] & inside[:-1]
     max_steps = np.where(stays_inside | ~stays_inside.any(axis=1, keepdims=True), step, 0.0).max(axis=1)
@@ -482,7 +497,7 @@ def wire_speed(points: FloatArray, time: FloatArray, inside: BoolArray) -> Float
 
 
 def _interpolate(queries: FloatArray, positions: FloatArray, rows: FloatArray) -> FloatArray:
-    """Interpolate ``rows`` (T, P) at ``queries`` (K,). They are given at ascending ``positions`` (T,)."""
+    """Interpolate ``rows`` (T, P), which are given at ascending ``positions`` (T,), at ``queries`` (K,)."""
     k = np.clip(np.searchsorted(positions, queries) - 1, 0, len(positions) - 2)
     weight = (queries - positions[k]) / (positions[k + 1] - positions[k])
     return np.asarray(rows[k] + weight[:, None] * (rows[k + 1] - rows[k]))

@@ -65,16 +65,16 @@ class TimeLaw:
 def time_law(
     duration: FloatArray, length: FloatArray, stop: BoolArray, reach: FloatArray, min_window: FloatArray
 ) -> TimeLaw:
-    """Return the time law of N moves.
+    """Return the time law of N moves: when each ends, and over which time each corner is rounded.
 
     Args:
         duration: Durations (N,) [s].
         length: Lengths (N,) of the moves in any common unit, to match speeds at ramps.
-        stop: Whether the arms stop at the nodes (N + 1,).
-        reach: Fractions (N + 1, 2) of the moves before and after each node over which the zone allows the
-            rounding to extend.
-        min_window: Half width (N + 1,) [s] of the rounding that is allowed at each node, however small the
-            zone.
+        stop: Whether the arms stop at the nodes (N + 1,). Node 0 is the start, node i the end of move i - 1.
+        reach: Fractions (N + 1, 2), at each node, of the move before it and of the move after it, over which
+            the zone allows the rounding to extend.
+        min_window: Half width (N + 1,) [s] that the rounding at each node has at least, however small the
+            zone. It corresponds to the path accuracy of the controller. A stop has no rounding.
     """
     count = len(duration)
     times = np.concatenate([[0.0], np.cumsum(duration)])
@@ -90,9 +90,11 @@ def time_law(
 def end_rates(duration: FloatArray, length: FloatArray, stop: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Return the speeds (N,) at the starts, and (N,) at the ends, of N moves, relative to their mean speeds.
 
-    The arguments are those of :func:`time_law`.
+    A move has the ratio 1 at both ends, except next to a stop: 0 at the stop, and at the other end the
+    neighbour's speed, so that the ramp meets it. The arguments are those of :func:`time_law`.
     """
-    # A ramp from or to a stop meets its neighbour at the neighbour's speed: 1 to 2 times its own mean speed.
+    # The ramp's end speed is limited to 1 to 2 times its own mean speed. A move between two stops ends at 0
+    # on both sides.
     speed = length / duration
     rate_in, rate_out = np.ones(len(duration)), np.ones(len(duration))
     starts_at_stop, ends_at_stop = stop[:-1], stop[1:]
@@ -113,7 +115,7 @@ Chosen: a tenth of :data:`PATH_ACCURACY_M` and of :data:`PATH_ACCURACY_RAD`.
 
 
 def corner_times(law: TimeLaw, deltas: Sequence[FloatArray], step: float) -> FloatArray:
-    """Return additional times (C,) [s] at stops and corners.
+    """Return additional times (C,) [s] at stops and corners, at which the replay adds poses between samples.
 
     A corner is included if a straight line between samples would cut it off by over ``CHORD_TOLERANCE``. A
     rounded corner gets positions on the rounding, so dense that lines between them deviate by no more.
@@ -128,7 +130,9 @@ def corner_times(law: TimeLaw, deltas: Sequence[FloatArray], step: float) -> Flo
         deltas: Translation [m] and rotation [rad] (N, 6) of the moves of each arm.
         step: Time [s] between samples.
     """
+    # Arrays per inner node, (N - 1,). deviation and rounding_deviation are in units of CHORD_TOLERANCE.
     duration, corners, half_widths = np.diff(law.times), law.times[1:-1], law.window[1:-1]
+    # first to last - 1: the corners within a step of each corner.
     first = np.searchsorted(corners, corners - step, side="left")
     last = np.searchsorted(corners, corners + step, side="right")
     line = np.minimum(0.25 * step, step**2 / (16.0 * np.maximum(half_widths, 1e-9)))
@@ -153,9 +157,13 @@ def corner_times(law: TimeLaw, deltas: Sequence[FloatArray], step: float) -> Flo
 
 
 def offsets(law: TimeLaw, delta: FloatArray, at: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return positions at times ``at`` (S,) on moves with steps ``delta`` (N, D) from node to node.
+    """Return positions at times ``at`` (S,) on N moves with steps ``delta`` (N, D) from node to node.
 
-    They are the index (S,) of a node and the offset (S, D) from it.
+    The caller adds the offset to the node, as joints, as a track position, or as a translation and rotation.
+
+    Returns:
+        Index (S,) of a node, 0 to N, and offset (S, D) from it, in the units of ``delta``. The node is the
+        end of the current move, or the corner that is being rounded.
     """
     count = len(delta)
     move = np.clip(np.searchsorted(law.times, at, side="right") - 1, 0, count - 1)
@@ -197,9 +205,14 @@ def _rounding_offsets(law: TimeLaw, delta: FloatArray, corner: IntArray, at: Flo
 
 
 def _progress(law: TimeLaw, move: IntArray, elapsed: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the progress (S,) from 0 to 1 of moves, and its rate (S,) [1/s]: a cubic with the end rates.
+    """Return the progress (S,) from 0 to 1 of moves, and its rate (S,) [1/s].
 
-    ``elapsed`` (S,) [s] is the time since the start of each move.
+    The progress over time is the cubic with the end rates of the time law.
+
+    Args:
+        law: Time law of N moves.
+        move: Index (S,) of the move.
+        elapsed: Time (S,) [s] since the start of the move.
     """
     duration = law.times[move + 1] - law.times[move]
     x = np.clip(elapsed / duration, 0.0, 1.0)
@@ -230,7 +243,8 @@ class TrackMotion:
     ) -> tuple[FloatArray, bool]:
         """Return the base positions before N moves and after each.
 
-        Before its first straight move the arm does not work: its base stays at the station.
+        An arm works from its first straight move of a setup on. Before that its base stays at the station.
+        A move whose target does not name the axis leaves the base where it is.
 
         Args:
             moves: The moves.
@@ -274,12 +288,12 @@ class ArmMoves:
         task: Task of the arm.
         moves: The moves.
         robot: Kinematics of the arm.
-        base: Base pose (4, 4).
+        base: Base pose (4, 4) in the world, at the station of a coordinated track.
         tool: TCP (N, 4, 4) in the flange.
         joint: Whether the moves are joint moves (N,).
         pose: Targets (N, 4, 4) as TCP poses.
         q: Targets (N, 6) [rad] as serial joint angles, NaN for targets that are poses only.
-        conf: Confdata (N, 4) of the targets, 0 without.
+        conf: Confdata (N, 4) of the targets: quadrants of axes 1, 4 and 6, and the branch. 0 without.
         named: Whether the targets have confdata (N,).
         carrier: Name of the arm that carries the work object, None if none does.
         carrier_frame: Frame (4, 4) of the work object in the flange of the carrier.
@@ -318,7 +332,10 @@ class ArmMoves:
         return out
 
     def base_after(self, node: int | slice) -> FloatArray:
-        """Return the base poses (4, 4) or (M, 4, 4) before the first move (0) and after moves (1 to N)."""
+        """Return base poses at nodes: 0 is before the first move, i (1 to N) is after move i - 1.
+
+        They are (M, 4, 4) for a slice of M nodes on a coordinated track. Otherwise there is one pose (4, 4).
+        """
         return (
             self.base if self.track_position is None else self.base_at(np.asarray(self.track_position[node]))
         )
@@ -335,9 +352,9 @@ class ArmMoves:
         )
 
     def track_positions_at(self, law: TimeLaw, a: int, b: int, when: FloatArray) -> FloatArray:
-        """Return the distances (S,) [m] of the base along the track, as :meth:`base_at_times`.
+        """Return the distances (S,) [m] of the base from its station at times ``when`` (S,).
 
-        They are 0 without a coordinated track.
+        The arguments are those of :meth:`base_at_times`. The distances are 0 without a coordinated track.
         """
         if self.track_position is None:
             return np.zeros(len(when))
@@ -346,7 +363,10 @@ class ArmMoves:
         return np.asarray((nodes[node] + xi)[:, 0])
 
     def flange_poses(self) -> FloatArray:
-        """Return the flange poses (N, 4, 4) in the world at the targets, for moves that no arm carries."""
+        """Return the flange poses (N, 4, 4) in the world at the targets.
+
+        They are defined only if no arm carries the work object. Targets of joint moves follow from joints.
+        """
         out = self.pose @ inverse(self.tool)
         base = np.broadcast_to(self.base_after(slice(1, None)), out.shape)
         out[self.joint] = base[self.joint] @ self.robot.flange(self.q[self.joint])
@@ -361,7 +381,7 @@ def arm_moves(
     units: Mapping[str, str],
     track: tuple[FloatArray, FloatArray] | None = None,
 ) -> ArmMoves:
-    """Return the moves of one arm as arrays.
+    """Return the moves of one arm as arrays, from which the replay computes its motion.
 
     Moves in several moving frames, or in one and in the world, are a fault that ``verify.held_frame``
     reports. They are taken as if all frames were fixed.
@@ -376,6 +396,7 @@ def arm_moves(
     """
     count = len(moves)
     straight = [move for move in moves if not move.by_joints]
+    # Arms that carry the work objects of straight moves. Only if it is exactly one, the work is carried.
     carriers = {None if move.wobj.fixed else units.get(move.wobj.unit.lower()) for move in straight}
     carrier = carriers.pop() if len(carriers) == 1 else None
     joint = np.array([move.by_joints for move in moves])
@@ -406,6 +427,7 @@ def arm_moves(
                 q[i] = values
                 if rates is not None:
                     rates[i] = rate
+    # argmin of the flags is the first straight move.
     carrier_frame = np.eye(4) if carrier is None else frame[int(np.argmin(joint))]
     pose = (
         (np.linalg.inv(carrier_frame) if carrier is not None else np.eye(4))
@@ -451,7 +473,10 @@ def selected_joints(move: MoveStep, machine: RobotMachine, base: FloatArray) -> 
 def status_solutions(
     move: MoveStep, machine: RobotMachine, base: FloatArray
 ) -> inverse_kinematics.StatusSolutions:
-    """Return all solutions that Status and Turn select for a move's target, none for other targets."""
+    """Return all solutions that KUKA's Status and Turn select for a move's target in KRL.
+
+    Other targets have none. ``base`` (4, 4) is in the world.
+    """
     target = move.target
     if not isinstance(target, StatusTarget):
         return inverse_kinematics.StatusSolutions(np.zeros((0, 6)), ())
@@ -539,9 +564,9 @@ def trajectory_knots(
 def arms_time_law(
     rows: Sequence[ArmMoves], starts: Sequence[FloatArray], joints: Sequence[FloatArray], stop: BoolArray
 ) -> tuple[TimeLaw, tuple[FloatArray, ...]]:
-    """Return the time law of the moves of all arms, and the steps of each arm.
+    """Return the time law on which the moves of all arms run, and the steps of each arm.
 
-    The slowest arm determines each move's time, the smallest zone the rounding.
+    The slowest arm determines the time of each move, and the smallest zone determines the rounding.
 
     Args:
         rows: Moves of each arm.
@@ -555,6 +580,7 @@ def arms_time_law(
     count = len(rows[0].moves)
     duration, length = np.zeros(count), np.zeros(count)
     reach = np.full((count + 1, 2), _MAX_CORNER_FRACTION)
+    # Steps (N, D) of each arm with the accuracy of a corner: translation and rotation in turn, and tracks.
     deltas: list[tuple[FloatArray, float]] = []
     track_deltas: list[tuple[FloatArray, float]] = []
     for row, start, q in zip(rows, starts, joints, strict=True):
@@ -588,20 +614,26 @@ def arms_time_law(
     for delta, accuracy in deltas + track_deltas:
         # A rounding of half width h deviates from the corner by h |change of speed| / 4.
         speed = delta / duration[:, None]
-        change = _speed_change_across(rate_out[:-1, None] * speed[:-1], rate_in[1:, None] * speed[1:])
+        change = _lateral_velocity_change(rate_out[:-1, None] * speed[:-1], rate_in[1:, None] * speed[1:])
         min_window[1:-1] = np.minimum(min_window[1:-1], 4.0 * accuracy / np.maximum(change, 1e-12))
     law = time_law(duration, length, stop, np.clip(reach, 0.0, _MAX_CORNER_FRACTION), min_window)
-    path_deltas, rotation_deltas = deltas[::2], deltas[1::2]
+    path_deltas, rotation_deltas = deltas[::2], deltas[1::2]  # they alternate
     return law, tuple(
         np.concatenate([a, b], axis=1) for (a, _), (b, _) in zip(path_deltas, rotation_deltas, strict=True)
     )
 
 
 def _move_durations(row: ArmMoves, start: FloatArray, step: FloatArray, turn: FloatArray) -> FloatArray:
-    r"""Return the duration (N,) [s] of each move, with the path ``step`` [m] and the rotation ``turn`` [rad].
+    r"""Return the duration (N,) [s] of each move.
 
-    It is \T if stated. Else it follows from the stated speed. A joint move also takes at least the time that
-    its joints need from stop to stop within their limits.
+    It is \T if the text states it. Otherwise it follows from the stated speed. A joint move without \T also
+    takes at least the time that its joints need from stop to stop within their limits, plus 2 %.
+
+    Args:
+        row: N moves of the arm.
+        start: Joints (J,) [rad] before the moves.
+        step: Length (N,) [m] of the TCP's path in each move.
+        turn: Angle (N,) [rad] by which the tool rotates in each move.
     """
     out = np.zeros(len(row.moves))
     for i, move in enumerate(row.moves):
@@ -623,16 +655,19 @@ def _move_durations(row: ArmMoves, start: FloatArray, step: FloatArray, turn: Fl
 
 
 def _joints_after_straight(row: ArmMoves, i: int, start: FloatArray) -> FloatArray:
-    """Return the joints (6,) at which joint move i starts, after the straight moves before it.
+    """Return the joints (6,) [rad] at which joint move ``i`` starts, after the straight moves before it.
 
-    Without straight moves, or if their end cannot be computed, they are the joints before these; ``start``
-    (6,) are the joints before all moves.
+    They determine how long the joint move takes. If there are no straight moves, or if their end cannot be
+    computed, the result is the joints before the straight moves. ``start`` (6,) are the joints before all
+    moves.
     """
     joint_moves = np.flatnonzero(row.joint[:i])
     first = int(joint_moves[-1]) + 1 if len(joint_moves) else 0
     start_joints = row.q[first - 1] if first else start
     if first == i or row.carrier is not None or not np.isfinite(start_joints).all():
         return start_joints
+    # is_followed: an arm with an offset wrist. Its joints are followed at intermediate positions of each
+    # straight move, because its targets name no branch.
     if row.robot.is_followed:
         fractions = np.arange(1, _POSITIONS_PER_MOVE + 1) / _POSITIONS_PER_MOVE
         ends = np.concatenate([row.tcp(start_joints[None]), row.pose[first:i]])
@@ -660,10 +695,11 @@ _POSITIONS_PER_MOVE: Final = 20
 """Number of positions of a straight move at which an arm with an offset wrist is followed."""
 
 
-def _speed_change_across(previous: FloatArray, following: FloatArray) -> FloatArray:
-    """Return the change (M,) from velocity ``previous`` to ``following`` (M, D) that counts across the path.
+def _lateral_velocity_change(previous: FloatArray, following: FloatArray) -> FloatArray:
+    """Return the size (M,) of the velocity change from ``previous`` to ``following`` (M, D) across the path.
 
-    A change along the path does not deviate from it. If the motion reverses, the full change counts.
+    A rounded corner deviates from the path in proportion to it. A change along the path causes no deviation.
+    If the motion reverses, or stands still before or after, the full change counts.
     """
     # Component of the faster velocity normal to the slower one: |previous ^ following| / smaller speed.
     speeds = np.maximum(
@@ -680,9 +716,10 @@ def _speed_change_across(previous: FloatArray, following: FloatArray) -> FloatAr
 
 
 def _zone_fraction(zone: FloatArray, angle: FloatArray, step: FloatArray, turn: FloatArray) -> FloatArray:
-    """Return the fraction (M,) of each move that a zone [m] covers, by its path ``step`` [m].
+    """Return the fraction (M,) of each move over which a zone allows the corner to be rounded.
 
-    If the TCP does not move, it is by the rotation ``turn`` and the zone's ``angle`` [rad].
+    It is the size of the ``zone`` [m] divided by the path ``step`` [m]. If the TCP moves by at most 0.01 mm,
+    it is the ``angle`` [rad] of the zone divided by the rotation ``turn`` [rad].
     """
     by_rotation = np.where(turn > 1e-6, angle / np.maximum(turn, 1e-6), _MAX_CORNER_FRACTION)
     return np.where(step > 1e-5, zone / np.maximum(step, 1e-5), by_rotation)
@@ -699,7 +736,7 @@ def batches(first: int, last: int) -> Iterator[slice]:
 
 
 def nodes_and_steps(row: ArmMoves, a: int, b: int, start: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the nodes and steps of the N straight moves a to b - 1.
+    """Return the nodes and steps of the N straight moves ``a`` to ``b`` - 1, from which their poses follow.
 
     Args:
         row: All moves of the arm.
@@ -727,7 +764,11 @@ def path_poses(law: TimeLaw, nodes: FloatArray, delta: FloatArray, when: FloatAr
 
 
 def path_branches(row: ArmMoves, a: int, b: int, start_joints: FloatArray) -> IntArray:
-    """Return the branch (N,) of each of the straight moves a to b - 1, which start at joints (6,)."""
+    """Return the branch (N,) of each of the straight moves ``a`` to ``b`` - 1.
+
+    It is that of the targets' confdata if all targets have confdata and the arm has no parallel rods.
+    Otherwise it is the branch of ``start_joints`` (6,), the joints at which the moves start.
+    """
     if row.robot.data.coupling is None and row.named[a:b].all():
         return np.asarray(row.conf[a:b, 3])
     # KRL and URScript name no branch here, and the meaning of cfx of parallel-rod arms is not certain, so the
@@ -755,11 +796,15 @@ class StraightPath:
 def path_joints(
     straight: StraightPath, start_joints: FloatArray, when: FloatArray, tcp: FloatArray
 ) -> FloatArray:
-    """Return the joints (S, 6) on straight moves, NaN where the arm does not reach the path.
+    """Return the joints (S, 6) [rad] on straight moves, NaN where the arm does not reach the path.
+
+    For an arm with an offset wrist they continue from the joints before. For other arms they are on the
+    branch of the current move.
 
     Args:
         straight: Path of the moves.
-        start_joints: Joints (6,) of the sample before, to which the whole turns of the joints are matched.
+        start_joints: Joints (6,) [rad] at the previous time, from which the joints continue without jumps by
+            whole turns.
         when: Times (S,) [s].
         tcp: TCP poses (S, 4, 4) in the world.
     """

@@ -52,13 +52,17 @@ def replay(
 
     Args:
         job: The job as read.
-        bases: Base poses {arm: (4, 4)} in the world, for each stage if they change.
-        tools: TCP {arm: (4, 4)} in the flange of the mounted tools, for each stage, if they change.
-        travel_times: {identity of a move: time [s]} that external axes take in it, before the arm moves.
-        tracks: Coordinated tracks {arm: track} of each stage. Their bases move from the poses in ``bases``.
+        bases: Base poses {arm: (4, 4)} in the world: one mapping for all stages, or a list with one per
+            stage.
+        tools: TCP {arm: (4, 4)} in the flange of the mounted tools, one mapping per stage. None if all arms
+            keep the tools of the cell.
+        travel_times: Time [s] that external axes take before the arm moves, by the identity (``id``) of the
+            move. The clock waits for it.
+        tracks: Coordinated tracks {arm: track}, one mapping per stage. Their bases move from the poses in
+            ``bases``. None without such tracks.
 
     Returns:
-        The motion.
+        The motion, on which the rules on joints, tools and bodies are based.
 
     Raises:
         TandemError: The motion takes too long (``verify.duration``).
@@ -67,7 +71,24 @@ def replay(
 
 
 class _Replay:
-    """State of a replay, stage by stage: the clock, the joints of the arms, and the arrays of the motion."""
+    """State of a replay, stage by stage: the clock, the joints of the arms, and the arrays of the motion.
+
+    A node is a target, at which one move of each moving arm ends. Nodes are numbered through all stages.
+    Samples are the instants about every 4 ms. The arguments are those of :func:`replay`.
+
+    Attributes:
+        current_tracks: Coordinated tracks of the current stage, by the name of the arm.
+        track_states: Distance [m] of each base from its station, and whether its arm has moved straight in
+            this setup (:meth:`TrackMotion.base_positions`), by the name of the arm.
+        units: Arm of each mechanical unit, by the name of the unit in lower case.
+        q: Current joints (J,) [rad] of each arm.
+        clock: Time [s] at which the next stage starts.
+        nodes: Number of nodes so far.
+        parts: Pieces of the arrays per node and per intermediate instant, one per stage, by key.
+        events: Time [s], stage, task and step of each step that is not a move.
+        tools: TCP (4, 4) of each arm in its flange, as the last move stated it.
+        between: TCP poses of each arm at instants between samples, one entry per stage.
+    """
 
     def __init__(
         self,
@@ -148,6 +169,7 @@ class _Replay:
         )
 
     def _add(self, key: str, value: np.ndarray) -> None:
+        """Append a piece of the array ``key`` (:attr:`parts`)."""
         self.parts.setdefault(key, []).append(value)
 
     def _concatenated(self, key: str) -> np.ndarray:
@@ -171,7 +193,11 @@ class _Replay:
             self._hold(arm, 1, 1, 0)
 
     def _hold(self, arm: Arm, samples: int, nodes: int, between: int) -> None:
-        """Add rows of an arm that does not move: samples, nodes, and instants between samples."""
+        """Add rows of an arm that does not move.
+
+        ``samples``, ``nodes`` and ``between`` are the numbers of samples, of nodes, and of instants between
+        samples. At its nodes the arm has no line, no target and no confdata (0, NaN, True).
+        """
         q = self.q[arm.name]
         if arm.name in self.arms_on_tracks:
             self.track_positions[arm.name].append_uninitialised(samples)[:] = self.track_states.get(
@@ -220,8 +246,15 @@ class _Replay:
         self.clock += duration
 
     def _add_moves(self, number: int, stage: JobStage, movers: list[TaskText], count: int) -> None:
-        """Replay the first ``count`` moves of the tasks ``movers`` of a stage, which move together."""
-        # Arrays of all moves, and the steps between them.
+        """Replay the first ``count`` moves of the tasks ``movers`` of stage ``number``, which move together.
+
+        All of them run on one time law. The arms of other tasks stand still.
+
+        Raises:
+            TandemError: The motion takes too long (``verify.duration``).
+        """
+        # Arrays of all moves, one ``ArmMoves`` per moving arm, and the steps between the moves. Index i of
+        # ``logic_steps``, ``pauses`` and ``needs_stop`` (count + 1) stands for the steps before move i.
         rows = [
             arm_moves(
                 task,
@@ -246,12 +279,13 @@ class _Replay:
         needs_stop = np.array(
             [any(needs_standstill(logic_steps[task.name][i]) for task in movers) for i in range(count + 1)]
         )
-        # Stops: fine points, steps that need standstill, the end, changes between joint and straight moves.
+        # Stops at the nodes, (count + 1,): index 0 is the start, i + 1 the end of move i. They are at fine
+        # points, steps that need standstill, the end, and changes between joint and straight moves.
         fine = np.array([any(row.moves[i].zone.fine for row in rows) for i in range(count)])
         stop = np.concatenate([[True], fine | needs_stop[1:]])
         stop[-1] = True
         for row in rows:  # a rounded corner between joint and straight move has no model, so the arm stops
-            if row.rates is not None:
+            if row.rates is not None:  # trajectories have no zones
                 continue
             change = np.flatnonzero(row.joint[1:] != row.joint[:-1]) + 1
             for i in change[~stop[change]]:
@@ -276,12 +310,13 @@ class _Replay:
             if np.isfinite(hours):
                 message += f" into {np.ceil(hours / max_hours):.0f} problems or more"
             raise issue_error("verify.duration", message, value=hours, limit=max_hours, unit="h")
-        # Samples, the sample of each node, and the move that is current at each sample.
+        # Times (S,) [s] of the samples from the start of the moves, the sample (count,) at which each move
+        # ends, and the move (S,) that is current at each sample.
         samples = max(int(np.ceil(total / SAMPLE_TIME_S)), 2)
         times = np.linspace(0.0, total, samples + 1)
         node_at = _last_samples(times, law.times[1:])
         move = np.clip(np.searchsorted(law.times, times, side="left") - 1, 0, count - 1)
-        # The clock: waits at nodes delay everything after them.
+        # The clock: waits at nodes delay everything after them. shift[i] [s] delays move i and its end.
         start = self.clock
         shift = np.cumsum(pauses)
         self._add_events(number, movers, logic_steps, start + law.times + np.concatenate([[0.0], shift[:-1]]))
@@ -310,7 +345,8 @@ class _Replay:
         self._add("between/time", start + instants + shift[instant_moves])
         self._add("between/sample", first + np.searchsorted(times, instants) - 1)
         self._add("between/node", self.nodes + instant_moves)
-        # Arms that carry work come first, because the paths of the others depend on their motion.
+        # Arms whose work no other arm carries come first. They include the arms that carry work, on whose
+        # motion the paths of the others depend.
         by_arm = {row.task.arm.name: row for row in rows}
         joints_before = dict(self.q)
         for arm in sorted(self.arms, key=lambda arm: self._is_carried(by_arm.get(arm.name))):
@@ -332,9 +368,10 @@ class _Replay:
         self.clock = start + total + float(shift[-1]) + SAMPLE_TIME_S
 
     def _track_path(self, arm: str, moves: Sequence[MoveStep]) -> tuple[FloatArray, FloatArray] | None:
-        """Return the distances (N + 1,) [m] and the direction (3,) of an arm's base on a coordinated track.
+        """Return the motion of an arm's base on a coordinated track during N moves, None without a track.
 
-        The distances are those before N moves and after each. None without a coordinated track.
+        It is the distances (N + 1,) [m] of the base from its station, before the moves and after each, and
+        the direction (3,) of the track. The state of the track is updated.
         """
         track = self.current_tracks.get(arm)
         if track is None:
@@ -345,11 +382,17 @@ class _Replay:
 
     @staticmethod
     def _is_carried(row: ArmMoves | None) -> bool:
-        """Sort key: arms in the world come before arms whose work is carried."""
+        """Return whether another arm carries the work object of an arm's moves, as a key for sorting.
+
+        False sorts before True, so arms that work in the world come first. None stands for an arm at rest.
+        """
         return row is not None and row.carrier is not None
 
     def _start_pose(self, row: ArmMoves, q: FloatArray) -> FloatArray:
-        """Return the TCP (4, 4) at joints (6,) before the moves of an arm, in the frame of their poses."""
+        """Return the TCP (4, 4) at joints (6,) before the moves of an arm, in the frame of their poses.
+
+        The frame is the world, or the work object that another arm carries (:class:`ArmMoves`).
+        """
         tcp = row.tcp(q)
         if row.carrier is None:
             return tcp
@@ -364,15 +407,22 @@ class _Replay:
         instant_moves: IntArray,
         count: int,
     ) -> "_CarriedFrames":
-        """Return the frame of the work object that another arm, ``carrier``, carries (None: it is at rest).
+        """Return the poses in the world of the work object that another arm carries during the moves ``row``.
 
-        It is computed at the last ``count`` samples of the carrying arm, at the start, at nodes, and at
-        instants between samples, during which the moves ``instant_moves`` (C,) are current.
+        The samples and instants of the carrying arm must already be added.
+
+        Args:
+            row: Moves of the arm that works.
+            carrier: Moves of the arm that carries the work object, None if it is at rest.
+            joints_before: Joints (J,) of each arm before the moves.
+            instant_moves: Move (C,) that is current at each instant between samples.
+            count: Number of samples of these moves.
         """
         name = str(row.carrier)
         machine, base = self.robots[name], self.bases[name]
         samples = base @ machine.flange(self.joints[name].all[-count:]) @ row.carrier_frame
         start = base @ machine.flange(joints_before[name]) @ row.carrier_frame
+        # A carrying arm at rest keeps its pose. So does one whose own work is carried, which is a fault.
         if carrier is None or carrier.carrier is not None:
             nodes = np.tile(start, (len(row.moves), 1, 1))
         else:
@@ -382,6 +432,7 @@ class _Replay:
             if carrier is None
             else carrier.tool[instant_moves]
         )
+        # ``between`` holds the TCP poses of the carrying arm, so its tool is removed to get the flange.
         instant_frames = self.between[name][-1][:] @ inverse(tool) @ row.carrier_frame
         return _CarriedFrames(samples, start, nodes, instant_frames)
 
@@ -392,7 +443,11 @@ class _Replay:
         logic_steps: Mapping[str, list[list[ProgramStep]]],
         at: FloatArray,
     ) -> None:
-        """Record the times of the steps between moves. ``at`` (N + 1,) [s] are those of the nodes."""
+        """Record the times of the steps between N moves of stage ``number``, for signals and waits.
+
+        ``logic_steps`` has the N + 1 lists of steps of each task. Each list starts at ``at`` (N + 1,) [s],
+        the time at which the move before it ends.
+        """
         for task in movers:
             for i, steps in enumerate(logic_steps[task.name]):
                 elapsed = 0.0
@@ -408,9 +463,16 @@ class _Replay:
         instants: FloatArray,
         carried: "_CarriedFrames | None" = None,
     ) -> None:
-        """Add an arm's motion in a stage at times ``at`` (S,), and its poses at ``instants`` (C,) between.
+        """Add the joints and TCP poses of one arm during its moves in a stage.
 
-        ``carried`` is the frame of the work object if another arm carries it, else None.
+        Samples that are out of reach get a fault, and the arm holds the last joints there.
+
+        Args:
+            row: Moves of the arm.
+            law: Time law of the moves.
+            at: Times (S,) [s] of the samples, from the start of the moves.
+            instants: Times (C,) [s] between samples at which poses are added, too.
+            carried: Poses of the work object if another arm carries it, else None.
         """
         name = row.task.arm.name
         world = row.pose if carried is None else carried.nodes @ row.pose
@@ -424,11 +486,13 @@ class _Replay:
             self._add_trajectory_motion(row, law, at, instants)
             return
         q = self.joints[name].append_uninitialised(len(at))
+        # Moves edges[i] to edges[i + 1] - 1 are all joint moves or all straight moves.
         edges = [0, *(np.flatnonzero(row.joint[1:] != row.joint[:-1]) + 1), count]
-        joints = self.q[name]
+        joints = self.q[name]  # joints at the start of the current stretch
         tcp, instant_poses = self.tcp[name], Poses.empty(len(instants))
         conf_q, conf_ok = np.full((count, 6), np.nan), np.ones(count, dtype=bool)
-        # Stretches of joint moves or of straight moves, one after the other, with their part of the time law.
+        # Stretches of joint moves or of straight moves (a to b - 1), one after the other, with their part of
+        # the time law. first_row to end_row - 1 are their samples, instant_rows their instants.
         for a, b in itertools.pairwise(edges):
             first_row = 0 if a == 0 else int(np.searchsorted(at, law.times[a], side="right"))
             end_row = len(at) if b == count else int(np.searchsorted(at, law.times[b], side="right"))
@@ -479,7 +543,9 @@ class _Replay:
             if name in self.arms_on_tracks:
                 when = np.minimum(at[first_row:end_row], law.times[b])
                 self.track_positions[name].append(row.track_positions_at(part, a, b, when))
-            # Joints that the confdata of the targets select, to compare with those of the path.
+            # Joints that the confdata of the targets select, for verify.confdata. Only straight moves whose
+            # targets all have confdata (``named``) count. An arm with an offset wrist (``is_followed``) is
+            # left out, because its confdata name no branch.
             if not row.joint[a] and row.named[a:b].all() and not row.robot.is_followed:
                 base = row.base_after(slice(a + 1, b + 1))
                 flange = inverse(base) @ world[a:b] @ inverse(row.tool[a:b])
@@ -512,7 +578,10 @@ class _Replay:
     def _add_trajectory_motion(
         self, row: ArmMoves, law: moves.TimeLaw, at: FloatArray, instants: FloatArray
     ) -> None:
-        """Add the motion of one trajectory-driven arm in a stage, as :meth:`_add_arm_motion` does."""
+        """Add the motion of one arm that is driven by a trajectory, as :meth:`_add_arm_motion` does.
+
+        Each joint follows a cubic from target to target. ``at`` (S,) and ``instants`` (C,) are times [s].
+        """
         name, count = row.task.arm.name, len(row.moves)
         start, tool = self.q[name], row.tool[0]
         q, instant_poses = self.joints[name].append_uninitialised(len(at)), Poses.empty(len(instants))
@@ -533,14 +602,16 @@ class _Replay:
     def _pose_in_row_frame(
         self, row: ArmMoves, a: int, carried: "_CarriedFrames | None", q: FloatArray, sample: int
     ) -> FloatArray:
-        """Return the TCP (4, 4) at joints ``q`` (6,) before move a, in the frame of the moves' poses.
+        """Return the TCP (4, 4) at joints ``q`` (6,) before move ``a``, in the frame of the moves' poses.
 
-        ``sample`` is the sample at which a carried frame is taken.
+        The straight moves from ``a`` on start there. If the work object is ``carried``, its pose is that at
+        index ``sample`` of the samples of these moves.
         """
         tcp = row.base_after(a) @ row.robot.flange(q) @ row.tool[a]
         return np.asarray(tcp if carried is None else inverse(carried.samples[sample]) @ tcp)
 
     def _add_fault(self, kind: str, message: str, row: ArmMoves, i: int) -> None:
+        """Add a fault at move ``i`` of ``row``, reported by the rule for its ``kind`` (ReplayFault)."""
         self.faults.append(ReplayFault(kind, message, row.task.name, row.moves[i].line, self.nodes + i))
 
 
@@ -562,12 +633,18 @@ class _CarriedFrames:
 
 
 def _last_samples(at: FloatArray, times: FloatArray) -> IntArray:
-    """Return the last of the samples at times ``at`` (S,) that is not later than each of ``times``."""
+    """Return for each of ``times`` (K,) the index of the last sample that is not later.
+
+    ``at`` (S,) [s] are the times of the samples. 1e-9 s allows for rounding.
+    """
     return np.asarray(np.maximum(np.searchsorted(at, times + 1e-9, side="right") - 1, 0), dtype=np.int64)
 
 
 def _without_end_windows(window: FloatArray) -> FloatArray:
-    """Return half widths of roundings with 0 at both ends, where the kind of the moves changes."""
+    """Return the half widths (N + 1,) [s] of roundings with 0 at both ends of a stretch of moves.
+
+    There the moves change between joint and straight moves, or end, so the arm stops and rounds no corner.
+    """
     out = window.copy()
     out[0] = out[-1] = 0.0
     return out

@@ -21,10 +21,14 @@ SAMPLES_PER_BATCH: Final = 16_384
 
 
 def standstill_nodes(context: Context) -> BoolArray:
-    """Return flags (K,) of nodes at which, or before which, trajectory-driven arms nearly stand still.
+    """Return flags (K,) of nodes at which, or on the way to which, trajectory-driven arms nearly stop.
 
-    This counts as a standstill, although no velocity in the text is 0. If one arm holds the block, the motion
-    relative to the other arm's tool counts, too.
+    This counts as a standstill, although no velocity in the text is 0. It is the case if
+
+    - all joints together are slow at the node, compared with the mean speeds of the moves before and after;
+    - they are slow in one of 8 pieces of the path, compared with the mean speed of the path;
+    - the fastest joint is below ``STANDSTILL_RAD_S`` on the whole path;
+    - one arm holds the block, and the tool of the other one nearly stands still relative to it.
     """
     motion = context.motion
     out = np.zeros(len(motion.node_stop), dtype=np.bool_)
@@ -78,6 +82,7 @@ def work_nodes(
         for node, move in zip(nodes, moves, strict=False):
             is_work[node] = not move.by_joints
             holders[node] = "" if move.wobj.fixed else move.wobj.unit
+    # first_nodes: first node of each stage. Before it the pose is that at its first sample.
     first_nodes = np.flatnonzero(np.append(True, motion.node_stage[1:] != motion.node_stage[:-1]))
     ends = {name: motion.node_tcp[name] for name in motion.node_tcp}
     start = {}
@@ -104,8 +109,12 @@ def tool_in_holder_frame(
 ) -> FloatArray:
     """Return poses (K, 4, 4) of an arm's tool relative to the tools of the arms that hold the block.
 
-    ``holders`` (K,) are the names of these arms, "" for the world. ``poses`` returns the tool poses of an arm
-    in the world at given indices, which are ``rows`` (K,).
+    Args:
+        context: The proof.
+        arm: Name of the arm with the tool.
+        holders: Names (K,) of the arms that hold the block. With "" the pose stays in the world.
+        rows: Indices (K,), of nodes or of samples, at which the poses are returned.
+        poses: Function for the tool poses of an arm in the world, by its name and such indices.
     """
     out = poses(arm, rows).copy()
     for holder in context.motion.tcp:
@@ -116,5 +125,8 @@ def tool_in_holder_frame(
 
 
 def first_sample_of_each_node(node: IntArray, rows: IntArray) -> IntArray:
-    """Return the first of the samples ``rows`` (M,) of each node. ``node`` (M,) has their nodes."""
+    """Return for each node the first of the samples ``rows`` (M,) that belong to it.
+
+    ``node`` (M,) is the node of each of these samples.
+    """
     return np.asarray(rows[np.unique(node, return_index=True)[1]]) if len(rows) else rows

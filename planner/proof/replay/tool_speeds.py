@@ -49,9 +49,10 @@ class ToolSpeeds:
         peak: Upper bounds (N,) [m/s] of the relative speed at every instant.
         length: Distance (N,) [m] between the two ends of each move.
         mean: Mean speed (N,) [m/s] along this distance.
-        back: Largest motion (N,) [m] against this direction in an eighth of the move's time.
-        is_near_standstill: Whether the tool nearly stands still on the path or at its end (N,), if an arm
-            holds the block.
+        back: Largest motion (N,) [m] against this direction in an eighth of the move's time, 0 if there is
+            none.
+        is_near_standstill: Whether the tool nearly stands still on the path or at its end (N,). It is False
+            if no arm holds the block.
     """
 
     moves: tuple[MoveStep, ...]
@@ -108,7 +109,10 @@ class _DrivenArm:
 
 
 def tool_speeds(context: Context) -> Mapping[str, ToolSpeeds]:
-    """Return the tool speeds of trajectory-driven arms, by the name of the arm. They are cached."""
+    """Return the tool speeds of trajectory-driven arms, by the name of the arm, for rules on speed and feed.
+
+    They are cached in the context.
+    """
     key = "_tool_speeds"
     if key not in context.__dict__:
         arms = {
@@ -120,6 +124,7 @@ def tool_speeds(context: Context) -> Mapping[str, ToolSpeeds]:
 
 
 def _driven_arm(context: Context, task: TaskText) -> _DrivenArm:
+    """Return the moves of a task that is driven by trajectories, with joints and velocities at their ends."""
     moves = tuple(step for step in task.steps if isinstance(step, MoveStep))
     q, v = trajectory_knots(task.arm.data, moves, task.arm.home)
     node = np.flatnonzero(context.motion.node_line[task.arm.name] > 0)
@@ -127,7 +132,10 @@ def _driven_arm(context: Context, task: TaskText) -> _DrivenArm:
 
 
 def _arm_speeds(context: Context, arm: _DrivenArm, arms: Mapping[str, _DrivenArm]) -> ToolSpeeds:
-    """Return the tool speeds of one of the ``arms``, in groups of moves with one tool and one holder."""
+    """Return the tool speeds of one of the trajectory-driven ``arms``, which are given by name.
+
+    They are computed in groups of moves with one tool, one holder of the block and one setup.
+    """
     span = np.array([max(move.time or 0.0, 1e-9) for move in arm.moves])
     world, peak, length, back, mean_speeds, end_speeds = (np.zeros(len(span)) for _ in range(6))
     creeps = np.zeros(len(span), dtype=np.bool_)
@@ -142,6 +150,7 @@ def _arm_speeds(context: Context, arm: _DrivenArm, arms: Mapping[str, _DrivenArm
         ends = arm.move_ends(move_rows)
         tool_motion = tool_in_base(arm.machine, tool)
         world[move_rows] = peak[move_rows] = peak_speeds(tool_motion, ends, span[move_rows])
+        # Another arm holds the block: speeds relative to its tool, over the joints of both arms.
         if other is not None:
             bases = context.base_poses(setup)
             last = np.searchsorted(other.node, arm.node[move_rows[-1]], side="right") - 1
@@ -150,6 +159,7 @@ def _arm_speeds(context: Context, arm: _DrivenArm, arms: Mapping[str, _DrivenArm
                 (arm.machine, tool, bases[arm.task.arm.name]), (other.machine, grip, bases[holder])
             )
             holder_ends = other.ends_at_nodes(arm.node[move_rows])
+            # The holder's joints come first, from its last to its first (tool_in_holder).
             joint_ends = [
                 np.concatenate([h[:, ::-1], e], axis=1) for h, e in zip(holder_ends, ends, strict=True)
             ]
@@ -159,6 +169,8 @@ def _arm_speeds(context: Context, arm: _DrivenArm, arms: Mapping[str, _DrivenArm
                 tool_motion, ends, span[move_rows]
             )
         length[move_rows], back[move_rows] = _length_and_backward(tool_motion, ends, span[move_rows])
+    # A target that is passed without a stop is a standstill if the tool is slow there, compared with the
+    # moves before and after it.
     passed = arm.v[1:].any(axis=1)
     adjacent_speed = np.minimum(mean_speeds, np.append(mean_speeds[1:], np.inf))
     creeps |= passed & (end_speeds < STANDSTILL_FRACTION * adjacent_speed)
@@ -166,7 +178,10 @@ def _arm_speeds(context: Context, arm: _DrivenArm, arms: Mapping[str, _DrivenArm
 
 
 def _pose_samples(tool: RelativeTool, ends: CubicEnds, span: FloatArray) -> FloatArray:
-    """Return tool poses (M, S, 4, 4) at equal time steps on M cubics with durations ``span`` (M,) [s]."""
+    """Return tool poses (M, S, 4, 4) at equal time steps on M cubics with durations ``span`` (M,) [s].
+
+    S is ``_PIECES`` + 1, with both ends of the cubic.
+    """
     fractions = np.linspace(0.0, 1.0, _PIECES + 1)[:, None]
     a, b, va, vb = (values[:, None] for values in ends)
     return tool.poses(hermite(a, b, va, vb, span[:, None, None], fractions))
@@ -175,7 +190,10 @@ def _pose_samples(tool: RelativeTool, ends: CubicEnds, span: FloatArray) -> Floa
 def _length_and_backward(
     tool: RelativeTool, ends: CubicEnds, span: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the distance (M,) [m] between the ends of M cubics, and the largest motion (M,) against it."""
+    """Return the distance (M,) [m] between the ends of M cubics, and the largest backward motion (M,) [m].
+
+    Backward is against the direction from end to end, in one of ``_PIECES`` equal time steps.
+    """
     positions = _pose_samples(tool, ends, span)[..., :3, 3]
     chord = positions[:, -1] - positions[:, 0]
     length = np.linalg.norm(chord, axis=1)

@@ -31,7 +31,8 @@ class ReplayedToolPath:
         tip: TCP (T, 3) [m] in the block's frame.
         axis: Unit vector (T, 3) from tip to spindle, against the TCP's z axis.
         x_axis: Unit vector (T, 3) of the TCP's x axis.
-        joined: Whether the tool moves from each position to the next one in these segments (T - 1,).
+        joined: Whether the tool moves from each position to the next one within these segments (T - 1,).
+            False separates stretches of the path.
         node: Current moves (T,) as indices into the nodes.
         names: Segment labels (K,) of all moves.
         time: Times (T,) [s].
@@ -54,9 +55,10 @@ class ReplayedToolPath:
     def spaced(self, step: float, bend: float = np.inf) -> PathPositions:
         """Return positions that are at most ``step`` [m] apart along the path of tip and shank.
 
-        The path is straight between the tool path's own positions. Own positions are added, for example at
-        corners, until straight lines between the returned positions deviate from no own position by more than
-        ``bend`` [m].
+        Claims on the cut are checked at these positions. The path is straight between its T positions. Some
+        of these, for example at corners, are returned in addition, until straight lines between the returned
+        positions pass all T positions within ``bend`` [m]. They are in the order of the path, except that the
+        first positions of all stretches come last.
 
         Returns:
             Tips (M, 3) [m] and axes (M, 3), and samples (M,) of the motion.
@@ -80,6 +82,7 @@ class ReplayedToolPath:
         step_lengths = np.linalg.norm(np.diff(ends, axis=0), axis=2).max(axis=1)
         along = np.concatenate([[0.0], np.cumsum(np.where(self.joined, step_lengths, 0.0))])
         regular = np.arange(0.0, along[-1], step)
+        # At multiples of the step, at both ends, and where each stretch starts.
         path_lengths = np.unique(np.concatenate([regular, along[np.append(True, ~self.joined)], along[-1:]]))
         if np.isfinite(bend):
             path_lengths = _add_bends(ends, along, path_lengths, bend)
@@ -97,7 +100,9 @@ class ReplayedToolPath:
         x_axis = self.x_axis[previous_position] + weight * (
             self.x_axis[next_position] - self.x_axis[previous_position]
         )
-        first = np.flatnonzero(np.append(True, ~self.joined))  # first position of each stretch
+        # First position of each stretch. It has the path length of the last position of the stretch before,
+        # so the interpolation above misses it.
+        first = np.flatnonzero(np.append(True, ~self.joined))
         tip, axis = np.concatenate([tip, self.tip[first]]), np.concatenate([axis, self.axis[first]])
         x_axis = np.concatenate([x_axis, self.x_axis[first]])
         rows = np.concatenate([self.rows[next_position], self.rows[first]])
@@ -108,13 +113,13 @@ class ReplayedToolPath:
 
 
 def _add_bends(ends: FloatArray, along: FloatArray, at: FloatArray, bend: float) -> FloatArray:
-    """Add positions until none deviates by more than ``bend`` [m] from the straight lines between positions.
+    """Add points of a path to positions on it, until straight lines between them deviate by at most ``bend``.
 
-    Each round adds between two positions the one that deviates most.
+    Each round adds, between every two positions, the point that deviates most.
 
     Args:
-        ends: Points (T, 2, 3) [m] of tip and shank.
-        along: Path length (T,) [m] at the points.
+        ends: Points (T, E, 3) [m] of the path: E points of the tool, such as tip and shank.
+        along: Path length (T,) [m] at the T points.
         at: Path lengths (M,) [m] of the positions.
         bend: Tolerance [m].
 
@@ -149,14 +154,20 @@ def _add_bends(ends: FloatArray, along: FloatArray, at: FloatArray, bend: float)
 
 
 def _interpolate(ends: FloatArray, along: FloatArray, low: IntArray, at: FloatArray) -> FloatArray:
-    """Interpolate ``ends`` (T, 2, 3) at path lengths ``at`` (M,) between points ``low`` and the next ones."""
+    """Interpolate ``ends`` (T, E, 3) at path lengths ``at`` (M,), from points ``low`` (M,) to the next ones.
+
+    ``along`` (T,) are the path lengths of the points. The result is (M, E, 3).
+    """
     weight = (at - along[low]) / np.maximum(along[low + 1] - along[low], 1e-12)
     weight = np.clip(weight, 0.0, 1.0)[:, None, None]
     return np.asarray(ends[low] + weight * (ends[low + 1] - ends[low]))
 
 
 def tool_path(context: Context, index: int, arm: str, labels: tuple[str, ...]) -> ReplayedToolPath:
-    """Return the tool path of ``arm`` in setup ``index`` in the segments with the keys ``labels``."""
+    """Return the tool path of ``arm`` in setup ``index`` in the segments with the keys ``labels``.
+
+    Its poses are in the block's frame. Each stretch of the path starts at the position before its first one.
+    """
     motion = context.motion
     names, merged = motion.node_label, motion.merged_samples
     chosen = np.isin(names, labels)[merged.node] & (context.sample_setup[merged.sample] == index)

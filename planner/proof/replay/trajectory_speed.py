@@ -85,6 +85,7 @@ def tool_in_holder(arm: ArmWithTool, holder: ArmWithTool) -> RelativeTool:
     count = len(other.chain.axis)
 
     def poses(q: FloatArray) -> FloatArray:
+        """Return the poses (..., 4, 4) of the tool relative to the holder's tool at joints (..., D)."""
         holder_poses = holder_base @ other.flange(q[..., :count][..., ::-1]) @ grip
         return np.asarray(inverse(holder_poses) @ base @ machine.flange(q[..., count:]) @ tool)
 
@@ -127,7 +128,10 @@ def peak_speeds(tool: RelativeTool, ends: CubicEnds, span: FloatArray) -> FloatA
 
 
 def _grid_speeds(tool: RelativeTool, ends: CubicEnds, span: FloatArray, count: int) -> FloatArray:
-    """Return the largest mean speed (M,) [m/s] over a step of each cubic, which has ``count`` steps."""
+    """Return the largest mean speed (M,) [m/s] over a step of each cubic, which has ``count`` steps.
+
+    One more step beyond each end of the cubic gives the speeds at its ends.
+    """
     fractions = ((np.arange(count + 3) - 1.0) / count)[:, None]
     a, b, va, vb = (values[:, None] for values in ends)
     positions = tool.positions(hermite(a, b, va, vb, span[:, None, None], fractions))
@@ -140,7 +144,8 @@ def _grid_speeds(tool: RelativeTool, ends: CubicEnds, span: FloatArray, count: i
 def _third_derivative_bound(reach: FloatArray, ends: CubicEnds, span: FloatArray, count: int) -> FloatArray:
     """Return upper bounds (M,) [m/s^3] of the third derivative of the position on cubics.
 
-    They also hold one step, of ``count`` steps, beyond each end.
+    They also hold one step beyond each end, where a cubic has ``count`` steps. ``reach`` (D,) [m] is that of
+    :class:`RelativeTool`.
     """
     a, b, va, vb = ends
     T = span[:, None]
@@ -171,7 +176,9 @@ def _sum_by_outermost(*factors: FloatArray) -> FloatArray:
 def settling_fraction(
     machine: RobotMachine, tool: FloatArray, q: FloatArray, within: float, time: float, tcp_speed: float
 ) -> float:
-    """Return how much of its limits an arm needs to move to given joints within a time.
+    """Return which fraction of its limits an arm needs to move to given joints within a time.
+
+    The proof of trajectories uses it to check that an arm near its start can settle there.
 
     The arm moves on cubics from rest to rest. The result is the largest ratio of a value to its limit, of all
     joint speeds, joint accelerations and the tool speed. The arm can settle in time if it is at most 1.

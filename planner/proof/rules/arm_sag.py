@@ -37,6 +37,7 @@ def sag(context: Context) -> RuleOutcome:
             for arm in setup.cell.arms:
                 arm_claims = [claim for claim in claimed if claim.arm == arm.name]
                 issues += _compare_figures(context, index, operation.name, arm, arm_claims)
+            # Claims on arms that are not in the cell.
             names = {arm.name for arm in setup.cell.arms}
             issues += [
                 _issue(claim.arm, "is not an arm of the cell") for claim in claimed if claim.arm not in names
@@ -65,15 +66,16 @@ def sag(context: Context) -> RuleOutcome:
 
 
 def _deflection(context: Context, index: int, arm: str) -> FloatArray:
-    """Return the distance (S,) [m] of the deflected arm's TCP from the TCP that its controller computes.
+    """Return the distance (S,) [m] at each sample between the deflected arm's TCP and its controller's TCP.
 
-    The base and tool are those of setup ``index``, so only its samples are meaningful.
+    It is the deflection that verify.sag limits. The base and tool are those of setup ``index``, so only its
+    samples are meaningful.
     """
     setup, motion = context.setups[index], context.motion
     machine = arm_model.robot_machine(setup.cell.arm(arm).data)
     tcp = setup.cell.arm(arm).tool.tcp
     out = np.empty(len(motion.time))
-    for first in range(0, len(out), 1 << 14):
+    for first in range(0, len(out), 1 << 14):  # batches of 16384 samples limit memory
         rows = slice(first, first + (1 << 14))
         commanded = (context.base_poses(index)[arm] @ machine.flange(motion.q[arm][rows]) @ tcp)[:, :3, 3]
         out[rows] = np.linalg.norm(motion.tcp[arm].position[rows] - commanded, axis=1)
@@ -83,7 +85,9 @@ def _deflection(context: Context, index: int, arm: str) -> FloatArray:
 def _compare_figures(context: Context, index: int, name: str, arm: Arm, claims: list[ArmSags]) -> list[Issue]:
     """Compare the sag claims of an arm in operation ``name`` of setup ``index`` with the problem.
 
-    The arm must have one claim if the problem compensates its sag, else none. All values must agree.
+    The arm must have one claim if the problem compensates its sag, else none. Stiffness, mass, moment of the
+    mass, force, its height and frame, and the limit of the deflection must agree. One issue is returned per
+    value that differs.
     """
     setup, problem = context.setups[index], context.problem
     if arm.sag is None:
@@ -128,4 +132,5 @@ def _compare_figures(context: Context, index: int, name: str, arm: Arm, claims: 
 
 
 def _issue(arm: str, message: str) -> Issue:
+    """Return an issue about an arm. ``message`` continues its name."""
     return Issue(SAG, f"{arm} {message}", arm=arm)

@@ -48,6 +48,7 @@ def block_support(context: Context) -> RuleOutcome:
         if stock.held_by is not None:
             faults = list(_check_held(setup))
         elif stock.sheet is None:
+            # The pose of the text counts, else that of the problem, with a positioner's tilt rotated back.
             stock_pose = stock.place if context.stock_frames[index] is None else context.stock_frames[index]
             has_support = bool(stock.support) or stock.pedestal is not None
             accepted = ("stock.support" if has_support else "stock.hangs") in context.problem.accept
@@ -102,6 +103,15 @@ def _check_held(setup: Setup) -> Iterator[str]:
 def _check_support(cell: Cell, stock: Stock, stock_pose: FloatArray, accepted: bool) -> Iterator[str]:
     """Check how a block is supported at a pose, and yield the faults as texts.
 
+    - On pedestals: the height and the pedestal's size must be in stock. The pedestal must carry the block and
+      stand itself. A block within 25 mm of the floor needs no pedestal.
+    - With another stated support: the support must carry the block and stand itself.
+    - Without support: the block must stand on the floor or a body of the cell.
+
+    If the problem accepts the support, nothing is checked without pedestals. With pedestals, the range of
+    heights is not checked then, and their overlap with bodies only if the problem states no place of the
+    block.
+
     Args:
         cell: Cell of the setup.
         stock: The block.
@@ -150,7 +160,10 @@ def _check_support(cell: Cell, stock: Stock, stock_pose: FloatArray, accepted: b
 def _check_pedestal_height(
     stock: Stock, pedestal: Pedestal, stock_pose: FloatArray, height: float, accepted: bool
 ) -> Iterator[str]:
-    """Check the height of a block above the floor against its pedestal.
+    """Check that a block is level and, at its height above the floor, stands on a pedestal in stock.
+
+    If the problem states the place of the block, only the range of the heights is checked, unless the problem
+    accepts the support. Faults are yielded as texts.
 
     Args:
         stock: The block.
@@ -173,7 +186,10 @@ def _check_pedestal_height(
 
 
 def _check_pedestal_overlap(pedestal: FloatArray, cell: Cell) -> Iterator[str]:
-    """Report the first body of the cell that is inside a pedestal with corners (8, 3) [m] in the world."""
+    """Report the first body of the cell that is inside a pedestal with corners (8, 3) [m] in the world.
+
+    A body that overlaps the pedestal in height by no more than that of feet and shims counts as its floor.
+    """
     low, high = pedestal[:, 2].min(), pedestal[:, 2].max()
     outline = shapely.MultiPoint(pedestal[:, :2]).convex_hull
     for obstacle in cell.obstacles:
@@ -187,9 +203,10 @@ def _check_pedestal_overlap(pedestal: FloatArray, cell: Cell) -> Iterator[str]:
 
 
 def _check_contact(block: FloatArray, shapes: list[FloatArray]) -> Iterator[str]:
-    """Check how a block stands on shapes: they must carry it, and its centre must be above them.
+    """Check how a block stands on the shapes of its support, and yield the faults as texts.
 
-    The block has corners (8, 3) [m] in the world, each shape (N, 3).
+    A shape must be under the block and reach up to it. The centre of the block must be above the convex hull
+    of the highest shapes. The block has corners (8, 3) [m] in the world, each shape (N, 3).
     """
     bottom, hull = float(block[:, 2].min()), ConvexHull(block[:, :2])
     outline = shapely.Polygon(block[hull.vertices, :2])
@@ -215,8 +232,9 @@ def _check_contact(block: FloatArray, shapes: list[FloatArray]) -> Iterator[str]
 def _support_height(body: FloatArray, floor: float, bodies: list[FloatArray]) -> float:
     """Return the height [m] of the surface that carries a body: the floor or the top of other bodies.
 
-    Bodies are given by their corners (N, 3) and count as boxes. One or several of about equal height carry
-    the body if its centre is above or between them, so a box under only one corner does not.
+    All bodies are given by their corners (N, 3) [m] in the world and count as boxes. Boxes of about equal
+    height carry the body together if its centre is above or between them. So a box under only one corner
+    does not carry it.
     """
     low, high = body.min(axis=0), body.max(axis=0)
     centre = 0.5 * (low + high)[:2]

@@ -45,7 +45,7 @@ MIN_QUERY_RANGE_M = 0.1
 
 
 def min_accepted_clearance(required: float) -> float:
-    """Return the smallest clearance [m] that passes.
+    """Return the smallest clearance [m] that passes: the required one less 1 mm, or less a tenth of it.
 
     Args:
         required: Required clearance [m].
@@ -61,10 +61,10 @@ class ClearanceQueries:
         index: Index of the setup.
         rows: Samples (K,) of the motion.
         ignore: Pairs of bodies that are not measured.
-        links: Joints {arm: (N, 6)} of all samples, or {arm: (K, 6)} if the queries were sent to another
-            process.
-        itself: Whether links and tool of each arm are measured against each other, rather than all other
-            pairs.
+        links: Joints {arm: (S, 6)} at all S samples of the motion, or {arm: (K, 6)} at ``rows`` only if the
+            queries were sent to another process.
+        itself: True to measure the bodies of each arm against each other (:func:`self_clearance_pairs`),
+            False to measure all other pairs.
         bases: Base poses {arm: (K, 4, 4)} of arms on coordinated tracks.
         sent: Whether the queries were sent to another process.
     """
@@ -91,7 +91,11 @@ class ClearanceQueries:
 
 
 def clearance_queries(context: Context) -> tuple[ClearanceQueries, ...]:
-    """Return the clearance queries of all setups, those of arms to themselves last."""
+    """Return the clearance queries of all setups: where distances are measured, and which pairs may touch.
+
+    Queries between different bodies (``verify.clearance``) come first, those of each arm to itself
+    (``verify.own_clearance``) last. Queries without samples are left out.
+    """
     setups = range(len(context.setups))
     other_queries = [
         (k, *group, False) for k in setups for group in _groups(context, k, clearance_samples(context, k))
@@ -114,6 +118,7 @@ def self_clearance_pairs(model: CellModel) -> Pairs:
     head) and a held block are not among them.
     """
     names = {solid.body for solid in model.solids}
+    # Of an arm with seven axes, link 7 is not among them.
     parts = ("base_link", *(f"link_{number}" for number in range(1, 7)), "tool")
     arms = [names & {f"{arm.name}/{part}" for part in parts} for arm in model.cell.arms]
     return frozenset(frozenset(pair) for arm in arms for pair in itertools.combinations(sorted(arm), 2))
@@ -162,6 +167,7 @@ QueryResults = tuple[Sequence[ClearanceQueries], Iterator[ClearanceMeasurement |
 
 
 def _query_clearance(context: Context) -> QueryResults:
+    """Return the queries, and an iterator that measures them in this process when it is consumed."""
     queries = clearance_queries(context)
     return queries, measure_queries(context.get(MODELS), queries, context.problem.settings)
 
@@ -173,6 +179,7 @@ CLEARANCE_QUERIES: Final[Fact[Context, QueryResults]] = Fact("looks", _query_cle
 def _measure_in_process(
     problem: Problem, stationary: StationaryPoses, queries: Sequence[ClearanceQueries], settings: Settings
 ) -> Iterator[ClearanceMeasurement | None]:
+    """Measure queries in another process, which builds its own cell models."""
     yield from measure_queries(cell_models(problem, stationary), queries, settings)
 
 
@@ -209,8 +216,8 @@ def own_bodies(context: Context) -> RuleOutcome:
 def _clearance_outcome(findings: Findings, itself: bool) -> RuleOutcome:
     """Add the violations at the queries of a rule to the findings, and return its outcome.
 
-    ``itself`` selects the queries, as in :class:`ClearanceQueries`. Measurements are consumed, so the rule on
-    bodies must come first.
+    ``itself`` selects the queries, as in :class:`ClearanceQueries`. The measurements of both rules come from
+    one iterator, which can be consumed once, so the rule on different bodies must come first.
     """
     context, models = findings.context, findings.context.get(MODELS)
     required = required_clearance(context.problem.settings, itself)
@@ -243,6 +250,7 @@ def _clearance_outcome(findings: Findings, itself: bool) -> RuleOutcome:
         findings.add_at_sample(
             message, _arm_of(context, pair), rows[i], measure_in_mm(distances[i], required), pair
         )
+    # The worst value is the smallest measured distance, or a smaller lower bound of the unmeasured ones.
     issues, series = tuple(findings.issues), _series(findings.code, context, rows, min_clearance)
     if not len(rows):
         return RuleOutcome(issues, nothing="nothing moves", series=series)
@@ -257,7 +265,10 @@ def _clearance_outcome(findings: Findings, itself: bool) -> RuleOutcome:
 def _series(
     code: str, context: Context, rows: IntArray, min_clearance: clearance.MinClearance
 ) -> dict[str, Any]:
-    """Return the curves of the smallest distance, and its pair of bodies, at samples ``rows`` (K,)."""
+    """Return the curves for the report: time, smallest distance and its pair of bodies at samples ``rows``.
+
+    The arrays are (K,), and their names start with that of the rule.
+    """
     name = code.removeprefix("verify.")
     return {
         f"{name}/time": context.motion.time[rows],
@@ -272,8 +283,10 @@ def _groups(context: Context, index: int, rows: IntArray) -> list[tuple[IntArray
     A bow's wire or a cutter may touch the block in cuts. The heads of forming tools may touch the sheet, and
     each other, while they form it.
 
+    ``rows`` (K,) are the samples of setup ``index``.
+
     Returns:
-        Samples and pairs of each group.
+        Samples of each group, and the pairs of bodies that are not measured at them.
     """
     all_arms = [arm.name for arm in context.setups[index].cell.arms]
     arm_edges_by_name = {arm: arm_edges for arm in all_arms if (arm_edges := find_edges(context, index, arm))}
@@ -281,6 +294,8 @@ def _groups(context: Context, index: int, rows: IntArray) -> list[tuple[IntArray
     if not arms or not len(rows):
         return [(rows, frozenset())] if len(rows) else []
     labels = context.motion.labels(rows)
+    # forms, cuts (K, A): whether each of A arms with a working end forms, or works in another way. A head
+    # that forms meets the other head (``meet``), so it also works; cutting excludes forming.
     forms, cuts = (
         np.stack([np.isin(labels, list(segments_of(arm_edges_by_name[arm], meet))) for arm in arms], axis=1)
         for meet in (True, False)
@@ -315,11 +330,11 @@ _MAX_ISSUES = 20
 
 @dataclasses.dataclass(frozen=True)
 class Intervals:
-    """K intervals in which both arms move.
+    """K intervals between two successive meetings of two controllers, in which both arms move.
 
     Attributes:
-        first: First samples (K,), at a meeting of the arms at rest.
-        last: Last samples (K,), at the next meeting of the arms at rest.
+        first: Samples (K,) at which the intervals start, at a meeting with both arms at rest.
+        last: Samples (K,) at which the intervals end, at the next meeting. They are included.
         stage: Number (K,) of the stage to which each interval belongs.
     """
 
@@ -333,7 +348,10 @@ class Intervals:
 
 
 def intervals(context: Context) -> Intervals:
-    """Return the intervals between meetings in which both arms move."""
+    """Return the intervals between meetings in which both arms move, in the order of time.
+
+    Within an interval the arms may be apart in time by any amount.
+    """
     motion = context.motion
     first: list[IntArray] = []
     last: list[IntArray] = []
@@ -342,6 +360,7 @@ def intervals(context: Context) -> Intervals:
         nodes = np.flatnonzero(motion.node_stage == number)
         if not stage_text.ends or not len(nodes):
             continue
+        # stage_text.ends: indices of the moves of the stage at whose ends the arms meet.
         ends = motion.node_sample[nodes[[end for end in stage_text.ends if end < len(nodes)]]]
         first_sample = int(np.searchsorted(motion.stage, number))
         first.append(np.concatenate([[first_sample], ends[:-1]]).astype(np.int64))
@@ -370,7 +389,7 @@ def tcp_distance_change(context: Context, all_intervals: Intervals) -> FloatArra
     """
     a, b = (context.motion.tcp[task.arm.name].position for task in context.job.tasks)
     steps = [lengths(np.diff(p, axis=0)) for p in (a, b)]
-    path = np.concatenate([[0.0], np.cumsum(steps[0] + steps[1])])
+    path = np.concatenate([[0.0], np.cumsum(steps[0] + steps[1])])  # of both TCPs together, (S,) [m]
     out = np.zeros(len(all_intervals.first))
     fractions = np.linspace(0.0, 1.0, INTERVAL_INSTANTS)
     for start in range(0, len(out), _INTERVALS_PER_BATCH):
@@ -378,14 +397,18 @@ def tcp_distance_change(context: Context, all_intervals: Intervals) -> FloatArra
         last = all_intervals.last[start : start + _INTERVALS_PER_BATCH]
         positions = path[first][:, None] + fractions * (path[last] - path[first])[:, None]
         rows = np.clip(np.searchsorted(path, positions), first[:, None], last[:, None])
+        # rows (B, INTERVAL_INSTANTS): samples of B intervals, evenly spaced along the path, with both ends.
         rows[:, 0], rows[:, -1] = first, last
         out[start : start + _INTERVALS_PER_BATCH] = _distance_change_bound(a[rows], b[rows])
     return out
 
 
 def _distance_change_bound(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the bound (K,) [m] of :func:`tcp_distance_change` for points (K, M, 3) at M instants."""
-    # Distance d(s, t) = |a_s - b_t| and the unit vectors between the points.
+    """Return the bound (K,) [m] of :func:`tcp_distance_change` for points (K, M, 3) at M instants.
+
+    ``a`` and ``b`` [m] are the positions of the first and the second TCP in K intervals.
+    """
+    # Distance d(s, t) = |a_s - b_t| and the unit vectors between the points, (K, M, M) and (K, M, M, 3).
     direction = a[:, :, None] - b[:, None]
     distance = np.linalg.norm(direction, axis=3)
     direction /= np.maximum(distance, 1e-9)[..., None]
@@ -399,6 +422,7 @@ def _distance_change_bound(a: FloatArray, b: FloatArray) -> FloatArray:
         sides = [np.concatenate(parts, axis=1) for parts in ((step, zero_step), (zero_step, step))]
         change += 0.5 * np.max([np.abs(np.einsum(projection, direction, side)) for side in sides], axis=0)
         size = 0.5 * np.max([np.linalg.norm(side, axis=2) for side in sides], axis=0)
+        # Instants s of the first TCP are on axis 1, instants t of the second one on axis 2.
         across += size[:, :, None] if projection.endswith("ksx->kst") else size[:, None]
     change += across**2 / (2.0 * np.maximum(distance - across, 1e-9))
     # Compare d(s, t) with d(s, s) and d(t, t), and add the changes of both distances.
@@ -433,9 +457,9 @@ def step_apart(context: Context) -> RuleOutcome:
 
 
 def _check_tcp_distance(findings: Findings, all_intervals: Intervals) -> None:
-    """Check the claims on the tool distance in all intervals.
+    """Check the claims that bound the change of the tool distance, in all intervals of their segments.
 
-    The largest change [m] and the smallest limit are recorded in the findings.
+    The largest change [m] of all intervals and the smallest limit [m] are recorded in the findings.
     """
     context, change = findings.context, tcp_distance_change(findings.context, all_intervals)
     labels = context.motion.labels(all_intervals.last)
@@ -460,13 +484,15 @@ def _check_tcp_distance(findings: Findings, all_intervals: Intervals) -> None:
 
 
 def _check_arm_clearance(findings: Findings, model: CellModel, index: int, all_intervals: Intervals) -> float:
-    """Check the clearance between the arms in intervals of setup ``index``.
+    """Check the clearance between the arms in intervals of setup ``index``, at any two instants of each.
 
     The heads of two forming tools are not measured against each other while they form, because the face is
-    between them whatever the instants.
+    between them whatever the instants. Pairs whose distance does not depend on the lag are left out, too:
+    verify.clearance measures them. At most the 20 worst violations of each group are reported.
 
     Returns:
-        Smallest distance [m] that is measured, or a smaller lower bound of the others.
+        Lower bound [m] of the distance between the arms: the smallest measured distance, or the smallest
+        bound of the pairs of instants that a bound proves, whichever is less.
     """
     context = findings.context
     required = context.problem.settings.clearance
@@ -512,11 +538,18 @@ def _measure_instant_pairs(
     clearance with both arms in the middle of their stretches, minus the paths of both to the ends, bounds the
     clearance of all pairs of instants in the stretches. If the bound is too small, the longer stretch is
     halved, until no point moves farther than half of the proof's stride in either stretch. Then the clearance
-    in the middle is measured.
+    in the middle is measured. The measurement ends after :data:`MAX_VIOLATIONS` violations.
+
+    Args:
+        context: The proof.
+        model: Model of the cell in the setup.
+        index: Index of the setup.
+        all_intervals: Intervals of this setup.
+        ignore: Pairs of bodies that are not measured.
 
     Returns:
-        Samples (M,) of the first arm at the measured pairs of instants, the distances there, and the lower
-        bound [m] for all other pairs.
+        Samples (M,) of the first arm at the measured pairs of instants, the distances (M,) there, and the
+        lower bound [m] for the pairs that a bound proves, infinite if there are none.
 
     Raises:
         TandemError: Too many pairs are undecided (``verify.duration``).
@@ -530,13 +563,15 @@ def _measure_instant_pairs(
     min_bound = np.inf
     leaves: list[IntArray] = []
     stretches = np.stack([all_intervals.first, all_intervals.last, all_intervals.first, all_intervals.last])
-    # Branch and bound over pairs of stretches, given by their first and last samples.
+    # Branch and bound over M pairs of stretches. The rows of ``stretches`` (4, M) are the first and last
+    # samples of the first arm's stretch, then of the second arm's. ``along``: path (S,) [m] of each arm.
     while stretches.shape[1]:
         middle, path_to_end = _middle_samples(along, stretches)
         joints_there = {arm: q[rows] for arm, q, rows in zip(arms, joints, middle, strict=True)}
         bound = clearance.distance_lower_bound(model, joints_there, query_range, ignore) - path_to_end
         is_proven = bound >= limit
         min_bound = min(min_bound, float(bound[is_proven].min(initial=np.inf)))
+        # Path [m] of each arm in its stretch. A stretch of one step cannot be halved, so it counts as 0.
         length = [
             np.where(
                 stretches[2 * k + 1] - stretches[2 * k] > 1,
@@ -595,9 +630,12 @@ def _middle_samples(along: list[FloatArray], stretches: IntArray) -> tuple[list[
 
 
 def _halve(stretches: IntArray, middle: list[IntArray], first: BoolArray) -> IntArray:
-    """Halve one of both stretches (4, M) of each pair, that of the first arm where ``first`` (M,).
+    """Halve one of the two stretches of each of M pairs, and return both halves, (4, 2 M).
 
-    ``middle`` (M,) has the middle sample of each arm's stretches.
+    Args:
+        stretches: First and last samples of both stretches, (4, M).
+        middle: Middle sample (M,) of each arm's stretches, which becomes an end of both halves.
+        first: Whether the stretch of the first arm is halved (M,), rather than that of the second arm.
     """
     first_half, second_half = stretches.copy(), stretches.copy()
     for k, chosen in enumerate((first, ~first)):
@@ -607,15 +645,19 @@ def _halve(stretches: IntArray, middle: list[IntArray], first: BoolArray) -> Int
 
 
 def _tool_heads(context: Context, model: CellModel) -> Pairs:
-    """Return the heads of both arms' tools as a pair of bodies, no pair if a tool has no head."""
+    """Return one pair with the heads of both arms' tools, which may touch while they form.
+
+    The head is the body ``edge`` of an arm. There is no pair if a tool has none.
+    """
     names = frozenset(f"{task.arm.name}/edge" for task in context.job.tasks)
     return frozenset({names}) if names <= {solid.body for solid in model.solids} else frozenset()
 
 
 def _forming_intervals(context: Context, index: int, all_intervals: Intervals) -> BoolArray:
-    """Return flags (K,) of the intervals in which both arms form, or in which a claim bounds their distance.
+    """Return flags (K,) of the intervals in which the heads of two forming tools need no clearance.
 
-    While both arms form, ``verify.gouge`` and ``verify.sheet`` prove that the heads of their tools are on
+    In all moves of such an interval both arms form, or a claim bounds the tool distance. While both arms
+    form, ``verify.gouge`` and ``verify.sheet`` prove that the heads of their tools are on
     different sides of one face, whatever the instants.
     """
     motion, setup = context.motion, context.setup_claims[index]
@@ -623,6 +665,7 @@ def _forming_intervals(context: Context, index: int, all_intervals: Intervals) -
     names = frozenset.intersection(*(segments_of(find_edges(context, index, arm), meet=True) for arm in arms))
     bounds = (c.tool_distance for group in setup.groups for c in group)
     names |= {bound.segment.key for bound in bounds if bound is not None}
+    # An interval has no other move if the number of other moves does not grow from its first to its last.
     other = np.isin(motion.node_label, sorted(names), invert=True).astype(np.int64)
     count = np.concatenate([[0], np.cumsum(other)])
     first = motion.node[np.minimum(all_intervals.first + 1, all_intervals.last)]
@@ -631,7 +674,10 @@ def _forming_intervals(context: Context, index: int, all_intervals: Intervals) -
 
 
 def _time_independent_pairs(context: Context, model: CellModel, index: int) -> Pairs:
-    """Return the pairs of bodies whose distance does not depend on how far the arms are apart in time."""
+    """Return the pairs of bodies whose distance does not depend on how far the arms are apart in time.
+
+    They are all pairs except those of a body of one arm and a body of another arm.
+    """
     arms = [task.arm.name for task in context.job.tasks]
     names = sorted({solid.body for solid in model.solids})
     arm_of_body = {name: next((arm for arm in arms if name.startswith(f"{arm}/")), "") for name in names}

@@ -98,8 +98,9 @@ def _powered_controllers(
 ) -> list[tuple[_FindFaults, tuple[TaskText, ...], list[str]]]:
     """Return the check of files, the tasks and the signals of each controller that needs files.
 
-    A controller needs files if its tasks switch on a signal that is not pulsed, or if two controllers are
-    ``linked``. The signals are those that its tasks switch on.
+    A controller needs files if its language checks files, and if its tasks switch on a signal that counts or
+    two controllers are ``linked``. The signals that count are those that its tasks switch on, except pulsed
+    signals and, with a handshake, the output of the running wire.
     """
     pulsed = {power.signal.lower() for power in powers(context.claims) if power.pulsed}
     uses_handshake = context.problem.cell.controller.sync == "handshake"

@@ -79,9 +79,10 @@ def coordinated_track(context: Context) -> RuleOutcome:
 def _speed_and_acceleration(
     context: Context, task: TaskText, axis: TaskAxis, rows: IntArray
 ) -> Iterator[tuple[str, FloatArray, FloatArray]]:
-    """Yield name, values (K,) and limits (K,) of a track's speed, and then of its acceleration.
+    """Yield first the speed and then the acceleration of a track at samples ``rows`` (K,) of a setup.
 
-    Those are taken at samples ``rows`` (K,) of a setup.
+    Each item has the word ``speed`` or ``acceleration``, the absolute values (K,) and the limits (K,), in
+    [m/s] or [m/s^2].
     """
     motion = context.motion
     time, positions = motion.time[rows], motion.track_positions[task.arm.name][rows]
@@ -93,9 +94,10 @@ def _speed_and_acceleration(
 
 
 def _allowed_speeds(context: Context, task: TaskText, axis: TaskAxis) -> FloatArray:
-    """Return the maximum speed (N,) [m/s] that the text allows a track on the path to each node.
+    """Return the maximum speed (N,) [m/s] that the text allows a track on the path to each of N nodes.
 
-    It is the maximum speed of the track, in KRL multiplied by the fraction that is in force.
+    It is the maximum speed of the track. In straight moves of KRL it is multiplied by the speed fraction in
+    force ($VEL_EXTAX). It is at least ``MIN_TRACK_SPEED_M_S``, because speeds are divided by it.
     """
     motion = context.motion
     out = np.full(len(motion.node_stage), axis.speed)
@@ -112,9 +114,9 @@ def _allowed_speeds(context: Context, task: TaskText, axis: TaskAxis) -> FloatAr
 def _range_issues(
     context: Context, axis: TaskAxis, arm: str, rows: IntArray, station: float
 ) -> Iterator[Issue]:
-    """Yield an issue about the worst of the samples ``rows`` if a track is out of its range there.
+    """Yield one issue if a track is out of its range, at the worst of the samples ``rows`` (K,).
 
-    ``station`` [m] is the track position from which the motion is counted.
+    ``station`` [m] is the track position from which ``track_positions`` of the motion are counted.
     """
     value = station + context.motion.track_positions[arm][rows]
     excess = np.maximum(axis.low - value, value - axis.high)
@@ -131,10 +133,12 @@ def _range_issues(
 def _law_issues(
     context: Context, index: int, task: TaskText, axis: TaskAxis, direction: FloatArray
 ) -> Iterator[Issue]:
-    """Check the targets of straight moves of a track against its motion law.
+    """Check the track values of straight moves in setup ``index`` against the motion law of the track.
 
-    One offset c must exist with which each track value is within the tolerance of clip(k p.d + c, low, high).
-    Here k is the fraction, p the tool position and d the direction of the track.
+    One offset c must exist for all targets with which each track value is within the tolerance of
+    clip(k p.d + c, low, high). Here k is the fraction of the tool's path that the track follows, p the tool
+    position in the world and d the ``direction`` (3,) of the track. If there is none, one issue is reported,
+    at the target with the largest deviation from the law with the median offset.
     """
     nodes, value = _straight_values(context, index, task, axis)
     if not len(nodes):
@@ -145,6 +149,7 @@ def _law_issues(
     # slope k deviates from the value itself by at most k W / 3.
     tolerance = fraction * MEAN_HALF_WIDTH_M / 3.0 + LAW_TOLERANCE_M
     offsets = value - fraction * along_track
+    # Each target bounds the offset from both sides. At an end of the range the clip leaves one side open.
     high, low = value >= axis.high - tolerance, value <= axis.low + tolerance
     min_offset = np.where(low, -np.inf, offsets - tolerance)
     max_offset = np.where(high, np.inf, offsets + tolerance)
@@ -182,7 +187,7 @@ def _straight_values(
 def _stage_nodes(
     context: Context, task: TaskText, index: int | None = None
 ) -> Iterator[tuple[IntArray, tuple[MoveStep, ...]]]:
-    """Yield the nodes (K,) of each stage, and the K moves of a task that end at them.
+    """Yield for each stage the nodes (K,) at which a task's moves end, and these K moves.
 
     ``index`` is that of the setup whose stages are returned, None for all stages.
     """

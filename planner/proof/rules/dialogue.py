@@ -89,7 +89,10 @@ def compare_dialogue(
     entries: Sequence[OperatorStep],
     every: dict[str, list[DialoguePart]],
 ) -> tuple[list[MatchedStep], list[Issue]]:
-    """Compare the dialogue of a task with the expected one.
+    """Compare the dialogue of a task with the expected one, step by step.
+
+    The comparison ends at the first difference. A part that is optional or repeats is skipped unless the next
+    step of the program is at its position. Expected waits that are rounded to 0 are left out.
 
     Args:
         task: The task.
@@ -131,7 +134,13 @@ def _match_step(
 ) -> MatchedStep | str:
     """Match an expected step with the first entries of ``rest``, and remove those that it takes.
 
-    A sentence may take several lines or boxes. If the step does not match, ``rest`` stays as it is.
+    A sentence may take several lines or boxes. If the step does not match, ``rest`` stays as it is. After the
+    content, the options and headers of messages, the position, and motions at the same time are compared.
+
+    Args:
+        step: The expected step.
+        position: Where it is expected.
+        rest: Dialogue steps of the task that have not been matched yet.
 
     Returns:
         The matched step, or the difference as a text.
@@ -148,6 +157,7 @@ def _match_step(
         results = [
             match_sentence(step.sentence, step.figures, _texts(lines[: k + 1])) for k in range(len(lines))
         ]
+        # The smallest number of lines that match, or that match but for their figures (fault).
         best = next((k for k, candidate in enumerate(results) if candidate.matches or candidate.fault), None)
         if best is None:
             return DIFFERENCES[0]
@@ -196,10 +206,12 @@ def _entries_of_kind(rest: Sequence[OperatorStep], kind: str) -> list[MessageSte
 
 
 def _texts(steps: Sequence[MessageStep]) -> list[str]:
+    """Return the texts of messages."""
     return [step.text for step in steps]
 
 
 def _kind_difference(entry: OperatorStep) -> str:
+    """Return the difference of a step of another kind: a box without a press of OK, or any other step."""
     step = entry.step
     if isinstance(step, MessageStep) and step.confirm and not step.certain:
         return "is in a box that continues without a press of OK"
@@ -229,9 +241,17 @@ def _first_difference(
 ) -> Issue:
     """Return the issue about the first difference: a step that is missing, added, changed or moved.
 
-    ``why`` is one of ``DIFFERENCES`` or another text. ``part`` is the part of the dialogue to which the
-    expected ``step`` belongs, ``rest`` are the remaining steps of the task, and ``every`` the expected parts
-    of all tasks by name.
+    A step of the program with other content (``DIFFERENCES``) counts as added if one of the next 7 steps is
+    the expected one. It appears in place of a missing step if it matches another step of this part or a later
+    one. Otherwise it counts as changed.
+
+    Args:
+        task: The task.
+        why: Difference as a text: one of ``DIFFERENCES``, or another one.
+        step: The expected step.
+        part: Part of the dialogue to which it belongs.
+        rest: Remaining steps of the program.
+        every: Expected parts of all tasks by name.
     """
     expected = f"{_describe_expected(step)} {part.position}"
     hint = "plan again to write complete programs"
@@ -274,6 +294,7 @@ def _matches(entry: OperatorStep, step: DialogueStep) -> bool:
 
 
 def _matches_any(entry: OperatorStep, parts: Sequence[DialoguePart]) -> bool:
+    """Return whether an entry is a message or question that alone matches a step of some parts."""
     return entry.kind in ("told", "asked") and any(
         _matches(entry, step) for part in parts for step in part.steps
     )
@@ -287,6 +308,7 @@ def _matches_later(entry: OperatorStep, step: DialogueStep, parts: Sequence[Dial
 
 
 def _describe_expected(step: DialogueStep) -> str:
+    """Describe an expected step for messages: its text, its wait, or the signal that it switches."""
     if step.sentence is not None:
         verb = "the text" if step.kind == "told" else "the question"
         return f"{verb} {sentence_of(step.sentence, step.figures)!r}"
@@ -298,6 +320,7 @@ def _describe_expected(step: DialogueStep) -> str:
 
 
 def _describe_entry(entry: OperatorStep) -> str:
+    """Describe a step of a program for messages: its instruction and text, its wait, or its signal."""
     step = entry.step
     if isinstance(step, MessageStep):
         text = step.text or "nothing"
@@ -310,6 +333,7 @@ def _describe_entry(entry: OperatorStep) -> str:
 
 
 def _describe_position(entry: OperatorStep) -> str:
+    """Describe where a step of a program is, by the segments of the moves before and after it."""
     if entry.previous_move is None:
         return "before anything moves"
     if entry.next_move is None:
@@ -323,7 +347,12 @@ def _describe_position(entry: OperatorStep) -> str:
 
 
 def _check_side_paths(context: Context, task: TaskText) -> Iterator[Issue]:
-    """Check the messages in error handlers, in UNDO, and in branches that are decided at run time."""
+    """Check the messages in error handlers, in UNDO, and in branches that are decided at run time.
+
+    - An error handler shows its expected texts (:func:`_check_handler`).
+    - UNDO shows nothing.
+    - A run-time branch shows a text only if it is allowed and the branch ends the program. It does not wait.
+    """
     for (module, procedure), block in task.handlers.items():
         yield from _check_handler(task, module, block, dialogue.handler_texts(context, task, procedure))
     for block in task.undos.values():
@@ -345,7 +374,16 @@ def _check_side_paths(context: Context, task: TaskText) -> Iterator[Issue]:
 def _check_handler(
     task: TaskText, module: str, block: Sequence[ProgramStep], allowed: Sequence[ShownText]
 ) -> Iterator[Issue]:
-    """Check that an error handler shows all of its sentences, once and in order, and nothing else."""
+    """Check that an error handler shows all of its sentences, once and in order, and nothing else.
+
+    The first difference is reported.
+
+    Args:
+        task: The task.
+        module: Name of the module with the handler.
+        block: Steps of the handler.
+        allowed: Sentences that it must show, with their values, in order.
+    """
     shown = [step for step in block if isinstance(step, MessageStep)]
     for sentence, figures in allowed:
         lines = [step.text for step in shown]
@@ -379,7 +417,8 @@ def _check_handler(
 def _handler_line_fault(step: MessageStep, sentence: Sentence) -> str:
     """Return the fault of a message in an error handler that shows a sentence, "" if there is none.
 
-    It must be a line of the panel, with the error's number and the condition that belong to the sentence.
+    It must be a line of the panel. The sentence FAILED shows the error's number as its only option, other
+    sentences have no option. The sentence UNANSWERED depends on ERR_WAIT_MAXTIME, others on no condition.
     """
     if step.panel != "line":
         return "is not a line of the panel"
@@ -394,8 +433,9 @@ def _handler_line_fault(step: MessageStep, sentence: Sentence) -> str:
 
 
 def _run_time_steps(steps: Sequence[ProgramStep]) -> Iterator[tuple[ProgramStep, bool]]:
-    """Yield the steps in branches and loops that are decided at run time, each with whether its branch ends
-    the program.
+    """Yield the steps in branches and loops that are decided at run time, in any depth.
+
+    Each has a flag: whether the last step of its own branch ends the program (EXIT).
     """
     for step in steps:
         if isinstance(step, ChoiceStep):

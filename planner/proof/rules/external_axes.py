@@ -37,7 +37,11 @@ EXTERNAL_AXES = "verify.external_axes"
 
 
 def with_text_stations(context: Context) -> Context:
-    """Return the context of the same programs with the problem's stations replaced by those of the text."""
+    """Return a context whose problem has the stations (axis values) of the programs' text.
+
+    All rules after verify.external_axes then use the axis values that the programs drive. The context is
+    returned unchanged if the programs cannot be replayed or state no axis values.
+    """
     if not context.is_replayable or not context.stations:
         return context
     return context.with_changes(context.problem.with_stations(context.stations))
@@ -81,10 +85,10 @@ def _axis_values(context: Context, axis: TaskAxis) -> list[float]:
 
 
 def _check_home_checks(context: Context, task: TaskText, axes: Sequence[TaskAxis]) -> Iterator[Issue]:
-    """Report axes that a program does not check right before its first move.
+    """Report axes whose home position a program does not check right before its first move.
 
-    The check ensures that they are at home, so that this move does not move them. Only settings may come
-    between check and move.
+    The check ensures that they are at home, so that this move does not move them. Only settings that do not
+    stop the program may come between check and move, but not the deactivation of a unit.
     """
     steps = list(task.steps)
     first = next((i for i, step in enumerate(steps) if isinstance(step, MoveStep)), len(steps))
@@ -106,7 +110,18 @@ def _check_home_checks(context: Context, task: TaskText, axes: Sequence[TaskAxis
 
 
 def _check_values(context: Context, task: TaskText, axes: Sequence[TaskAxis]) -> Iterator[Issue]:
-    """Check the values of a task's external axes, and the moves in which they change, in order."""
+    """Check the values of a task's external axes, and the moves in which they change, in order.
+
+    After a target without valid values, the check of the task ends. A station-to-station move is allowed if
+
+    - its arm is at home before and after it, and the axis is not too fast (:func:`_check_axis_move`);
+    - no other arm moves with it, and all other arms are at home since the operator's confirmation;
+    - the operator has confirmed to keep clear in this setup, and only axes have moved since;
+    - one axis moves at a time, each once per setup, in the prescribed order (:func:`motion_order`).
+
+    The first move of the task must leave the axes at home, and the last one must end there. Coordinated
+    tracks are exempt in straight moves, which verify.track_along checks.
+    """
     previous: MoveStep | None = None
     moved: set[TaskAxis] = set()  # axes that moved in this setup
     last = {axis.column: axis.home for axis in axes}
@@ -124,7 +139,7 @@ def _check_values(context: Context, task: TaskText, axes: Sequence[TaskAxis]) ->
             values = {axis: axis.scale * float(move.target.external[axis.column]) for axis in axes}
             coordinated = [axis for axis in axes if axis.follow_fraction is not None and not move.by_joints]
             changed = [axis for axis in axes if abs(values[axis] - last[axis.column]) > AXIS_VALUE_TOLERANCE]
-            # verify.track_along checks the coordinated axes.
+            # coordinated: tracks that follow the tool in this straight move (verify.track_along checks them).
             moving = [axis for axis in changed if axis not in coordinated]
             if index != setup_index:
                 done_orders, moved, is_clear, setup_index = [], set(), False, index
@@ -191,7 +206,9 @@ def _check_axis_move(
 ) -> Iterator[str]:
     """Check that the arm is at home before and after a move of an external axis, and the axis' speed.
 
-    Faults are yielded as texts.
+    The arm is at home before it if move ``previous`` ends there; None stands for the first move. The speed is
+    positive and at most that of the axis. It is also at most 250 mm/s, for a rotary axis at the farthest
+    point that it carries. Faults are yielded as texts.
     """
     ends = [end for end in (previous, move) if end is not None]
     if not all(at_home(end, task.arm.data, task.arm.home) for end in ends):
@@ -208,11 +225,12 @@ def _check_axis_move(
 
 
 def _arms_away_from_home(context: Context, task: TaskText, number: int, since: int) -> Iterator[str]:
-    """Report other arms that are not at home, or have not been since the operator's confirmation.
+    """Report arms other than that of ``task`` that are away from home while an axis moves, as texts.
 
-    An arm is at home in stage ``number`` if its last move before it and its moves in it end at home. It must
-    have been at home since stage ``since``, that of the confirmation, because from there on all other rules
-    assume that the axes are at their new stations.
+    An arm is at home in stage ``number`` if its last move before that stage ends at home, and all its moves
+    in that stage, too. An arm without an earlier move counts as away from home. All moves of an arm since
+    stage ``since``, that of the operator's confirmation, must end at home, because from there on all other
+    rules assume that the axes are at their new stations.
     """
     stages = context.job.stages
     for other in context.job.tasks:
@@ -237,7 +255,7 @@ def _target_fault(move: MoveStep, axes: Sequence[TaskAxis], axis_format: AxisFor
     """
     external, names = move.target.external, " and ".join(axis.label for axis in axes)
     others = np.delete(external, [axis.column for axis in axes])
-    unused = np.abs(others - UNUSED_AXIS) <= 1e3
+    unused = np.abs(others - UNUSED_AXIS) <= 1e3  # 9E9 stands for no axis; the text may round it
     if not np.isfinite(external).all() or not (unused | (axis_format.zero_is_unused & (others == 0.0))).all():
         return f"the target has values for axes other than {names}, which do not exist"
     for axis in axes:
@@ -257,9 +275,10 @@ def _target_fault(move: MoveStep, axes: Sequence[TaskAxis], axis_format: AxisFor
 
 
 def _check_carried_bodies(context: Context) -> Iterator[Issue]:
-    """Report bodies of setups that are not where the axes that carry arms take them from the problem's poses.
+    """Report bodies that, in the cell of a setup, are not where the axes under arms carry them.
 
-    The positions are sums of the axis motions, computed independently of the planner.
+    The expected pose is that of the problem, with the axes at 0, moved by the sum of the axis motions. It is
+    computed independently of the planner.
     """
     at_zero = {body.name: body for body in context.problem.cell.obstacles}
     for index, setup in enumerate(context.setups):
@@ -268,6 +287,7 @@ def _check_carried_bodies(context: Context) -> Iterator[Issue]:
             for axis_name, rail in arm.axes_by_name.items():
                 for name in rail.carries:
                     shift = axis_translation(arm, arm.axis_values, axis_name)
+                    # Distance of the positions [m] plus difference of the rotations, which must be 0.
                     deviation = max(
                         float(np.abs(a.pose[:3, 3] + shift - b.pose[:3, 3]).max())
                         + float(np.abs(a.pose[:3, :3] - b.pose[:3, :3]).max())
@@ -289,14 +309,15 @@ def _check_table_arm(context: Context, table: Turntable) -> Iterator[Issue]:
 
 
 def _check_stock_on_table(context: Context, table: Turntable) -> Iterator[Issue]:
-    """Report blocks that are not where the axis values of the text put them.
+    """Report blocks and tilted bodies that are not where the axis values of the text put them.
 
-    The rotations are computed independently, with quaternions, from the block's pose in the problem at
-    value 0.
+    The rotations are computed independently, with quaternions, from the poses in the problem at value 0. A
+    setup for which the text or the problem does not state the values or the pose is reported, too.
     """
     for index, setup in enumerate(context.setups):
         zero_pose = zero_stock_pose(context, index)
-        stock_pose, value = context.stock_frames[index], table.home  # also after all operations
+        # In a setup without operations, after all others, the axes are at home.
+        stock_pose, value = context.stock_frames[index], table.home
         tilt = 0.0 if table.tilt is None else table.tilt.home
         for number in setup.operations:
             value = context.stations.get(number, {}).get(STOCK_AXIS, np.nan)
@@ -306,6 +327,7 @@ def _check_stock_on_table(context: Context, table: Turntable) -> Iterator[Issue]
             yield Issue(EXTERNAL_AXES, message, hint=f"state a value of {table.unit} in each target")
             continue
         distance, angle = stock_deviation(table, zero_pose, (value, tilt), stock_pose)
+        # Twice the tolerance: both frames are rounded.
         if distance > 2.0 * FRAME_TOLERANCE_M or angle > 2.0 * FRAME_TOLERANCE_RAD:
             shown = " and ".join(f"{np.rad2deg(v):g}" for v in (value, tilt)[: len(table.axes)])
             message = f"{table.unit} at {shown} deg puts the block {mm(distance):.4f} mm and "
@@ -319,7 +341,10 @@ def _check_stock_on_table(context: Context, table: Turntable) -> Iterator[Issue]
 
 
 def zero_stock_pose(context: Context, index: int) -> FloatArray | None:
-    """Return the pose (4, 4) of the block in a setup with all axes at 0, from the problem, or None."""
+    """Return the pose (4, 4) of the block with all axes at 0, as the problem states it for setup ``index``.
+
+    It is that of the last change of the stock up to this setup, else that of the problem, None without any.
+    """
     pose = context.problem.stock.place
     for setup in context.setups[: index + 1]:
         for number in setup.operations:
@@ -378,7 +403,9 @@ def rotated_points(axis: RotaryAxis, value: float, points: FloatArray) -> FloatA
 
 
 def _max_radius(setup: Setup, table: Turntable, name: str) -> float:
-    """Return the largest distance [m] from an axis to what it carries in a setup.
+    """Return the largest distance [m] from rotary axis ``name`` to what it carries in a setup.
+
+    It bounds the rotation speed.
 
     An axis carries block and support, and the tilt axis also the bodies that are tilted with them. All are
     measured with the tilt axis at 0, because tilting does not move the block farther from the turn axis. For

@@ -31,11 +31,13 @@ MAX_EVENTS_SHOWN = 6
 class HandshakeMessages:
     """Messages about faults that the model check finds in two programs.
 
+    The model check works on numbers of programs, actions and wires. Messages name arms, lines and signals.
+
     Attributes:
-        arms: Names of the arms in the order of the check.
-        actions: Actions of each program.
-        steps: Steps of each program.
-        wires: Signal wires.
+        arms: Names of the arms; the index is the number of the program in the check.
+        actions: Actions of each program, in its order.
+        steps: Steps of each program. An action refers to its step by the index ``line``.
+        wires: Signal wires. An action refers to its wire by its index.
     """
 
     def __init__(
@@ -51,7 +53,7 @@ class HandshakeMessages:
         self.wires = wires
 
     def message(self, finding: HandshakeFault) -> str:
-        """Describe a fault and the shortest path to it."""
+        """Return the message about a fault: what is wrong, and the last events of the shortest path to it."""
         describers = {"deadlock": self._deadlock, "lost_edge": self._lost_edge, "apart": self._step_apart}
         describe = describers.get(finding.kind, self._unwatched)
         events = "; ".join(self.describe_event(event) for event in finding.trace[-MAX_EVENTS_SHOWN:])
@@ -59,7 +61,11 @@ class HandshakeMessages:
         return f"{describe(finding)}.{path}"
 
     def step(self, finding: HandshakeFault) -> tuple[int, ProgramStep | None]:
-        """Return the index of the program, and the step, at which a fault is reported."""
+        """Return the index of the program, and the step, at which a fault is reported.
+
+        It is the next step of the faulty program, or of the other one if the faulty program is at its end. If
+        both are at their ends, there is no step (None).
+        """
         for program in (finding.program, 1 - finding.program):
             action = self._action(program, finding.positions[program])
             if action is not None:
@@ -67,7 +73,7 @@ class HandshakeMessages:
         return finding.program, None
 
     def describe_event(self, event: AutomatonEvent) -> str:
-        """Describe one event."""
+        """Return a clause about an event, an action that a program has done: arm, action and line."""
         action = self._action(event.program, event.position)
         return f"{self.arms[event.program]} {self._describe_action(event.program, action)}"
 
@@ -77,11 +83,15 @@ class HandshakeMessages:
         return actions[action_index] if action_index < len(actions) else None
 
     def _line_text(self, program: int, action: AutomatonAction) -> str:
+        """Return the line and the module of an action, in parentheses."""
         step = self.steps[program][action.line]
         return f"(line {step.line} of {step.module})"
 
     def _describe_action(self, program: int, action: AutomatonAction | None) -> str:
-        """Describe an action that a program has done."""
+        """Return a clause about an action that a program has done, None for the end of the program.
+
+        The kinds are those of :class:`AutomatonAction`; the last case is the answer of the operator.
+        """
         if action is None:
             return "is at its end"
         at = self._line_text(program, action)
@@ -103,7 +113,10 @@ class HandshakeMessages:
                 return f"gets the answer that the other arm is ready {at}"
 
     def _describe_state(self, program: int, finding: HandshakeFault) -> str:
-        """Describe the action that a program is about to do at a fault."""
+        """Return a clause about the action that a program is about to do, or waits for, at a fault.
+
+        For a wait it states the level that the input has, and the level of the output that drives it.
+        """
         arm, action = self.arms[program], self._action(program, finding.positions[program])
         if action is None:
             return f"{arm} is at its end"
@@ -128,12 +141,14 @@ class HandshakeMessages:
                 return f"{arm} waits until the other arm is ready {at}"
 
     def _deadlock(self, finding: HandshakeFault) -> str:
+        """Describe a state in which both programs wait forever."""
         return (
             f"both programs wait forever: {self._describe_state(0, finding)}; "
             f"{self._describe_state(1, finding)}"
         )
 
     def _lost_edge(self, finding: HandshakeFault) -> str:
+        """Describe a signal that changes before the other program has seen its last change."""
         action = self._action(finding.program, finding.positions[finding.program])
         if action is None:
             return "the other program never sees the last change of a signal"
@@ -145,6 +160,7 @@ class HandshakeMessages:
         )
 
     def _step_apart(self, finding: HandshakeFault) -> str:
+        """Describe a program that continues while the other one is more than one step behind."""
         action = self._action(finding.program, finding.positions[finding.program])
         number = action.value if action is not None else 0
         at = self._line_text(finding.program, action) if action is not None else ""
@@ -154,6 +170,7 @@ class HandshakeMessages:
         )
 
     def _unwatched(self, finding: HandshakeFault) -> str:
+        """Describe a program that works although a running wire is stuck, so that it would miss a stop."""
         action = self._action(finding.program, finding.positions[finding.program])
         at = self._line_text(finding.program, action) if action is not None else ""
         return (
@@ -167,7 +184,9 @@ HANDSHAKE = "verify.handshake"
 MAX_FAULTS = 20
 """Maximum number of faults that are reported per program."""
 _BOTH_RUNNING_WIRES_WORK: Final = ("works", "works")
-"""State of the running wires of both arms if neither is stuck."""
+"""State of the running wires of both arms if neither is stuck. A running wire states that a program runs. It
+works, or is stuck at the level low or high.
+"""
 _MODEL_CASES: Final[tuple[tuple[bool, tuple[RunningWire, RunningWire] | None], ...]] = (
     (True, None),
     (False, None),
@@ -234,7 +253,8 @@ def _check_model(context: Context, wiring: Wiring, faulty: bool) -> tuple[list[I
     Args:
         context: The proof.
         wiring: Signal wires of the cell.
-        faulty: Whether the programs are known to have faults. Then only the cheap cases are checked.
+        faulty: Whether the programs are known to have faults. Then only the first two, cheap cases are
+            checked.
 
     Returns:
         Issues of the first case with a fault, and the number of states that were examined.
@@ -251,6 +271,7 @@ def _check_model(context: Context, wiring: Wiring, faulty: bool) -> tuple[list[I
         issues = []
         for finding in verdict.findings:
             program, step = messages.step(finding)
+            # gates: the operator starts and confirms as instructed. Without them a fault may be his error.
             early = not gates and running in (None, _BOTH_RUNNING_WIRES_WORK)
             hint = "this happens if the operator starts or confirms too early" if early else None
             issues.append(step_issue(HANDSHAKE, messages.message(finding), tasks[program], step, hint))
@@ -260,7 +281,10 @@ def _check_model(context: Context, wiring: Wiring, faulty: bool) -> tuple[list[I
 
 
 def _check_meeting_counts(context: Context) -> list[Issue]:
-    """Report programs with different numbers of meetings."""
+    """Report programs with different numbers of meetings, in one issue.
+
+    The last step of a program is in the interval whose number is that of its meetings.
+    """
     counts = {
         name: automaton.interval[-1]
         for name, automaton in (context.job.automata_by_arm or {}).items()
@@ -273,7 +297,12 @@ def _check_meeting_counts(context: Context) -> list[Issue]:
 
 
 def _check_wiring(context: Context, wiring: Wiring) -> list[Issue]:
-    """Report faults of the cell's signal wires, and signals of power sources that both controllers switch."""
+    """Report faults of the cell's signal wires, and signals of power sources that both controllers switch.
+
+    - Each end of a wire belongs to one wire, and a wire connects the controllers of two different arms.
+    - A running wire leads from each program to the other one.
+    - An output that drives no wire is switched by one controller only. One issue is reported per task.
+    """
     issues = [Issue(HANDSHAKE, f"{name} has two wires; each end takes one") for name in wiring.doubled]
     arms = {arm.name for arm in context.problem.cell.arms}
     running_wires = {(wire.source, wire.sink) for wire in wiring.running}
@@ -300,7 +329,12 @@ def _check_wiring(context: Context, wiring: Wiring) -> list[Issue]:
 
 
 def _check_unsuitable_work(context: Context) -> list[Issue]:
-    """Report work for which both arms must be synchronous: joined arms, and work on a moving block."""
+    """Report work for which both arms must be synchronous, which two controllers are not.
+
+    These are setups in which a wire joins arms, setups in which an arm moves its held block in a stage with
+    the other arm, and moves in a work object that another unit carries. There is one issue per claim that
+    joins arms, at most one per setup for a held block, and at most one per task for moves.
+    """
     issues = []
     hint = "use one MultiMove controller for both arms"
     for index, setup in enumerate(context.setup_claims):

@@ -53,7 +53,10 @@ def unknown_start(context: Context) -> RuleOutcome:
 
 
 def _check_axis_fractions(context: Context, task: TaskText) -> RuleOutcome:
-    """Check the fractions of the axes' speeds in a task's first move, a PTP (KRL) or movej (URScript)."""
+    """Check the fractions of the axes' speeds in a task's first move, for KRL and URScript.
+
+    The move must be a PTP or movej. It is used for languages without a check of their own.
+    """
     move = next((step for step in task.steps if isinstance(step, MoveStep)), None)
     if move is None:
         return RuleOutcome()
@@ -73,7 +76,7 @@ def _check_axis_fractions(context: Context, task: TaskText) -> RuleOutcome:
 def unknown_start_outcome(
     task: TaskText, move: MoveStep, fraction: float, faults: Sequence[str]
 ) -> RuleOutcome:
-    """Return the outcome for the first move of a task.
+    """Return the outcome of verify.unknown_start for one task, whose first move has the given faults.
 
     Args:
         task: The task.
@@ -86,6 +89,7 @@ def unknown_start_outcome(
 
 
 def _describe_speed(move: MoveStep) -> str:
+    """Return the stated speed of a move for messages: fractions of axes, or tool speed and rotation rate."""
     if move.speed.axes is not None:
         return f"{100.0 * max(move.speed.axes):g} % of each axis"
     speed = move.speed.tcp if move.velocity is None else move.velocity
@@ -117,7 +121,10 @@ def move_kinds(context: Context) -> RuleOutcome:
 
 
 def _check_accelerations(task: TaskText) -> list[Issue]:
-    """Report joint moves whose acceleration of the leading axis is more than the weakest axis allows."""
+    """Report moves whose stated acceleration of the leading axis is more than the weakest axis allows.
+
+    Moves of languages that do not state it are skipped.
+    """
     limit, out = float(np.min(task.arm.data.acceleration)), []
     for step in task.steps:
         if isinstance(step, MoveStep) and step.acceleration is not None and step.acceleration > limit:
@@ -144,6 +151,7 @@ def zone_size(context: Context) -> RuleOutcome:
             issues += corner_issues
             worst = max(worst, excess)
             continue
+        # lengths[i]: from the target of move i to that of move i + 1, None if it is unknown.
         lengths = [straight_distance(a, b) for a, b in itertools.pairwise(moves)]
         has_coordinated_track = any(axis.follow_fraction is not None for axis in task_axes(task.arm, None))
         for i, move in enumerate(moves):
@@ -163,6 +171,7 @@ def zone_size(context: Context) -> RuleOutcome:
             if min(sizes) < 0.0 or max(sizes) <= 0.0:
                 message = f"zone {move.zone_name} has no positive size and is not a stop point"
                 issues.append(step_issue("verify.zone_size", message, task, move))
+            # The moves before and after the target. Unknown lengths are left out; with none known, half is 0.
             adjacent = [length for length in lengths[max(i - 1, 0) : i + 1] if length is not None]
             half = 0.5 * min(adjacent) if adjacent else 0.0
             size = max(move.zone.tcp, move.zone.turn, 0.0)
@@ -188,6 +197,7 @@ def zero_length(context: Context) -> RuleOutcome:
         for group in [rows] if stage.synchronised else [[row] for row in rows]:
             for i in range(1, min((len(moves) for _, moves in group), default=0)):
                 still = [(task, moves[i]) for task, moves in group if _is_zero_length(moves[i - 1], moves[i])]
+                # Nothing to report: no move has zero length, or only moves at which trajectory goals start.
                 if all(move.kind in language_of_task(task).starting_kinds for task, move in still):
                     continue
                 if len(still) == len(group):
@@ -201,13 +211,17 @@ def zero_length(context: Context) -> RuleOutcome:
 
 
 def _is_zero_length(a: MoveStep, b: MoveStep) -> bool:
-    """Return whether move ``b`` starts at its own target, because move ``a`` before it ends there."""
+    """Return whether move ``b`` has no length, because the target of move ``a`` before it equals its own.
+
+    Targets of different forms, such as joints and a pose, are never equal.
+    """
     if isinstance(a.target, JointTarget) and isinstance(b.target, JointTarget):
         axis_moves = np.abs(a.target.external - b.target.external).max() > 0.0  # an external axis moves
         return not axis_moves and bool(np.abs(a.target.joints - b.target.joints).max() < _ZERO_ROTATION)
     if isinstance(a.target, PassedTarget) and isinstance(b.target, PassedTarget):
         return bool(np.abs(a.target.joints - b.target.joints).max() < _ZERO_ROTATION)
     if isinstance(a.target, RobTarget | StatusTarget) and isinstance(b.target, RobTarget):
+        # q and -q are one rotation.
         rotation = min(np.abs(a.target.quaternion - s * b.target.quaternion).max() for s in (1.0, -1.0))
         length = straight_distance(a, b)
         return length is not None and length < _ZERO_LENGTH_M and bool(rotation < _ZERO_ROTATION)

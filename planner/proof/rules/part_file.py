@@ -112,8 +112,12 @@ def part_file(context: Context) -> RuleOutcome:
 
 
 def _compare_surfaces(context: Context, part: Any, findings: _PartFileFindings) -> None:
-    """Compare the surfaces of a part as read with the surfaces that the programs produce."""
-    block = np.asarray(context.problem.stock.size)
+    """Compare the surfaces of a part as read with the surfaces that the programs produce.
+
+    ``part`` is the part as the problem file states it. The results are added to the findings. Without a pair
+    of surfaces nothing is compared.
+    """
+    block = np.asarray(context.problem.stock.size)  # (3,) [m]
     producers = [
         contribution.surface_producer
         for contribution in of_processes(context.problem)
@@ -126,6 +130,7 @@ def _compare_surfaces(context: Context, part: Any, findings: _PartFileFindings) 
         for required_surface in producer.required(operation)
     ]
     names = {required_surface.name for required_surface in required}
+    # The edges between front and back are read only if an operation must produce them.
     surfaces = part_surfaces(part, float(block[2]), not names.isdisjoint((ALL_RULED, "edges")))
     pose_in_stock = _stated_pose(part, surfaces, block)
     pairs = _match_surfaces(
@@ -160,11 +165,14 @@ def _produced_surfaces(
 ) -> list[ProducedSurface]:
     """Return the surfaces that the programs produce for the required ones.
 
+    An issue is added for each required surface that no claim covers. The name ``ALL_RULED`` stands for all
+    surfaces as read except front and back, and for a plate for all outlines that are cut.
+
     Args:
         context: The proof.
         part: The part as the problem file states it.
         surfaces: Surfaces of the part as read.
-        requested: Processes, and the required surfaces.
+        requested: Surface producers of the processes, and the required surfaces.
         findings: Findings, to which issues are added.
     """
     processes, required = requested
@@ -205,11 +213,11 @@ def _match_surfaces(
     pose_in_stock: FloatArray | None,
     findings: _PartFileFindings,
 ) -> list[tuple[PartSurface, ProducedSurface]]:
-    """Match each produced surface with the surface that was read; add issues for surfaces without a match.
+    """Match each produced surface with a surface as read, and add issues for produced ones without a match.
 
     Surfaces are matched by name. A surface may be produced more than once, roughly and then finely. Outlines
-    of a plate, which have no names, are matched by position, each of them once; ``pose_in_stock`` (4, 4) is
-    None if the part's pose is open.
+    of a plate have no names. Each is matched once, with the nearest bounding box among those of its kind, if
+    the pose ``pose_in_stock`` (4, 4) of the part is known. It is None if the part's pose is open.
     """
     out: list[tuple[PartSurface, ProducedSurface]] = []
     unmatched = list(surfaces)
@@ -249,7 +257,8 @@ def _box(points: FloatArray) -> FloatArray:
 def _stated_pose(part: Any, surfaces: Sequence[PartSurface], block: FloatArray) -> FloatArray | None:
     """Return the part's frame (4, 4) in the block's frame, or None if the problem leaves it open.
 
-    The outlines of a plate are in its middle, rotated by a quarter turn if they fit only with this rotation.
+    The outlines of a plate are never open: they are in the middle of the block, of size ``block`` (3,) [m],
+    rotated by a quarter turn if they fit only with this rotation.
     """
     stated_pose = part.get("in_stock")
     if stated_pose is not None and not isinstance(stated_pose, str):
@@ -268,10 +277,12 @@ def _stated_pose(part: Any, surfaces: Sequence[PartSurface], block: FloatArray) 
 def _find_pose(
     surfaces: Sequence[PartSurface], pairs: Sequence[tuple[PartSurface, ProducedSurface]], block: FloatArray
 ) -> FloatArray:
-    """Find the pose (4, 4) of a part, in the middle of the block, that fits best to the produced surfaces.
+    """Find the pose (4, 4) of a part in the block that fits best to the produced surfaces.
 
-    All ways in which the guides of its surfaces may be joined are tried, first from initial poses by axes of
-    inertia, then from all orientations.
+    The bounding box of the part is in the middle of the block, whose size is ``block`` (3,) [m]. All ways in
+    which the guides of the surfaces may be joined are tried, first from initial poses by axes of inertia,
+    then from all orientations. The search ends at the first pose at which all surfaces fit well enough. Of
+    strips, only the first produced piece is placed on the surface.
     """
     if any(surface.part_of for surface in surfaces):
         surface, produced = pairs[0]
@@ -300,7 +311,10 @@ def _find_pose(
 def _check_found_pose(
     surfaces: Sequence[PartSurface], pose_in_stock: FloatArray, block: FloatArray, findings: _PartFileFindings
 ) -> None:
-    """Check that a part without a stated pose fits into the block, and that a front faces up."""
+    """Check that a part without a stated pose fits into the block, and that a front faces up.
+
+    A surface of which only strips are cut may be larger than the block. ``block`` (3,) [m] is its size.
+    """
     front = next((surface for surface in surfaces if surface.name == "front"), None)
     if front is not None and float((front.samples[0].normals @ pose_in_stock[2, :3]).mean()) <= 0.0:
         message = "the front of the part as read does not face up"
@@ -417,7 +431,11 @@ class _FileDifference:
 def _check_strip(
     surface: PartSurface, produced: ProducedSurface, pose_in_stock: FloatArray, findings: _PartFileFindings
 ) -> None:
-    """Check that the produced part of a strip lies on the surface as read, within the problem's tolerance."""
+    """Check that the produced part of a strip lies on the surface as read, within the problem's tolerance.
+
+    Points of the claimed surface are moved by their deviation onto the produced surface, and their distances
+    from the surface as read are measured. Points that are not produced count as wrong.
+    """
     if not produced.along_strips:
         return
     claimed_points = comparison.claimed_points(produced, MIN_POINTS)
@@ -440,7 +458,11 @@ def _check_strip(
 
 
 def _compare_sheet(produced: ProducedSheet, findings: _PartFileFindings) -> None:
-    """Compare the walls of a produced sheet with those of the file."""
+    """Compare the walls of a produced sheet with those of the file, and add the result to the findings.
+
+    The deviation may be at most ``allowed`` to the outside and ``tolerance`` to the inside, plus the
+    tolerances of reading and of the file.
+    """
     sheet, required = produced.sheet, produced.fraction - FRACTION_TOLERANCE
     tolerance = READING_TOLERANCE_M + sheet.tolerance
     good = (produced.deviation <= produced.allowed + tolerance) & (

@@ -60,7 +60,10 @@ def corners(context: Context) -> RuleOutcome:
 def _motion_faults(
     context: Context, code: str, kinds: tuple[str, ...], hint: str | None = None
 ) -> RuleOutcome:
-    """Return the faults of the replay of some kinds as the issues of a rule."""
+    """Return the outcome of a rule that reports those faults of the replay whose kind is in ``kinds``.
+
+    The kinds are those of :class:`planner.proof.replay.motion.ReplayFault`.
+    """
     findings = Findings(code, context)
     for fault in context.motion.faults:
         if fault.kind in kinds:
@@ -75,7 +78,7 @@ def continuity(context: Context) -> RuleOutcome:
     for task in context.job.tasks:
         moves = [step for step in task.steps if isinstance(step, MoveStep)]
         edges = zip((*moves[:1], *moves[-1:]), ("first", "last"), strict=False)
-        if task.text.is_trajectory:  # verify.start_posture checks that it starts at home
+        if task.text.is_trajectory:  # verify.start_posture checks the start, so only the last move counts
             edges = zip(moves[-1:], ("last",), strict=False)
         for move, word in edges:
             if not at_home(move, task.arm.data, task.arm.home):
@@ -87,7 +90,7 @@ def continuity(context: Context) -> RuleOutcome:
             step = np.abs(np.diff(angle))
             findings.note_highest(step.max(initial=0.0))
             jumps |= step > MAX_JOINT_STEP_RAD
-        for i in np.flatnonzero(jumps)[:20]:
+        for i in np.flatnonzero(jumps)[:20]:  # at most 20 issues per arm
             steps = np.abs(q[i + 1] - q[i])
             axis = f"axis {int(np.argmax(steps)) + 1}"
             message = f"{axis} jumps by {np.rad2deg(steps.max()):.2f} deg between two samples"
@@ -106,9 +109,10 @@ def joint_limits(context: Context) -> RuleOutcome:
         q = context.motion.q[arm]
         # One axis at a time to limit memory: a long motion has many samples.
         rows = np.array([*(int(axis.argmin()) for axis in q.T), *(int(axis.argmax()) for axis in q.T)])
+        # rows: samples (2 J,) of the lowest values of the J axes, then of the highest. ends: these values.
         ends = q[rows, np.tile(np.arange(q.shape[1]), 2)].reshape(2, -1)
         margin = np.concatenate([ends[0] - machine.lower, machine.upper - ends[1]])
-        k = int(np.argmin(margin))
+        k = int(np.argmin(margin))  # the axis and end with the smallest margin; only this one is reported
         i, joint = int(rows[k]), k % len(machine.lower)
         findings.note_lowest(margin[k], f"{arm} axis {joint + 1}")
         if margin[k] < 0.0:
@@ -166,12 +170,20 @@ def _check_rates(
 ) -> RuleOutcome:
     """Check joint speeds or accelerations against the robots' limits.
 
+    Each axis is checked at each sample. One issue is reported per move that exceeds a limit, at its worst
+    sample, for the first 200 such moves. For a task that is driven by trajectories, the peaks between samples
+    count, too; they get an issue only if no sample exceeds a limit.
+
     Args:
         context: The proof.
         code: Code of the rule.
         word: ``speed`` or ``acceleration``.
-        rates: Function for the rates (S, J) or (S,) of an arm's axes.
+        rates: Function of an arm's name and an axis (from 0) or a slice of axes. It returns the rates of
+            the S samples, (S,) [rad/s, rad/s^2] for one axis or (S, J) for a slice.
         unit: Unit of the rates in messages.
+
+    Returns:
+        Outcome of the rule. Its worst value is the largest fraction of a limit, in per cent.
     """
     findings, motion = Findings(code, context, worst=0.0), context.motion
     for task in context.job.tasks:
@@ -190,6 +202,7 @@ def _check_rates(
                     f"between two points a joint of {arm} would need {100.0 * fraction:.1f} % of its {word}"
                 )
                 findings.add(message, arm=arm, line=line, file=min(task.files))
+        # Nodes (moves) with a sample beyond a limit, and fractions (S, J) of the limits if there are any.
         nodes = np.unique(motion.node[over])
         fraction = np.abs(rates(arm, slice(None))) / limit if len(nodes) else np.zeros((0, len(limit)))
         for node in nodes[:200]:
@@ -220,7 +233,7 @@ def singularity(context: Context) -> RuleOutcome:
         distance = np.concatenate([singularity_distance(machine, q[part]) for part in parts])
         k = int(np.argmin(distance))
         findings.note_lowest(distance[k], arm)
-        if distance[k] < limit - np.deg2rad(0.05):
+        if distance[k] < limit - np.deg2rad(0.05):  # tolerance: the text rounds
             measure = measure_in_degrees(distance[k], limit)
             message = (
                 f"{arm} comes within {measure[0]:.2f} deg of a singular posture; allowed: {measure[1]:.2f}"
@@ -242,10 +255,12 @@ def tcp_speed(context: Context) -> RuleOutcome:
         if task.text.is_trajectory:
             speeds = tool_speeds(context)[arm]
             findings.note_highest(speeds.world.max(initial=0.0), arm)
+            # 1e-6 allows for rounding. At most 20 issues per task.
             for k in np.flatnonzero(speeds.world > limit * (1.0 + 1e-6))[:20].tolist():
                 message = f"the tool of {arm} moves at up to {mm(speeds.world[k]):.1f} mm/s; allowed: "
                 findings.add_at_step(f"{message}{mm(limit):.1f}", task, speeds.moves[k])
             continue
+        # Steps (S - 1,) from sample to sample in timed moves, without the steps from one stage to the next.
         timed = _timed_moves(context)[motion.node[1:]] & (motion.stage[1:] == motion.stage[:-1])
         positions, speed = motion.tcp[arm].position, np.zeros(len(timed))
         for start in range(0, len(timed), _SAMPLES_PER_BATCH):
@@ -259,6 +274,7 @@ def tcp_speed(context: Context) -> RuleOutcome:
             if speed[k] > TCP_SPEED_FACTOR * limit:
                 message = f"the tool of {arm} moves at {mm(speed[k]):.1f} mm/s; allowed: {mm(limit):.1f}"
                 findings.add_at_sample(message, arm, k + 1, (mm(speed[k]), mm(limit), "mm/s"))
+        # Untimed moves: the stated speed counts. ``speed.turn`` is the stated rotation rate [rad/s].
         for move in task.steps:
             if not isinstance(move, MoveStep) or move.time is not None or move.speed.axes is not None:
                 continue
@@ -276,7 +292,10 @@ def tcp_speed(context: Context) -> RuleOutcome:
 
 
 def _timed_moves(context: Context) -> BoolArray:
-    """Return flags (K,) of the moves for which the text states a time, or fractions of the axes' speeds."""
+    """Return flags (K,) of the nodes whose moves are checked by their replayed speed, one per node (move).
+
+    They are the moves for which the text of any task states a time, or fractions of the axes' speeds.
+    """
     motion = context.motion
     out = np.zeros(len(motion.node_segment), dtype=bool)
     for number, stage in enumerate(context.job.stages):
@@ -289,7 +308,10 @@ def _timed_moves(context: Context) -> BoolArray:
 
 
 def straight_nodes(context: Context, arm: str) -> BoolArray:
-    """Return flags (K,) of the nodes that the arm reaches by a straight move."""
+    """Return flags (K,), one per node of the motion: whether the arm reaches it by a straight move.
+
+    Several rules hold in straight moves only. A node at which the arm has no move has the flag False.
+    """
     return context.get(_STRAIGHT_NODES)[arm]
 
 
@@ -300,7 +322,7 @@ def _straight_nodes(context: Context) -> dict[str, BoolArray]:
         lines = context.motion.node_line[task.arm.name]
         flags = out[task.arm.name] = np.zeros(len(lines), dtype=bool)
         for number, stage in enumerate(context.job.stages):
-            rows = np.flatnonzero((stages == number) & (lines > 0))
+            rows = np.flatnonzero((stages == number) & (lines > 0))  # line 0: the arm has no move there
             for row, move in zip(rows, stage.moves(task.name), strict=False):
                 flags[row] = not move.by_joints
     return out
@@ -313,14 +335,15 @@ _STRAIGHT_NODES: Final[Fact[Context, dict[str, BoolArray]]] = Fact("straight nod
 def trajectory_peaks(task: TaskText, speed: bool) -> tuple[float, int]:
     """Return the largest fraction of a joint limit on the cubics of a task's trajectories.
 
-    The result is exact, independent of the samples.
+    Each move is one cubic per joint. The rules on joint speed and acceleration use the result, because
+    samples may miss the peak of a short cubic. It is exact.
 
     Args:
         task: Task that is driven by trajectories.
         speed: Whether the limit is that of speed, rather than of acceleration.
 
     Returns:
-        Fraction of the limit, and the line of the point at the end of the cubic.
+        Fraction of the limit, and the line of the point at the end of that cubic. Both are 0 without moves.
     """
     robot = task.arm.data
     steps = [step for step in task.steps if isinstance(step, MoveStep)]
@@ -333,7 +356,8 @@ def trajectory_peaks(task: TaskText, speed: bool) -> tuple[float, int]:
     first = (6.0 * mean - 4.0 * start_velocity - 2.0 * v) / span
     last = (2.0 * start_velocity + 4.0 * v - 6.0 * mean) / span
     if speed:
-        # The speed is largest at an end, or at the extremum where the acceleration is 0.
+        # The speed is largest at an end, or at the extremum where the acceleration is 0. ``extremum`` is its
+        # fraction of the duration, 0 if the acceleration is constant.
         extremum = np.clip(first / np.where(first == last, np.inf, first - last), 0.0, 1.0)
         middle = start_velocity + span * extremum * (first + 0.5 * extremum * (last - first))
         fraction = np.abs(np.stack([start_velocity, v, middle])).max(axis=0) / robot.velocity
@@ -379,7 +403,10 @@ def robot_model(context: Context) -> RuleOutcome:
 def _robots_from_files(
     source: Mapping[str, Any], cell: Cell
 ) -> Iterator[tuple[Mapping[str, Any], RobotData]]:
-    """Yield each robot with a file of the user: the entry that the problem states for it, and its data."""
+    """Yield the robots whose data come from a file of the user, to compare the data with the problem.
+
+    Each has the mapping that the problem states for it (empty if it states only a name), and its data.
+    """
     stated = source.get("cell", {}).get("arms", []) if isinstance(source.get("cell"), Mapping) else []
     for arm, stated_arm in zip(cell.arms, stated, strict=False):
         if arm.custom_data is not None:
@@ -410,9 +437,11 @@ def kinematics(context: Context) -> RuleOutcome:
 def _compare_poses(
     context: Context, model: CellModel, index: int, rows: IntArray, findings: Findings
 ) -> None:
-    """Compare the poses of bodies of a setup at samples ``rows`` (K,) with those that Drake computes.
+    """Compare the poses of bodies of setup ``index`` at samples ``rows`` (K,) with those that Drake computes.
 
-    Each body whose poses differ is reported once, at its worst sample.
+    Three other computations are compared with Drake: the URDF chains (links), the clearance bounds (all
+    bodies), and the replay (TCPs and a held block). Each body whose poses differ is reported once per
+    comparison, at its worst sample.
     """
     motion, model = context.motion, model.with_bases(context.track_base_poses(index, rows))
     at_home = {arm.name: np.tile(arm.home, (len(rows), 1)) for arm in model.cell.arms}
@@ -431,7 +460,7 @@ def _compare_poses(
     ):
         for name in sorted(poses.keys() & drake_poses.keys()):
             deviation = np.abs(poses[name] - drake_poses[name]).reshape(len(rows), -1).max(axis=1)
-            k = int(np.argmax(np.where(np.isfinite(deviation), deviation, np.inf)))
+            k = int(np.argmax(np.where(np.isfinite(deviation), deviation, np.inf)))  # NaN is the worst
             findings.note_highest(deviation[k])
             if not deviation[k] <= limit:
                 message = f"{name} has two poses that differ by {mm(deviation[k]):.6f} mm, {sources}"
@@ -440,7 +469,10 @@ def _compare_poses(
 
 
 def _drake_poses(model: CellModel, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Return the poses (K, 4, 4) of all links, tools and a held block in the world, from Drake's plant."""
+    """Return the poses (K, 4, 4) of all links, tools and a held block in the world, by name of the body.
+
+    Drake's plant computes them at the K postures of ``q`` {arm: (K, J)}.
+    """
     names = [f"{arm}/{link}" for arm in model.arms for link in _body_names(len(model.cell.arm(arm).home))]
     names += ["stock"] if model.stock.held_by is not None else []
     bodies = [model.body(name) for name in names]
@@ -460,9 +492,10 @@ def _body_names(joints: int) -> tuple[str, ...]:
 
 
 def _chain_poses(model: CellModel, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Return the poses (K, 4, 4) of the links in the world by the URDF chains.
+    """Return the poses (K, 4, 4) of all links except the base in the world, by ``arm/link``.
 
-    The pose of the flange has the name of the tool's body, whose frame it is.
+    They follow from joints ``q`` {arm: (K, J)} and the URDF chains, without Drake. The last one is the
+    flange. It has the name of the tool's body, because that body has the frame of the flange.
     """
     out = {}
     for arm, rows in q.items():

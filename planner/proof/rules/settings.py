@@ -42,7 +42,7 @@ def motion_settings(context: Context) -> RuleOutcome:
         first_move = next((step for step in task.steps if isinstance(step, MoveStep)), None)
         stop_matters = context.job.automata_by_arm is None
         for step in task.steps:
-            stop_matters |= step is first_move
+            stop_matters |= step is first_move  # from the first move on
             if isinstance(step, WaitStep) and (step.seconds or 0.0) < 0.0:
                 issues.append(step_issue("verify.motion_settings", "a wait has a negative time", task, step))
             if not isinstance(step, SettingStep):
@@ -60,7 +60,10 @@ def motion_settings(context: Context) -> RuleOutcome:
 
 
 def _slows_down(step: SettingStep) -> bool:
-    """Return whether a VelSet (percentage, maximum speed in mm/s) slows any move down."""
+    """Return whether a VelSet (percentage, maximum speed in mm/s) may change the speed of a move.
+
+    It does unless it states 100 % and a maximum of at least 5000 mm/s, which no move exceeds.
+    """
     return step.values[0] != 100.0 or step.values[1] is None or step.values[1] < 5000.0
 
 
@@ -89,7 +92,7 @@ def hidden(context: Context) -> RuleOutcome:
 
 
 def _is_allowed_in_undo(step: ProgramStep) -> bool:
-    """Return whether a step is allowed in UNDO: it switches off, leaves the block or shows a text."""
+    """Return whether a step is allowed in UNDO: an immediate switch to off, SyncMoveUndo, or a message."""
     if isinstance(step, SignalStep):
         return not step.value and not step.delay
     if isinstance(step, SyncStep):

@@ -75,7 +75,9 @@ def tool_data(context: Context) -> RuleOutcome:
 
 
 def _tool_faults(tool: Tool, expected: ExpectedTool) -> tuple[float, list[str]]:
-    """Compare a tool in the text with the expected one.
+    """Compare a tool in the text with the expected one: TCP, mass and centre of gravity.
+
+    The tool must also be held by the robot and have no moments of inertia.
 
     Returns:
         Distance [m] of the TCPs, and all faults as texts.
@@ -137,7 +139,12 @@ def work_object(context: Context) -> RuleOutcome:
 
 
 def _check_stock_frame(findings: Findings, index: int) -> None:
-    """Check that the block's frame in the text is one that the problem allows."""
+    """Check that the block's frame in the text of setup ``index`` is one that the problem allows.
+
+    It must be the place that the problem states, or else, if the block has not been moved since the previous
+    setup, the frame of that setup. If neither is known, only the block's attitude is checked, unless the
+    problem leaves it free. A block without a frame is reported, too.
+    """
     context = findings.context
     stock, stock_frame = context.stock_at(index), context.stock_frames[index]
     if stock_frame is None:
@@ -159,6 +166,7 @@ def _check_stock_frame(findings: Findings, index: int) -> None:
             findings.add(message, measure_in_mm(shift, FRAME_TOLERANCE_M))
     elif not stock.is_attitude_free:
         # Length of the difference of the vertical unit vectors: about the tilt angle [rad] if it is small.
+        # The rotation about the vertical is free.
         tilt = float(np.linalg.norm((stock_frame[:3, :3] @ stock.attitude.T)[2, :] - [0.0, 0.0, 1.0]))
         if tilt > 2.0 * FRAME_TOLERANCE_RAD:
             findings.add(
@@ -206,7 +214,7 @@ def held_frame(context: Context) -> RuleOutcome:
                         f"{move.wobj_name} is {mm(shift):.4f} mm and {np.rad2deg(rotation_angle):.4f} deg "
                         f"away from the TCP of {held.arm}"
                     )
-                if max(_pose_difference(wobj.user, np.eye(4))) > 1e-9:
+                if max(_pose_difference(wobj.user, np.eye(4))) > 1e-9:  # exactly zero, but for rounding
                     message = "is not zero, but the controller sets the user frame of a moving work object"
                     faults.append(f"the user frame of {move.wobj_name} {message}")
                 if not stage.synchronised:
@@ -231,6 +239,8 @@ def load(context: Context) -> RuleOutcome:
             held = context.stock_holder(index)
             expected = held if held is not None and held.arm == name else None
             confirmations = context.spans.confirmations[index]
+            # early: a load before the confirmation of its setup. unconfirmed: a move before it, which belongs
+            # to the previous setup.
             for step in stage.steps[task.name]:
                 if isinstance(step, CarryStep):
                     early = bool(confirmations) and number <= confirmations[0].stage
@@ -243,7 +253,7 @@ def load(context: Context) -> RuleOutcome:
                     if expected is not None and loaded_setup != index and not unconfirmed:
                         message = f"{name} moves the block of setup {index + 1} without its load"
                         findings.add_at_step(message, task, step, "call GripLoad first")
-                        loaded_setup = index
+                        loaded_setup = index  # report it once
                     if expected is None and loaded_setup is not None:
                         message = f"{name} still has the load of a block that it no longer holds"
                         findings.add_at_step(message, task, step, "call GripLoad load0 first")
@@ -255,10 +265,17 @@ def load(context: Context) -> RuleOutcome:
 def _load_fault(
     step: CarryStep, expected: HoldsStock | None, stock: Stock, index: int
 ) -> tuple[str, int | None]:
-    """Return the fault of a load as a text, "" if there is none, and the setup whose block the load is.
+    """Check a step that states a load: mass, centre of gravity and moments of inertia of the held block.
 
-    The setup is None if the step removes the load. ``expected`` is the claim on the held block, None if no
-    block is held.
+    Args:
+        step: The step (GripLoad).
+        expected: Claim on the block that the arm holds, None if it holds none. Then only load0 is allowed.
+        stock: The block.
+        index: Index of the setup.
+
+    Returns:
+        The fault as a text, "" if there is none, and the setup whose block's load the controller now has,
+        None if the arm holds no block.
     """
     if expected is None:
         is_load0 = abs(step.load.mass) <= LOAD0_MASS_KG + 1e-9
@@ -271,7 +288,7 @@ def _load_fault(
     load_axes, grip = rotation(step.load.axes), expected.grip[:3, :3]
     stated_inertia = (load_axes * step.load.inertia) @ load_axes.T
     expected_inertia = (grip * _block_inertia(stock, expected.mass)) @ grip.T
-    if (
+    if (  # 1 % for the solid block (INERTIA_TOLERANCE_KG_M2)
         np.abs(stated_inertia - expected_inertia).max()
         > INERTIA_TOLERANCE_KG_M2 + 0.01 * np.abs(expected_inertia).max()
     ):
@@ -364,7 +381,11 @@ def setup(context: Context) -> RuleOutcome:
 
 
 def _unconfirmed_move(context: Context) -> list[Issue]:
-    """Report the first move of an arm if no operator has confirmed anything before it."""
+    """Report the first move of an arm if no operator has confirmed anything before it, else return no issue.
+
+    In a stage with several tasks, a confirmation counts only for the steps after it in its own task. From the
+    next stage on it counts for all tasks.
+    """
     for stage in context.job.stages:
         confirmed = False
         for task in context.job.tasks:
@@ -383,9 +404,10 @@ def _unconfirmed_move(context: Context) -> list[Issue]:
 def _arms_not_at_rest(
     context: Context, confirmation: OperatorQuestion, number: int, first: bool
 ) -> list[Issue]:
-    """Report arms that may move at a confirmation, or that are not at home at it.
+    """Report arms that may move while setup ``number`` is being confirmed, or that are not at home then.
 
-    Before the ``first`` confirmation all moves of an arm must have ended at home.
+    An arm may move if the stage of the confirmation has moves. It is at home if its last move before that
+    stage ends at home. Before the ``first`` confirmation all its moves must have ended at home.
     """
     issues = []
     stage = context.job.stages[confirmation.stage]
@@ -406,7 +428,10 @@ def _arms_not_at_rest(
 
 
 def at_home(move: MoveStep, machine: RobotData, home: FloatArray) -> bool:
-    """Return whether a move ends at home and stops there."""
+    """Return whether a move ends at home and stops there.
+
+    Only a move to a joint target does so. ``home`` (J,) [rad] are serial joint angles.
+    """
     if not isinstance(move.target, JointTarget):
         return False
     q = machine.from_controller(move.target.joints)
@@ -414,9 +439,10 @@ def at_home(move: MoveStep, machine: RobotData, home: FloatArray) -> bool:
 
 
 def _misplaced_confirmations(context: Context) -> list[Issue]:
-    """Report other questions that contain the words of a setup's confirmation.
+    """Report messages that an operator could take for a setup's confirmation, although they are none.
 
-    Also reported are confirmations in branches, error handlers and UNDO, which are not on the straight path.
+    These are other questions with the words of a confirmation, and messages with its words in branches, error
+    handlers and UNDO, which are not on the straight path of execution.
     """
     with_steps = [current for current in context.setups if current.steps]
     confirmation_ids = {
@@ -465,4 +491,5 @@ def _contains_text(step: MessageStep, confirmation: str) -> bool:
 
 
 def _question_issue(question: OperatorQuestion, message: str) -> Issue:
+    """Return an issue at the step that asks a question."""
     return step_issue("verify.setup", message, question.task, question.step)

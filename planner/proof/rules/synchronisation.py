@@ -80,7 +80,7 @@ def sync_order(context: Context) -> RuleOutcome:
                     f"syncident {step.ident} is used again; each one may be used once", task, step
                 )
             seen.add(step.ident.lower())
-            # A block opens only outside a block. It closes, and nothing else happens, only inside one.
+            # Reported are SyncMoveOn inside a block, SyncMoveOff outside one, and SyncMoveUndo anywhere.
             if (step.kind == "SyncMoveOn") == in_block or (step.kind == "SyncMoveUndo"):
                 if step.kind == "WaitSyncTask" and not in_block:
                     continue
@@ -103,7 +103,11 @@ def _synchronised_blocks(context: Context) -> list[tuple[JobStage, dict[str, tup
 
 
 def _move_pairs(context: Context) -> list[tuple[TaskText, MoveStep, TaskText, MoveStep]]:
-    """Return the pairs of moves that run together: a move of the first task and one of another task."""
+    """Return the pairs of moves that run together in synchronised blocks, each move with its task.
+
+    The n-th move of the first task in a block runs with the n-th move of every other task. Moves without
+    partner are left out (verify.move_count reports them).
+    """
     tasks = context.job.tasks
     out = []
     for _, moves in _synchronised_blocks(context):
@@ -203,10 +207,10 @@ def move_time(context: Context) -> RuleOutcome:
 
 
 def _compare_times(a_task: TaskText, a: MoveStep, b_task: TaskText, b: MoveStep) -> Iterator[Issue]:
-    """Report the shorter of two moves that run together if their times differ.
+    """Report the shorter of two moves that run together if their times differ by more than 1 %.
 
-    At least one of them states speeds instead of a time. A move that is as slow as its language allows is not
-    reported.
+    It is used if the language of at least one of them states speeds instead of times (``slowest``). A move
+    that is as slow as its language allows is not reported. Without both times nothing can be compared.
     """
     if a.time is None or b.time is None:
         return
@@ -221,6 +225,7 @@ def _compare_times(a_task: TaskText, a: MoveStep, b_task: TaskText, b: MoveStep)
 
 
 def _too_short_message(time: float) -> str:
+    """Return the message about a move that takes only ``time`` [s]."""
     min_ms = mm(MIN_MOVE_TIME_S)
     return f"the move takes {mm(time):.3g} ms; controllers need at least {min_ms:g} ms per move"
 
@@ -251,9 +256,9 @@ def speed_data(context: Context) -> RuleOutcome:
 
 
 def straight_distance(a: MoveStep, b: MoveStep) -> float | None:
-    """Return the distance [m] between the positions of two targets in one frame.
+    """Return the length [m] of the straight path of move ``b``, which starts at the target of move ``a``.
 
-    It is None if a target is not a pose, or if the frames differ.
+    It is None if a target is not a pose, or if both targets are not in one work object.
     """
     if (
         isinstance(a.target, RobTarget | StatusTarget)

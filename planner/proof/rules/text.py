@@ -64,7 +64,10 @@ class ModifiedTargets(NamedTuple):
 
 
 def find_modified_targets(job: JobText) -> ModifiedTargets:
-    """Find the targets that look modified in the programs."""
+    """Find the targets that look modified in the programs, to name them as the likely cause of issues.
+
+    If most targets of a task look modified, another program wrote all of them, and none counts.
+    """
     changed: dict[str, tuple[ModifiedTarget, ...]] = {}
     moves: dict[str, dict[tuple[str, int], list[tuple[int, str | None]]]] = {}
     total = 0
@@ -147,7 +150,7 @@ def _likely_causes(modified_targets: ModifiedTargets, issue: Issue) -> list[Modi
 
 
 def _target_lines(file: str, text: str) -> dict[int, bool]:
-    """Return the lines with targets, each with whether one of its targets looks modified."""
+    """Return the lines of a file with targets, each with whether one of its targets looks modified."""
     out: dict[int, bool] = {}
     line, seen = 1, 0
     for position, is_changed in language_contribution.language_of_file(file).targets_in(text):
@@ -164,7 +167,11 @@ def decimals_of(number: str) -> int:
 
 
 def _target_location(task: TaskText, step: MoveStep, target_files: dict[str, str]) -> tuple[str, int]:
-    """Return file and line of the numbers of a move's target."""
+    """Return file and line of the numbers of a move's target.
+
+    ``target_files`` maps ":" and the name of a declared target to "file:line", and the name of a module to
+    its file. A target without a declaration has its numbers in the line of the move.
+    """
     declaration = target_files.get(f":{step.target_name.lower()}") if step.target_name else None
     if declaration is None:
         return target_files.get(step.module, ""), step.line
@@ -326,6 +333,10 @@ def files(context: Context) -> RuleOutcome:
 
 
 def _rename_hint(fault: TextFault, shared: tuple[str, ...]) -> str:
+    """Return the remedy for a file with a wrong name.
+
+    A file whose name ends in one of ``shared`` holds the programs of several arms, so only one may exist.
+    """
     return "remove all but one" if fault.file.endswith(shared) else "rename the file like its program"
 
 

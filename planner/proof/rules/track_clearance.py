@@ -59,7 +59,7 @@ MAX_LEVEL_HEIGHT = 1e-9
 
 @dataclasses.dataclass(frozen=True)
 class AxisMove:
-    """Motion of one axis between stations, or of a coordinated track.
+    """Motion of one axis between the stations of two setups, or of a coordinated track within a setup.
 
     Attributes:
         axis: Axis that moves.
@@ -83,7 +83,7 @@ def track_clearance(context: Context) -> RuleOutcome:
     """
     models, limit = context.get(MODELS), context.problem.settings.clearance
     findings, query_count = Findings(_CODE, context, worst=np.inf), 0
-    values = context.problem.axis_homes
+    values = context.problem.axis_homes  # current values of all axes by name, updated after each motion
     for index, setup in enumerate(context.setups):
         for fault in _check_model_poses(context, models(index), setup):
             findings.add(fault)
@@ -106,6 +106,7 @@ def track_clearance(context: Context) -> RuleOutcome:
                 )
                 findings.add(prefix + distance_text, measure_in_mm(motion.min_distance, limit), arm=arm)
             fault = _check_query_poses(context, models(index).cell, index, move, motion)
+            # Independent check of carried bodies along lines. An axis without an arm belongs to a turntable.
             if not fault and motion.clear:
                 table, tilt = setup.cell.turntable, values.get(TILT_AXIS, 0.0)
                 if arm is not None:
@@ -150,9 +151,18 @@ def track_clearance(context: Context) -> RuleOutcome:
 def _moving_axes(
     context: Context, index: int, setup: Setup, values: dict[str, float]
 ) -> list[tuple[TaskAxis, tuple[float, float]]]:
-    """Return the axes that move before setup ``index``, in the order of the text.
+    """Return the axes that move from their current values to the station of setup ``index``.
 
-    Each has its start and end value [m, rad]. ``values`` are those of all axes before, by name.
+    They are in the order in which the text moves them. Axes that keep their value are left out.
+
+    Args:
+        context: The proof.
+        index: Index of the setup.
+        setup: The setup.
+        values: Values [m, rad] of all axes before the setup, by name.
+
+    Returns:
+        Each axis with its start and end value [m, rad].
     """
     table, moving = context.problem.cell.turntable, []
     for arm in setup.cell.arms:
@@ -172,9 +182,10 @@ def _moving_axes(
 def _coordinated_tracks(
     context: Context, index: int, setup: Setup
 ) -> list[tuple[TaskAxis, tuple[float, float]]]:
-    """Return the coordinated tracks of setup ``index``.
+    """Return the coordinated tracks that move in setup ``index``, none in a setup without operations.
 
-    Each has the smallest and the largest value [m] in its arm's straight moves, within its range.
+    Each has the smallest and the largest value [m] at the targets of its arm's straight moves, clipped to its
+    range.
     """
     out = []
     for task in context.job.tasks if setup.operations else ():
@@ -194,7 +205,10 @@ def _coordinated_tracks(
 
 
 def _base_pose(context: Context, arm: Arm, values: Mapping[str, float]) -> FloatArray:
-    """Return the base pose (4, 4) of an arm at values [m] of the axes that carry it, by name."""
+    """Return the base pose (4, 4) of an arm in the world at ``values`` [m] by name of the axes that carry it.
+
+    It is the base at value 0 plus the translations of the axes, independent of the planner.
+    """
     out = np.array(context.bases[arm.name])
     out[:3, 3] += axis_translation(arm, values)
     return out
@@ -203,12 +217,14 @@ def _base_pose(context: Context, arm: Arm, values: Mapping[str, float]) -> Float
 def _base_motion(
     model: CellModel, setup: Setup, axis: TaskAxis, ends: tuple[float, float], limit: float
 ) -> AxisMotionCheck:
-    """Return the motion of the base of a coordinated track over its range in a setup.
+    """Measure distances while the base of a coordinated track moves between ``ends`` [m] in a setup.
 
-    Pairs without the base are not measured. The rest of the arm is checked while it works (verify.clearance).
+    All arms are at home. Only the distances of the base, and of bodies that the track carries, from
+    stationary bodies are measured. The rest of the arm is checked while it works (verify.clearance).
     """
     homes = {other.name: other.home for other in setup.cell.arms}
     bodies = sorted({solid.body for solid in model.solids})
+    # The usual query ignores all pairs. The check still measures what moves against what stands still.
     all_pairs = frozenset(map(frozenset, itertools.combinations(bodies, 2)))
     return external_axis_motion.check_linear_motion(model, axis.station_name, ends, homes, limit, all_pairs)
 
@@ -216,7 +232,8 @@ def _base_motion(
 def _arrival(context: Context, index: int, arm: str, axis: TaskAxis, value: float) -> tuple[int, int]:
     """Return the number of the stage, and the index of the move in it, with which an axis reaches a value.
 
-    It is the first such move of setup ``index``. Without one, the result is after all stages.
+    Axes are sorted by it. It is the first such move of the arm in setup ``index``. If there is none, the
+    number is that after the last stage, so that the axis comes last.
     """
     for number, _, task, moves in context.moves():
         if task.arm.name == arm and int(context.spans.of_stage[number]) == index:
@@ -228,9 +245,13 @@ def _arrival(context: Context, index: int, arm: str, axis: TaskAxis, value: floa
 
 
 def _model_before(context: Context, model: CellModel, setup: Setup, values: dict[str, float]) -> CellModel:
-    """Return the model of a setup with all axes at ``values``, which they have before one of them moves.
+    """Return the model of a setup with all axes at ``values``, as they are before one of them moves.
 
-    ``model`` has the axes at the values of the setup.
+    Args:
+        context: The proof.
+        model: Model of the cell, with the axes at the station of the setup.
+        setup: The setup.
+        values: Values [m, rad] of all axes before the motion, by name.
     """
     arms_on_axes = [arm for arm in setup.cell.arms if arm.linear_axes]
     model = model.with_bases({arm.name: _base_pose(context, arm, values) for arm in arms_on_axes})
@@ -250,10 +271,10 @@ def _model_before(context: Context, model: CellModel, setup: Setup, values: dict
 
 
 def _axis_motion(model: CellModel, setup: Setup, move: AxisMove, limit: float) -> AxisMotionCheck:
-    """Return the motion of one axis in a model of :func:`_model_before`.
+    """Measure distances while one axis moves from station to station, with all arms at home.
 
     Args:
-        model: Model of the cell before the motion.
+        model: Model of the cell before the motion (:func:`_model_before`).
         setup: Setup to which the axes move.
         move: Motion of the axis.
         limit: Required clearance [m].
@@ -272,7 +293,9 @@ def _axis_motion(model: CellModel, setup: Setup, move: AxisMove, limit: float) -
 def _check_query_poses(
     context: Context, cell: Cell, index: int, move: AxisMove, motion: AxisMotionCheck
 ) -> str:
-    """Compare the poses of carried bodies in the distance queries with the axis values.
+    """Check that the distance queries used the right poses of carried bodies, over the whole motion.
+
+    The expected poses are computed from the axis values by sums and rotations, without the planner's code.
 
     Args:
         context: The proof.
@@ -297,6 +320,7 @@ def _check_query_poses(
     in_setup = {body.name: body for body in cell.obstacles}
     if table is None:
         return "no turntable is stated"
+    # Poses are compared by four points: the origin and the ends of the three unit vectors.
     tips = np.concatenate([np.zeros((1, 3)), np.eye(3)])
     for query in motion.samples:
         current = {**values, axis.station_name: query.value}
@@ -331,11 +355,23 @@ def _check_carried_poses(
     axis: TaskAxis,
     motion: AxisMotionCheck,
 ) -> str:
-    """Compare the poses of a base and of carried bodies in the distance queries with sums of axis motions.
+    """Check that the distance queries for an axis under an arm used the right poses.
 
-    The expected pose is that of the problem at value 0, moved by the sum of all values times their
-    directions. The result is the fault as a text, "" if there is none.
+    The poses are those of the arm's base and of all bodies that the axis, or an axis on it, carries. The
+    expected pose is that of the problem at value 0, moved by the sum of all values times their directions.
+
+    Args:
+        context: The proof.
+        cell: Cell of the model.
+        arm: Arm on the axis.
+        values: Values [m, rad] of all axes before the motion, by name.
+        axis: Axis that moves.
+        motion: The motion with its queries.
+
+    Returns:
+        The fault as a text, "" if there is none.
     """
+    # axes_by_name lists the axes from the floor up, so later axes are carried by earlier ones.
     foot, names = f"{arm.name}/base_link", list(arm.axes_by_name)
     carried = {
         body
@@ -345,7 +381,7 @@ def _check_carried_poses(
     in_setup = {body.name: body for body in cell.obstacles}
     for query in motion.samples:
         current = {**values, axis.station_name: query.value}
-        if missing := {foot, *carried} ^ set(query.poses):
+        if missing := {foot, *carried} ^ set(query.poses):  # bodies that are in only one of both sets
             return f"distances were measured without {', '.join(sorted(missing))}"
         deviation = float(np.abs(query.poses[foot] - _base_pose(context, arm, current)).max())
         if deviation > AXIS_VALUE_TOLERANCE:
@@ -362,10 +398,18 @@ def _check_carried_poses(
 
 
 def _carried_shapes(context: Context, arm: Arm, values: Mapping[str, float]) -> dict[str, FloatArray]:
-    """Return the poses of the shapes of bodies that the axes of an arm carry, at axis values [m] by name.
+    """Return the expected poses of the shapes of bodies that the axes of an arm carry.
 
-    The poses (K, 4, 4) in the world are by the name of the body. They are those of the problem, moved by the
-    sum of the axis motions.
+    Poses that the planner uses are compared with them.
+
+    Args:
+        context: The proof.
+        arm: The arm.
+        values: Values [m] of its axes by name.
+
+    Returns:
+        Poses {body: (K, 4, 4)} in the world of the K shapes of each body: those of the problem, moved by the
+        sum of the axis motions.
     """
     zero = {body.name: body for body in context.problem.cell.obstacles}
     out = {}
@@ -377,9 +421,10 @@ def _carried_shapes(context: Context, arm: Arm, values: Mapping[str, float]) -> 
 
 
 def _check_model_poses(context: Context, model: CellModel, setup: Setup) -> Iterator[str]:
-    """Check the poses of carried bodies in the model of a setup, and yield faults as texts.
+    """Check the poses of bodies that linear axes carry in the model of a setup, and yield faults as texts.
 
-    They are checked in the proof's model, and in Drake, which measures some of the distances.
+    They are checked both in the proof's model and in Drake, which measures some of the distances. Each body
+    is reported at most once.
     """
     model_poses = model.poses({})
     drake = model.checker.UpdatePositions(np.concatenate([model.cell.arm(a).home for a in model.arms]))
@@ -404,10 +449,16 @@ def _check_carried_clearance(
 ) -> str:
     """Check that all bodies that a linear axis carries keep ``limit`` [m] from stationary bodies.
 
-    Some pairs of shapes are left out. For the base of the arm these are shapes of obstacles that end below
-    its foot: below a plane along the motion, in which the foot stays. For carried bodies these are shapes of
-    obstacles along which they slide, beside such a plane, over the whole range of the axis. Bodies that move
-    up or down must keep their distance from the floor at both ends; a base may stand on it.
+    Pairs of a carried shape and its support are left out, because they touch:
+
+    - The base of the arm: shapes of obstacles that end at or below its foot, up to
+      :data:`MAX_SUPPORT_ABOVE_FOOT_M` above it. The foot stays in a plane along the motion. If the z axis of
+      the base is nearly along the motion (:data:`MIN_UPRIGHT_PART`), there is no such foot, and nothing is
+      left out.
+    - Other carried bodies: shapes of obstacles along which they slide over the whole range of the axis.
+
+    If the axis is not horizontal, the bodies must also keep ``limit`` from the floor at both ends of the
+    motion. The base may stand on the floor.
 
     Args:
         context: The proof.
@@ -418,7 +469,8 @@ def _check_carried_clearance(
         limit: Required clearance [m].
 
     Returns:
-        Text about the bodies that come too close, "" if none do.
+        Text about the first bodies that come too close, or whose distance no line proves, "" if there are
+        none.
     """
     arm, foot = model.cell.arm(str(axis.arm)), f"{axis.arm}/base_link"
     direction = np.array(axis.direction)
@@ -452,6 +504,7 @@ def _check_carried_clearance(
 
     start_poses = placed(motion.samples[0])
     base = _base_pose(context, arm, dict(values))
+    # Upward direction of the base: the part of its z axis perpendicular to the motion.
     up = base[:3, 2] - (base[:3, 2] @ direction) * direction
     length = float(np.linalg.norm(up))
     up = up / max(length, MIN_UPRIGHT_PART)
@@ -510,9 +563,13 @@ def _check_stock_clearance(
 ) -> str:
     """Check that the bodies that a turn axis or tilt axis carries keep ``limit`` [m] from stationary bodies.
 
-    The poses of carried bodies are those of the queries. The plate of the turntable is left out while it
-    turns. While plate and bracket tilt, pairs of their shapes and others are left out that no tilt brings
-    closer: one shape is round about the axis, or both lie one after the other along it.
+    The poses of carried bodies are those of the queries. These pairs are left out, because they touch or
+    nearly touch:
+
+    - While the turn axis moves: all pairs with the plate of the turntable, which supports the block.
+    - While the tilt axis moves: pairs of a carried shape and a stationary shape if one of them is round about
+      the axis, or if one follows the other along the axis within a bearing's gap. No tilt brings these
+      closer. This exception does not apply to the block and its support (``TURNTABLE_BODIES``).
 
     Args:
         model: Model of the cell before the motion.
@@ -523,7 +580,8 @@ def _check_stock_clearance(
         limit: Required clearance [m].
 
     Returns:
-        Text about the bodies that come too close, "" if none do.
+        Text about the first bodies that come too close, or whose distance no line proves, "" if there are
+        none.
     """
     pivot = table.axes[axis.station_name]
     ends = np.stack([pivot.centre, pivot.centre + pivot.axis])
@@ -539,6 +597,7 @@ def _check_stock_clearance(
         return ""
 
     def placed(query: AxisSample) -> list[FloatArray]:
+        """Return the poses (4, 4) of the carried shapes at a query."""
         return [query.poses[solid.body] @ solid.shape.pose for solid in carried]
 
     start_poses = placed(motion.samples[0])
@@ -563,6 +622,7 @@ def _check_stock_clearance(
     tips = np.concatenate(
         [transform(at, hull_points(s.shape)) for s, at in zip(carried, start_poses, strict=True)]
     )
+    # Lever [m/rad]: largest distance of a carried point from the axis.
     lever = float(np.linalg.norm(np.cross(tips - centre, along), axis=1).max())
     moving = CarriedSolids(solids=carried, poses_at=placed, lever=lever)
     return unproven_clearance(axis, motion, moving, (still, still_poses), left_out, limit)

@@ -61,8 +61,8 @@ class _Slot:
     Attributes:
         stage: Number of the stage.
         steps: Steps of each task by its name.
-        motion_follows: Whether a move follows.
-        segment: Key of the segment of the previous move, as the text names it, "" for none.
+        motion_follows: Whether a move of the stage follows.
+        segment: Key of the segment of the previous move, as the text names it, "" before the first move.
     """
 
     stage: int
@@ -125,7 +125,12 @@ def _unclaimed_power(context: Context) -> list[Issue]:
 
 
 def _slots(context: Context) -> Iterator[_Slot]:
-    """Yield all slots in order of time. Tasks without moves in a stage act in the first slot of its moves."""
+    """Yield all slots in order of time.
+
+    N moves give N + 1 slots: before the first move, and after each move. Tasks that move together share
+    slots. If tasks move one after the other, each has its own slots. All steps of tasks without moves are in
+    the first slot. A stage without moves is one slot.
+    """
     segment = ""
     for number, stage in enumerate(context.job.stages):
         movers = [task.name for task in context.job.tasks if stage.moves(task.name)]
@@ -142,13 +147,15 @@ def _slots(context: Context) -> Iterator[_Slot]:
 
 
 def _segment(stage: JobStage, task: str, i: int) -> str:
-    """Return the key of the segment of a task's move i in a stage, or of its last move."""
+    """Return the key of the segment of a task's move ``i`` in a stage, at most of its last move."""
     moves = stage.moves(task)
     return segment_of_name(moves[min(i, len(moves) - 1)].procedure).key
 
 
 class _PowerWalk:
-    """Follows one signal of one controller through all slots, and collects the issues.
+    """Follows one power signal of one controller through all slots, and collects the issues.
+
+    It sums the time for which the signal is on since the last move.
 
     Attributes:
         context: The proof.
@@ -179,10 +186,11 @@ class _PowerWalk:
         self.worst = 0.0
 
     def process(self, slot: _Slot) -> None:
-        """Process one slot.
+        """Process one slot: add the time with power, and report steps that may take any time meanwhile.
 
-        First the steps of the task that switches the signal count. If it leaves the power on, the steps of
-        the other tasks count, too, because the switching task waits for them.
+        First the steps of the controller's task that switches the signal are processed; without such a task
+        there are none. If the signal is on after them, the time is that of the slowest task of the slot,
+        because the tasks wait for each other. A move ends the standstill.
         """
         power = self.power
         switching_task = next(
@@ -216,10 +224,16 @@ class _PowerWalk:
             power.switching_task, power.on_time = "", 0.0
 
     def _switched(self, steps: Sequence[ProgramStep]) -> bool:
+        """Return whether one of the steps sets the signal."""
         return any(isinstance(step, SignalStep) and step.signal.lower() == self.key for step in steps)
 
     def _check_on_time(self, slot: _Slot) -> None:
-        """Report power that has been on for too long since the last move."""
+        """Report power that has been on for too long since the last move.
+
+        Allowed are the time to heat up or run up, if the signal was switched on since that move, plus the
+        wait that a G-code file states in the segment, with a factor and a constant. After an issue the time
+        starts again.
+        """
         setup = int(self.context.spans.of_stage[slot.stage])
         contacts = self.context.setup_claims[setup].contacts
         heat = (claim.heat_up for claim in contacts if claim.signal.lower() == self.key)
@@ -239,7 +253,12 @@ class _PowerWalk:
         self.power.on_time = 0.0
 
     def _check_unbounded(self, slot: _Slot, name: str, step: ProgramStep) -> None:
-        """Report a step of a task that may take any time, or stop the program, while the power is on."""
+        """Report a step of task ``name`` that may take any time, or stop the program, while the power is on.
+
+        These are questions, waits for a signal or for an unknown time (except WaitRob, which waits for the
+        arm to stop), and branches that loop, wait or stop. A question by the switching task is allowed while
+        a wire joins the arms (``mounted``).
+        """
         if isinstance(step, MessageStep) and step.confirm:
             if name == self.power.switching_task and slot.stage in self.mounted:
                 return  # an elastic wire is tensioned while hot, before it moves
@@ -262,14 +281,17 @@ class _PowerWalk:
 
 
 def _takes_time(step: ProgramStep) -> bool:
-    """Return whether a step of a branch takes time."""
+    """Return whether a step of a branch takes time: a loop, a wait or a question, in any depth."""
     if isinstance(step, ChoiceStep):
         return step.repeats or any(_takes_time(inside) for inside in step.steps)
     return isinstance(step, WaitStep) or (isinstance(step, MessageStep) and step.confirm)
 
 
 def _may_stop_with_power(choice: ChoiceStep, key: str) -> bool:
-    """Return whether a branch stops the arm or the program without switching the signal off first."""
+    """Return whether a branch stops the arm or the program before it switches the signal ``key`` off.
+
+    Every setting in a branch counts as a stop. ``key`` is the name of the signal in lower case.
+    """
     for step in choice.steps:
         if isinstance(step, SignalStep) and step.signal.lower() == key and not step.value:
             return False
@@ -281,7 +303,10 @@ def _may_stop_with_power(choice: ChoiceStep, key: str) -> bool:
 
 
 def _longest_wait(slot: _Slot) -> tuple[str, ProgramStep | None]:
-    """Return the longest wait in a slot, and its task. Without waits it is None, with the first task."""
+    """Return the task and the step of the longest wait in a slot, at which an issue is reported.
+
+    If there is no wait, the result is the first task and None.
+    """
     waits = [
         (step.pause, name, step)
         for name, steps in slot.steps.items()
@@ -293,7 +318,10 @@ def _longest_wait(slot: _Slot) -> tuple[str, ProgramStep | None]:
 
 
 def _longest_dwells(context: Context) -> dict[tuple[int, str], float]:
-    """Return the longest wait [s] that a G-code file states at one position, by setup and segment."""
+    """Return the longest wait [s] that a G-code file states at one position.
+
+    It is given by the index of the setup and the key of the segment. Power may be on meanwhile.
+    """
     out: dict[tuple[int, str], float] = {}
     for claim in context.claims:
         if claim.longest_stop is not None:
@@ -303,13 +331,15 @@ def _longest_dwells(context: Context) -> dict[tuple[int, str], float]:
 
 
 def _slow_moves(context: Context, signal: str, controller_tasks: Collection[str]) -> list[Issue]:
-    """Report moves that take much longer than at the lowest feed while a wire is hot.
+    """Report moves that take much longer than at the lowest claimed feed while a wire is hot.
 
-    The wire is heated by ``signal`` of the controller with the tasks ``controller_tasks``.
+    A wire that creeps burns the foam. Only setups whose operations heat a wire by ``signal``, a signal of the
+    controller with the tasks ``controller_tasks``, are examined.
     """
     motion = context.motion
     if not len(motion.node_sample):
         return []
+    # Flags (K,): whether the signal is on in the middle of each move.
     on = (
         motion.signal_on_time(
             signal, controller_tasks, motion.time[motion.node_sample] - 0.5 * motion.node_duration
@@ -321,6 +351,7 @@ def _slow_moves(context: Context, signal: str, controller_tasks: Collection[str]
         if all(claim.signal.lower() != signal.lower() for claim in setup.contacts):
             continue
         min_feed = min((c.lower for c in context.feeds if context.setup_of(c) == index), default=0.0)
+        # lever [m]: half of the longest heated wire, the distance of its ends from its middle.
         lever = 0.5 * max((c.heated_length for group in setup.groups for c in group), default=0.0)
         rows = np.flatnonzero(on & (context.spans.of_stage[motion.node_stage] == index))
         if min_feed <= 0.0 or lever <= 0.0 or not len(rows):
@@ -340,7 +371,11 @@ def _slow_moves(context: Context, signal: str, controller_tasks: Collection[str]
 
 
 def _path_lengths(context: Context, arm: str, lever: float) -> FloatArray:
-    """Return upper bounds (K,) [m] of the path in each move of points at ``lever`` [m] from the TCP."""
+    """Return upper bounds (K,) [m] of the path in each move of points at ``lever`` [m] from the TCP.
+
+    The points lie on the tool's x or z axis. The ends of a move are the samples at its node and at the node
+    before. A rotation moves such a point by at most the lever times the change of the axis' unit vector.
+    """
     motion = context.motion
     rows = motion.node_sample
     previous = np.concatenate([[0], rows[:-1]])
@@ -371,15 +406,24 @@ def meeting_time(context: Context) -> RuleOutcome:
 
 
 def _check_handshake_waits(context: Context) -> Iterator[Issue]:
-    """Report waits for the other controller that are too short or too long.
+    """Report waits for the other controller that are too short, too long, or without a limit.
 
-    A wait is too short if the other program may legitimately take longer before it answers: for a question to
-    its operator, for its moves, or for external axes. It is too long if nothing takes that long.
+    A wait must last at least
+
+    - the patience of the handshake, if the other program meanwhile asks its operator, or moves while this
+      one does not;
+    - otherwise the smaller one of timeout and patience;
+    - in both cases plus the time for which the other program moves external axes in that interval.
+
+    It must not last longer than the larger one of timeout and patience, plus 1 s and the time of all moves,
+    waits and axis motions of the other program, because nothing takes that long.
     """
     automata, handshake = context.job.automata_by_arm or {}, context.problem.cell.controller.handshake
     tasks = context.job.tasks
     for task, other in (tasks, tasks[::-1]):
         automaton, other_automaton = automata[task.name], automata[other.name]
+        # Intervals in which the other program may take as long as the patience: it asks, or it moves and this
+        # one does not. midway: meetings at which it asks, if its programs start anew after each stop.
         long_intervals = _intervals_with(other, other_automaton, _asks)
         midway = long_intervals.copy() if language_of_task(other).restarts is not None else set[int]()
         long_intervals |= _intervals_with(other, other_automaton, _moves) - _intervals_with(
@@ -411,7 +455,10 @@ def _check_handshake_waits(context: Context) -> Iterator[Issue]:
 def _intervals_with(
     task: TaskText, automaton: ProgramAutomaton, chosen: Callable[[ProgramStep], bool]
 ) -> set[int]:
-    """Return the numbers of the intervals between meetings in which a program has a chosen step."""
+    """Return the numbers of the intervals between meetings in which a program has a step that is ``chosen``.
+
+    Interval n follows meeting n; interval 0 is before the first meeting.
+    """
     return {number for number, step in zip(automaton.interval, task.steps, strict=True) if chosen(step)}
 
 
@@ -460,6 +507,7 @@ def _protocol_waits(
                 yield step, None
         elif isinstance(step, WaitStep):
             # The leading program sets its signal and waits until the other one answers with the same value.
+            # is_held: the follower waits for the second phase while the leader asks a question.
             leads = last_signal is not None and last_signal.value == step.value
             both_arrived = kind == "four_phase" and not step.value
             waiting_interval = number - 1 if leads else number
@@ -474,10 +522,12 @@ def _protocol_waits(
 
 
 def _asks(step: ProgramStep) -> bool:
+    """Return whether a step asks the operator."""
     return isinstance(step, MessageStep) and step.confirm
 
 
 def _moves(step: ProgramStep) -> bool:
+    """Return whether a step is a move."""
     return isinstance(step, MoveStep)
 
 

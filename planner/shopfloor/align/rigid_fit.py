@@ -70,7 +70,7 @@ def rigid_fit(a: FloatArray, b: FloatArray, weight: FloatArray) -> FloatArray:
 def align(
     a: FloatArray, b: FloatArray, names: Sequence[str], arms: tuple[str, str], used: BoolArray | None = None
 ) -> Alignment:
-    """Compute the second robot's base in that of the first.
+    """Compute the second robot's base in that of the first, from points that both robots have probed.
 
     Args:
         a: Points (N, 3) [m] in the base of the first robot.
@@ -242,7 +242,13 @@ def _extents(points: FloatArray) -> FloatArray:
 
 
 def _require_points(a: FloatArray, b: FloatArray, names: Sequence[str], arms: tuple[str, str]) -> None:
-    """Raise an error of `align` if points are too few, in one position, on a line, scaled or mirrored."""
+    """Check that the used points (N, 3) [m] of both robots determine the base of the second one.
+
+    Raises:
+        TandemError: ``align.few_points`` for fewer than three, ``align.same_points`` if they are in one
+            position, ``align.collinear`` if they are on a line, ``align.units`` if the scales differ, or
+            ``align.mirrored`` if one set is a mirror image of the other.
+    """
     if len(a) < 3:
         count_text = f"{len(a)} probed point{'' if len(a) == 1 else 's'} ({', '.join(names)})"
         raise _refuse(
@@ -265,6 +271,7 @@ def _require_points(a: FloatArray, b: FloatArray, names: Sequence[str], arms: tu
             min_distance = max(NARROW_WIDTH_RATIO * 3 * length / MM, 10)
             hint = f"probe one more point off the line by {min_distance:.0f} mm or more"
             raise _refuse("align.collinear", text, hint)
+    # ratio of the root mean square distances from the centroids
     ratio = float(np.sqrt(((b - b.mean(axis=0)) ** 2).sum() / ((a - a.mean(axis=0)) ** 2).sum()))
     if not 0.8 < ratio < 1.25:
         raise _refuse(

@@ -73,8 +73,9 @@ class ComparisonResult:
 
 
 def compare(rws: Rws, problem: Problem, programs: Mapping[str, str], arms: Sequence[Arm]) -> ComparisonResult:
-    """Compare bases, tools, work objects, signals, tasks, options and robots of a controller with programs.
+    """Compare the data of an ABB controller with the programs before they are loaded.
 
+    Compared are RobotWare, options, tasks, base frames, robot types, signals, tools, work objects and loads.
     If one of them cannot be read, that is reported and the others are still compared.
 
     Args:
@@ -158,7 +159,13 @@ def _tasks(reported: Sequence[str], problem: Problem, tasks: Sequence[TaskText])
 def _robots(
     reported: Mapping[str, Mapping[str, str]], context: Context, tasks: Sequence[TaskText]
 ) -> list[str]:
-    """Return differences of base frames and robot types from those ``reported``, by robot and key."""
+    """Return the differences of base frames and robot types between programs and controller, as sentences.
+
+    ``reported`` has the configuration values of the controller (MOC) by robot and key.
+
+    Raises:
+        TandemError: ``upload.controller`` if a reported base frame cannot be read or is invalid.
+    """
     out = []
     order = [arm.name for arm in context.problem.cell.arms]
     named = {name.lower(): values for name, values in reported.items()}
@@ -190,6 +197,7 @@ def _robots(
             )
             out.append(text + f"off the program's, allowed {BASE_SHIFT} mm and {BASE_TURN} deg")
         model = values.get("use_robot_type", "")
+        # the first two numbers of the robot's name, such as payload and reach
         model_numbers = re.findall(r"\d+", task.arm.robot)[:2]
         if (
             model
@@ -206,9 +214,13 @@ def _pose_difference(a: FloatArray, b: FloatArray) -> tuple[float, float]:
 
 
 def _signals(reported: Mapping[str, str], tasks: Sequence[TaskText]) -> list[str]:
-    """Return a difference for each signal of the programs that is missing or of another type.
+    """Return a sentence for each signal of the programs that the controller does not have with that type.
 
-    ``reported`` has the types (DO, DI) by signal; an empty type raises ``upload.controller``.
+    A signal that a program sets has to be an output (DO), one that it waits for an input (DI). ``reported``
+    has the types of the controller's signals by name.
+
+    Raises:
+        TandemError: ``upload.controller`` if the type of a required signal is empty.
     """
     type_by_name = {name.lower(): kind.upper() for name, kind in reported.items()}
     out = []

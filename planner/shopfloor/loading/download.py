@@ -37,7 +37,7 @@ def folder(store: Store, name: str) -> str:
 
 
 def fetch(store: Store, folder: str) -> dict[str, bytes]:
-    """Fetch the contents of all files in a folder and its subfolders, by their paths in it.
+    """Fetch the contents of all files in a folder of a controller and its subfolders, by relative path.
 
     Raises:
         TandemError: ``upload.missing`` if there is no such folder, it has no files, or it is too large;

@@ -186,7 +186,11 @@ class Link:
     def _once(
         self, method: str, path: str, body: bytes | None, headers: Mapping[str, str]
     ) -> tuple[Answer, str]:
-        """Send a request once, and return the answer and its WWW-Authenticate header. Raises as `ask`."""
+        """Send a request once, and return the answer and its WWW-Authenticate header.
+
+        Errors are those of `ask`. A cookie and a digest challenge in the answer are kept for later requests.
+        ``_sent`` is set if the request contained the login, so that `ask` knows whether it was refused.
+        """
         request_headers: dict[str, str | bytes] = dict(headers)
         self._sent = bool(self.basic or self._challenge)
         if self.basic:

@@ -44,9 +44,10 @@ _TABLES: Final = {"t": "TOOL", "b": "BASE", "l": "LOAD"}
 
 
 def compare(store: Store, files: Mapping[str, bytes], arms: Sequence[Arm]) -> ComparisonResult:
-    """Compare base, tools, bases and loads of KUKA programs with the files of the controller.
+    """Compare the data of KUKA programs with the files $machine.dat and $config.dat of the controller.
 
-    Everything else is reported as not compared. ``files`` has the contents of the program files by name.
+    Compared are the base of the robot ($ROBROOT), tools, bases and loads. Everything else is reported as not
+    compared. ``files`` has the contents of the program files by name.
 
     Raises:
         TandemError: ``upload.controller`` if the folder cannot be read.
@@ -62,7 +63,7 @@ def compare(store: Store, files: Mapping[str, bytes], arms: Sequence[Arm]) -> Co
     fault = _BASE_ON_TRACK if any("$ROBROOT_C" in text for text in texts) else _robroot_fault(machine)
     if fault is None:
         agreed.append("$ROBROOT")
-    elif fault.startswith("$ROBROOT is"):
+    elif fault.startswith("$ROBROOT is"):  # a difference; other texts say why it was not compared
         differs.append(Issue("upload.differs", fault, field="$ROBROOT"))
     else:
         not_compared.append(fault)
@@ -136,15 +137,19 @@ def _pose(text: str) -> FloatArray | None:
 def _datum(config: str, word: str, name: str, value: str) -> tuple[str, bool]:
     """Compare a datum of the programs with the text of $config.dat.
 
-    ``word`` is its type, FRAME or LOAD; the first letter of its ``name`` selects the table. Returns what was
-    compared with the result, beginning with ! if it differs; and whether it agrees.
+    ``word`` is its type, FRAME or LOAD. The first letter of its ``name`` selects the table of the controller.
+    The entry is found by its name, or for a FRAME without such a name by its value.
+
+    Returns:
+        A description of the comparison, and whether the datum agrees. If it differs, the description begins
+        with ``!``. Otherwise a datum that does not agree has nothing to be compared with.
     """
     table = _TABLES[name[0].lower()]
     entries: dict[str, dict[int, str]] = {"DATA": {}, "NAME": {}}
     for kind_, column, number, text in _ENTRY.findall(config):
         if kind_.upper() == table:
             entries[column.upper()][int(number)] = text.strip('"')
-    short_name = name[2:].lower()
+    short_name = name[2:].lower()  # without the letter of the table and the character after it
     named = [k for k, text in entries["NAME"].items() if text.strip().lower() in (name.lower(), short_name)]
     for number in named:
         stored_value = entries["DATA"].get(number)

@@ -289,6 +289,7 @@ class Rws:
         return issue_error("upload.controller", text, hint=hint)
 
     def _unwritten(self, name: str, answer: Answer) -> TandemError:
+        """Return the error that a file could not be written, and whether the disk is full."""
         is_disk_full = (
             answer.status == 507 or b"space" in answer.body.lower() or b"full" in answer.body.lower()
         )

@@ -65,14 +65,14 @@ class MountedFolder:
         try:
             return {p.name: p.is_dir() for p in path.iterdir()} if path.is_dir() else None
         except OSError as error:
-            raise _unread(path, error) from error
+            raise _mount_read_error(path, error) from error
 
     def make(self, folder: str) -> None:
         """See :class:`Store`."""
         try:
             (self.root / folder).mkdir()
         except OSError as error:
-            raise _unwritten(folder, error) from error
+            raise _write_error(folder, error) from error
 
     def write(self, name: str, content: bytes) -> None:
         """See :class:`Store`; an existing file is never overwritten."""
@@ -80,7 +80,7 @@ class MountedFolder:
             with (self.root / name).open("xb") as stream:
                 stream.write(content)
         except OSError as error:
-            raise _unwritten(name, error) from error
+            raise _write_error(name, error) from error
 
     def read(self, name: str) -> bytes | None:
         """See :class:`Store`."""
@@ -88,7 +88,7 @@ class MountedFolder:
         try:
             return path.read_bytes() if path.is_file() else None
         except OSError as error:
-            raise _unread(path, error) from error
+            raise _mount_read_error(path, error) from error
 
     def remove(self, name: str) -> bool:
         """See :class:`Store`."""
@@ -106,7 +106,7 @@ class MountedFolder:
         """See :class:`Store`."""
 
 
-def _unread(path: Path, error: OSError) -> TandemError:
+def _mount_read_error(path: Path, error: OSError) -> TandemError:
     text = f"{path} cannot be read ({error.strerror or error})"
     return issue_error("upload.controller", text, hint="check that the share is mounted, and its permissions")
 
@@ -119,8 +119,11 @@ in lists and replies.
 """
 
 
-def _text(line: str) -> str:
-    """Decode a line of a server. Bytes that are not UTF-8 are escaped so that :func:`_wire` restores them."""
+def _decode_line(line: str) -> str:
+    """Decode a line from a server.
+
+    Bytes that are not UTF-8 are escaped, so that :func:`_encode_line` restores them.
+    """
     return line.encode(WIRE, "replace").decode("utf-8", "surrogateescape")
 
 
@@ -129,8 +132,8 @@ def _error_text(error: Exception) -> str:
     return str(error).encode(WIRE, "replace").decode("utf-8", "replace") or type(error).__name__
 
 
-def _wire(text: str) -> str:
-    """Encode a text for the connection; the inverse of :func:`_text`.
+def _encode_line(text: str) -> str:
+    """Encode a text for the connection; the inverse of :func:`_decode_line`.
 
     Raises ``TandemError`` (``upload.address``) for control characters, which could start further commands.
     """
@@ -180,11 +183,11 @@ class Ftp:
             if isinstance(link, _Channel):
                 link.auth()
                 link.trust.check(link.sock, self._url)
-            link.login(_wire(login.user), _wire(login.password))
+            link.login(_encode_line(login.user), _encode_line(login.password))
             if isinstance(link, _Channel):
                 link.prot_p()
-            link.cwd(_wire(unquote(parts.path)) or "/")
-            self._root = _text(link.pwd()).rstrip("/")
+            link.cwd(_encode_line(unquote(parts.path)) or "/")
+            self._root = _decode_line(link.pwd()).rstrip("/")
         except ftplib.error_perm as error:
             message = f"{url}: user {login.user!r} or the folder is refused ({_error_text(error)[:60]})"
             raise issue_error("upload.login", message) from error
@@ -196,7 +199,7 @@ class Ftp:
             message = f"{url} cannot be reached ({_error_text(error)}), waited up to {timeout:g} s"
             hint = "check that the server is on and reachable, and try again"
             raise issue_error("upload.controller", message, hint=hint) from error
-        self._link = link
+        self._connection = link
 
     def _secure(self, trust: Trust, timeout: float) -> _Channel:
         """Return a channel with TLS that is not connected yet."""
@@ -206,41 +209,45 @@ class Ftp:
         return link
 
     def listing(self, folder: str) -> dict[str, bool] | None:
-        """See :class:`Store`.
+        """Return whether each entry of a folder is a folder, by name; None if there is no such folder.
 
-        It uses MLSD (RFC 3659) if the server supports it, else LIST.
+        The command is MLSD (RFC 3659) if the server supports it, else LIST.
+
+        Raises:
+            TandemError: ``upload.controller`` if the server does not answer.
         """
         path = self._path(folder)
         try:
-            self._link.cwd(_wire(path))
+            self._connection.cwd(_encode_line(path))
         except ftplib.error_perm:
             return None
         except ftplib.all_errors as error:
-            raise self._gone(path, error) from error
+            raise self._read_error(path, error) from error
         try:
-            # fact values are case-insensitive (RFC 3659, 7.2)
-            rows = [
-                (_text(name), facts.get("type", "").lower()) for name, facts in self._link.mlsd(_wire(path))
+            # values of facts are case-insensitive (RFC 3659, 7.2); entries such as "cdir" are not contents
+            entries = [
+                (_decode_line(name), facts.get("type", "").lower())
+                for name, facts in self._connection.mlsd(_encode_line(path))
             ]
-            return {name: kind == "dir" for name, kind in rows if kind in ("dir", "file")}
+            return {name: kind == "dir" for name, kind in entries if kind in ("dir", "file")}
         except ftplib.error_perm:
-            return self._listed(path)
+            return self._list_by_command(path)
         except ftplib.all_errors as error:
-            raise self._gone(path, error) from error
+            raise self._read_error(path, error) from error
 
-    def _listed(self, path: str) -> dict[str, bool]:
+    def _list_by_command(self, path: str) -> dict[str, bool]:
         """Return the entries of the current folder by the command LIST; ``path`` is for messages."""
         lines: list[str] = []
         try:
-            self._link.retrlines("LIST", lines.append)
+            self._connection.retrlines("LIST", lines.append)
         except ftplib.error_perm as error:
             if str(error).startswith("550"):  # some servers answer 550 for an empty folder
                 return {}
-            raise self._gone(path, error) from error
+            raise self._read_error(path, error) from error
         except ftplib.all_errors as error:
-            raise self._gone(path, error) from error
+            raise self._read_error(path, error) from error
         out = {}
-        for line in map(_text, lines):
+        for line in map(_decode_line, lines):
             if line.startswith("total "):
                 continue
             entry = _UNIX.match(line) or _DOS.match(line)
@@ -254,16 +261,16 @@ class Ftp:
     def make(self, folder: str) -> None:
         """See :class:`Store`."""
         try:
-            self._link.mkd(_wire(self._path(folder)))
+            self._connection.mkd(_encode_line(self._path(folder)))
         except ftplib.all_errors as error:
-            raise _unwritten(folder, error) from error
+            raise _write_error(folder, error) from error
 
     def write(self, name: str, content: bytes) -> None:
         """See :class:`Store`."""
         try:
-            self._link.storbinary(f"STOR {_wire(self._path(name))}", io.BytesIO(content))
+            self._connection.storbinary(f"STOR {_encode_line(self._path(name))}", io.BytesIO(content))
         except ftplib.all_errors as error:
-            raise _unwritten(name, error) from error
+            raise _write_error(name, error) from error
 
     def read(self, name: str) -> bytes | None:
         """See :class:`Store`."""
@@ -277,18 +284,18 @@ class Ftp:
             out.write(part)
 
         try:
-            self._link.retrbinary(f"RETR {_wire(self._path(name))}", keep)
+            self._connection.retrbinary(f"RETR {_encode_line(self._path(name))}", keep)
         except ftplib.error_perm:
             return None
         except ftplib.all_errors as error:
-            raise self._gone(self._path(name), error) from error
+            raise self._read_error(self._path(name), error) from error
         return out.getvalue()
 
     def remove(self, name: str) -> bool:
         """See :class:`Store`."""
-        for delete in (self._link.delete, self._link.rmd):
+        for delete in (self._connection.delete, self._connection.rmd):
             try:
-                delete(_wire(self._path(name)))
+                delete(_encode_line(self._path(name)))
             except ftplib.error_perm:
                 continue
             except ftplib.all_errors:
@@ -300,18 +307,18 @@ class Ftp:
 
     def close(self) -> None:
         """See :class:`Store`."""
-        self._link.close()
+        self._connection.close()
 
     def _path(self, name: str) -> str:
         return f"{self._root}/{name}" if name else self._root or "/"
 
-    def _gone(self, path: str, error: Exception) -> TandemError:
-        """Return the error that a folder or file cannot be read."""
+    def _read_error(self, path: str, error: Exception) -> TandemError:
+        """Return the error that a folder or file cannot be read, because the server refuses or is gone."""
         message = f"{self._url}{path}: {_error_text(error)}"
         return issue_error("upload.controller", message, hint="check that the server answers, and try again")
 
 
-def _unwritten(name: str, error: Exception) -> TandemError:
+def _write_error(name: str, error: Exception) -> TandemError:
     """Return the error that a folder or file cannot be written, and whether the disk is full."""
     reason = error.strerror if isinstance(error, OSError) and error.strerror else _error_text(error)
     is_full = is_disk_full(error) or re.search(r"\b(?:452|552)\b|space|quota", str(error), re.IGNORECASE)

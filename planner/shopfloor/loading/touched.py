@@ -1,6 +1,6 @@
 """Changes that somebody made to programs on a controller: by target and statement, with values.
 
-Two texts are compared by statements. Different prints (160 for 160.0000, CR LF, joined lines) are no changes.
+Two texts are compared by statements. Other notations (160 for 160.0000, CR LF, joined lines) do not count.
 Positions are in mm and rotations in degrees: in RAPID from quaternions, in KRL from A, B, C, which are A
 about z, B about the new y, C about the new x (KUKA, KSS operating and programming instructions).
 """
@@ -79,17 +79,16 @@ def _first_line(first: str, second: str) -> list[str]:
 
 def changes(name: str, first: str, second: str) -> list[str]:
     """Describe the changes of a RAPID or KRL file ``name`` from the text ``first`` to ``second``."""
-    old, new = pieces(name, first), pieces(name, second)
     is_krl = kind(name) == "krl"
     out: list[str] = []
-    for a, b in _match_statements(old, new):
-        if a is not None and b is not None:
-            if not a.shape.same(b.shape):
-                out += _changed(a, b, is_krl)
-        elif b is not None:
-            out.append(f"{b.location}: {_type_of(b)} is new: {_shown(b.text)}")
-        elif a is not None:
-            out.append(f"{a.location} of the result: {_type_of(a)} is gone: {_shown(a.text)}")
+    for old, new in _match_statements(pieces(name, first), pieces(name, second)):
+        if old is not None and new is not None:
+            if not old.shape.same(new.shape):
+                out += _changed(old, new, is_krl)
+        elif new is not None:
+            out.append(f"{new.location}: {_type_of(new)} is new: {_shown(new.text)}")
+        elif old is not None:
+            out.append(f"{old.location} of the result: {_type_of(old)} is gone: {_shown(old.text)}")
     return out
 
 
@@ -147,8 +146,12 @@ def _changed(old: Piece, new: Piece, is_krl: bool) -> list[str]:
     data = [(_KRL_DATUM if is_krl else _RAPID_DATUM).match(piece.text) for piece in (old, new)]
     types = [_type_of(piece) for piece in (old, new)]
     if data[0] and data[1] and types[1] == "statement" and _datum_name(data[0]) == _datum_name(data[1]):
-        a, b = data[0].group(3), data[1].group(3)
-        change_texts = _krl_value(a, b) if is_krl else _rapid_value(data[1].group(1), a, b)
+        old_value, new_value = data[0].group(3), data[1].group(3)
+        change_texts = (
+            _krl_difference(old_value, new_value)
+            if is_krl
+            else _rapid_difference(data[1].group(1), old_value, new_value)
+        )
         title = " ".join(word for word in data[1].groups()[:2] if word)
         return [f"{title} (line {new.line}): {change}" for change in change_texts]
     type_text = types[0] if types[0] == types[1] else f"{types[0]}, now {types[1]},"
@@ -179,7 +182,7 @@ def _rapid_move(old: str, new: str) -> list[str]:
             continue
         targets = [_BRACKETS.match(text.strip()) for text in (a, b)]
         if label == "target" and targets[0] and targets[1]:
-            out += _rapid_value("", targets[0].group(), targets[1].group())
+            out += _rapid_difference("", targets[0].group(), targets[1].group())
             # what follows the target in brackets, such as \ID
             a, b = (
                 text.strip()[len(target.group()) :]
@@ -205,68 +208,84 @@ def _arguments(text: str) -> list[str]:
     return out
 
 
-def _rapid_value(word: str, old: str, new: str) -> list[str]:
-    """Describe the difference of two RAPID values; empty if they are equal.
+def _rapid_difference(data_type: str, old: str, new: str) -> list[str]:
+    """Describe the difference of two RAPID values in words; empty if they are equal.
 
-    ``word`` is the data type, "" if it is not stated: then 17 numbers are a robtarget, and 12 a jointtarget.
+    A value that was touched up at the controller is described by the motion of its pose or axes. Other values
+    are shown before and after. ``data_type`` is "" if it is not stated: then 17 numbers are a robtarget, and
+    12 a jointtarget.
     """
-    first, second = text_shape(old), text_shape(new)
-    if first.same(second):
+    old_shape, new_shape = text_shape(old), text_shape(new)
+    if old_shape.same(new_shape):
         return []
-    if first.words == second.words:
-        a, b = (np.array(shape.numbers) for shape in (first, second))
-        differing = set(first.differing_numbers(second))
-        if len(a) == 17 and word.lower() in ("", "robtarget"):
-            external = _axes("external axis", a, b, differing, 11)
-            return [", ".join([*_moved(a, b, differing), *_configured(a, b, differing), *external])]
-        if len(a) == 12 and word.lower() in ("", "jointtarget"):
-            external = _axes("external axis", a, b, differing, 6)
-            return [", ".join([*_axes("axis", a, b, differing, 0, 6), *external])]
-        if len(a) == 14 and word.lower() == "wobjdata":
+    if old_shape.words == new_shape.words:
+        old_numbers, new_numbers = np.array(old_shape.numbers), np.array(new_shape.numbers)
+        count = len(old_numbers)
+        differing = set(old_shape.differing_numbers(new_shape))
+        # robtarget: position (3), quaternion (4), configuration (4), external axes (6)
+        if count == 17 and data_type.lower() in ("", "robtarget"):
+            pose_texts = _pose_changes(old_numbers, new_numbers, differing)
+            configuration_texts = _configuration_changes(old_numbers, new_numbers, differing)
+            external_texts = _axis_changes("external axis", old_numbers, new_numbers, differing, 11)
+            return [", ".join([*pose_texts, *configuration_texts, *external_texts])]
+        if count == 12 and data_type.lower() in ("", "jointtarget"):
+            axis_texts = _axis_changes("axis", old_numbers, new_numbers, differing, 0, 6)
+            external_texts = _axis_changes("external axis", old_numbers, new_numbers, differing, 6)
+            return [", ".join([*axis_texts, *external_texts])]
+        if count == 14 and data_type.lower() == "wobjdata":
             frames = (("user frame", 0), ("object frame", 7))
             return [
                 f"{name} {change}"
                 for name, start in frames
-                for change in _moved(a[start:], b[start:], {k - start for k in differing if k >= start})
+                for change in _pose_changes(
+                    old_numbers[start:], new_numbers[start:], {k - start for k in differing if k >= start}
+                )
             ]
-        if len(a) >= 7 and word.lower() in ("pose", "tooldata"):
-            change_texts = _moved(a, b, differing)
+        if count >= 7 and data_type.lower() in ("pose", "tooldata"):
+            change_texts = _pose_changes(old_numbers, new_numbers, differing)
             rest = [] if differing <= set(range(7)) else [f"was {_shown(old)}, is {_shown(new)}"]
             return [", ".join([*change_texts, *rest])]
     return [f"was {_shown(old)}, is {_shown(new)}"]
 
 
-def _moved(a: FloatArray, b: FloatArray, differing: set[int]) -> list[str]:
-    """Describe the difference of position and quaternion, which are the first seven numbers of a and b."""
+def _pose_changes(old: FloatArray, new: FloatArray, differing: set[int]) -> list[str]:
+    """Describe the difference of position and quaternion, which are the first seven numbers of a datum.
+
+    ``differing`` has the indices of the numbers that differ; empty if these seven are equal.
+    """
     if not differing & set(range(7)):
         return []
-    if not (np.linalg.norm(a[3:7]) and np.linalg.norm(b[3:7])):
+    if not (np.linalg.norm(old[3:7]) and np.linalg.norm(new[3:7])):
         return ["the quaternion is zero"]
-    return _pose_difference(a[:3], rotation(a[3:7]), b[:3], rotation(b[3:7]))
+    return _pose_difference(old[:3], rotation(old[3:7]), new[:3], rotation(new[3:7]))
 
 
 def _pose_difference(
-    a: FloatArray, rotation_a: FloatArray, b: FloatArray, rotation_b: FloatArray
+    old: FloatArray, old_rotation: FloatArray, new: FloatArray, new_rotation: FloatArray
 ) -> list[str]:
     """Describe the difference of two poses, by positions (3,) [mm] and rotations (3, 3)."""
-    distance, angle = float(np.linalg.norm(a - b)), turn_deg(rotation_a, rotation_b)
+    distance, angle = float(np.linalg.norm(old - new)), turn_deg(old_rotation, new_rotation)
     return [f"moved by {distance:.3f} mm, turned by {angle:.3f} deg"]
 
 
-def _configured(a: FloatArray, b: FloatArray, differing: set[int]) -> list[str]:
+def _configuration_changes(old: FloatArray, new: FloatArray, differing: set[int]) -> list[str]:
     """Describe the difference of configuration data, which are the numbers 7 to 10 of a robtarget."""
     if not differing & set(range(7, 11)):
         return []
-    old, new = ([int(number) for number in side[7:11]] for side in (a, b))
-    return [f"configuration was {old}, is {new}"]
+    old_data, new_data = ([int(number) for number in numbers[7:11]] for numbers in (old, new))
+    return [f"configuration was {old_data}, is {new_data}"]
 
 
-def _axes(
-    word: str, a: FloatArray, b: FloatArray, differing: set[int], start: int, end: int | None = None
+def _axis_changes(
+    axis_name: str, old: FloatArray, new: FloatArray, differing: set[int], start: int, end: int | None = None
 ) -> list[str]:
-    """Describe the differences of the axis values from ``start`` to ``end``, which count from 1."""
-    indices = range(start, len(a) if end is None else end)
-    return [f"{word} {k - start + 1} moved by {b[k] - a[k]:+.3f}" for k in indices if k in differing]
+    """Describe the differences of the axis values among the numbers of a datum.
+
+    The values are the numbers from index ``start`` to ``end`` (exclusive, None for all that follow). Texts
+    count the axes from 1. ``differing`` has the indices of the numbers that differ.
+    """
+    indices = range(start, len(old) if end is None else end)
+    return [f"{axis_name} {k - start + 1} moved by {new[k] - old[k]:+.3f}" for k in indices if k in differing]
 
 
 # ---- KRL ----
@@ -274,34 +293,50 @@ def _axes(
 
 def _krl_move(old: str, new: str) -> list[str]:
     """Describe the changes of a move: those of its target, and the whole text if the rest differs."""
-    first, second = (_BRACES.search(text) for text in (old, new))
-    out = _krl_value(first.group(), second.group()) if first and second else []
-    rest = [_BRACES.sub("{}", text, count=1) if first and second else text for text in (old, new)]
+    old_target, new_target = (_BRACES.search(text) for text in (old, new))
+    out: list[str] = []
+    rest = [old, new]
+    if old_target and new_target:
+        out = _krl_difference(old_target.group(), new_target.group())
+        rest = [_BRACES.sub("{}", text, count=1) for text in (old, new)]
     if not text_shape(rest[0]).same(text_shape(rest[1])):
         out.append(f"was {_shown(old)}, is {_shown(new)}")
     return out
 
 
-def _krl_value(old: str, new: str) -> list[str]:
-    """Describe the difference of two KRL aggregates by components; empty if they are equal."""
-    first, second = text_shape(old), text_shape(new)
-    if first.same(second):
+def _krl_difference(old: str, new: str) -> list[str]:
+    """Describe the difference of two KRL aggregates, such as ``{X 1, Y 2}``, by their components.
+
+    The position and orientation X to C are compared as a pose. Empty if the aggregates are equal.
+    """
+    if text_shape(old).same(text_shape(new)):
         return []
-    a, b = ({name.upper(): float(value) for name, value in _COMPONENT.findall(text)} for text in (old, new))
+    old_values, new_values = (
+        {name.upper(): float(value) for name, value in _COMPONENT.findall(text)} for text in (old, new)
+    )
     is_nested = "{" in old[1:] or "{" in new[1:]
-    if is_nested or a.keys() != b.keys() or not a:
+    if is_nested or old_values.keys() != new_values.keys() or not old_values:
         return [f"was {_shown(old)}, is {_shown(new)}"]
-    differing = {name for name in a if not equal(a[name], b[name])}
+    differing = {name for name in old_values if not equal(old_values[name], new_values[name])}
     out = []
-    if differing & set("XYZABC") and set("XYZABC") <= a.keys():
+    if differing & set("XYZABC") and set("XYZABC") <= old_values.keys():
         frames = [
             from_rpy(
                 [values["X"], values["Y"], values["Z"]], np.deg2rad([values["C"], values["B"], values["A"]])
             )
-            for values in (a, b)
+            for values in (old_values, new_values)
         ]
         out += _pose_difference(frames[0][:3, 3], frames[0][:3, :3], frames[1][:3, 3], frames[1][:3, :3])
         differing -= set("XYZABC")
-    out += [f"{name} was {a[name]:g}, is {b[name]:g}" for name in ("S", "T") if name in differing]
-    out += [f"{name} moved by {b[name] - a[name]:+.3f}" for name in a if name in differing - {"S", "T"}]
+    # status (S) and turn (T) are bit fields, whose difference has no meaning
+    out += [
+        f"{name} was {old_values[name]:g}, is {new_values[name]:g}"
+        for name in ("S", "T")
+        if name in differing
+    ]
+    out += [
+        f"{name} moved by {new_values[name] - old_values[name]:+.3f}"
+        for name in old_values
+        if name in differing - {"S", "T"}
+    ]
     return [", ".join(out)] if out else [f"was {_shown(old)}, is {_shown(new)}"]

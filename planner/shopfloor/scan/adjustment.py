@@ -116,7 +116,10 @@ def adjusted(
     scan: RegisteredScan,
     step: AdjustmentStep,
 ) -> tuple[AdjustedPass, ...]:
-    """Adjust all passes for the next part.
+    """Adjust all passes for the next part, so that its deviation is smaller than that of the scanned part.
+
+    The targets of a pass that forms the nominal face are shifted by the gain times the correction that the
+    scan requires, in addition to their previous shift. Other passes keep their previous shift.
 
     Args:
         work: Forming operation.
@@ -135,9 +138,10 @@ def adjusted(
     face_distance = MeshDistance(measured.face, SPACING)
     out = []
     for forming_pass, path in planned_passes:
-        # from the touched face to the scanned one: 0, or the sheet thickness along z
+        # along z from the touched face to the scanned one: 0, or the sheet thickness, down if negative
         up = work.thickness * (float(scan.top) - float(forming_pass.side > 0))
         lift = np.array([0.0, 0.0, up])
+        # every tenth point is enough for a median
         on_face = float(np.median(face_distance.distance(path.contact.point[::10] + lift)[0])) <= ON_FACE
         scanned_pass = _ScannedPass(forming_pass, path, previous_paths.get(forming_pass.name), lift)
         out.append(_adjusted(work, scanned_pass, measured, step.gain if on_face else 0.0, limits.slope))
@@ -169,7 +173,10 @@ class _ScannedPass:
 def _adjusted(
     work: FormingWork, scanned_pass: _ScannedPass, measured: Deviation, gain: float, slope: float
 ) -> AdjustedPass:
-    """Adjust one pass with shifts of at most a ``slope``. With a ``gain`` of 0 its tools move as before."""
+    """Adjust one pass. The slope of its shifts along the path is at most ``slope`` [-].
+
+    With a ``gain`` of 0 the shifts are those with which the scanned part was formed, and nothing is measured.
+    """
     forming_pass, path, lift = scanned_pass.forming_pass, scanned_pass.path, scanned_pass.lift
     previous_path = scanned_pass.previous_path
     radius = work.heads[work.forming_arm(forming_pass)].radius
@@ -181,7 +188,8 @@ def _adjusted(
     def measure(contact: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return shallowness e, NaN where unknown, and depth correction e + m, both (N,) [m].
 
-        ``contact`` (N, 3) [m] are points of contact at the positions ``at`` (N,) [m] of the path.
+        m is the additional springback that the sheet has when it is formed to the required depth.
+        ``contact`` (N, 3) [m] are points of contact at the lengths ``at`` (N,) [m] along the path.
         """
         shallowness = forming_pass.side * measured.along_z(contact + lift)
         filled = _filled(shallowness, at)

@@ -190,7 +190,10 @@ def of_part(
 
 
 def deviation(points: FloatArray, pose: ScanPose, face: TriangleMesh, level: float) -> Deviation:
-    """Compute the deviation of a scan from a nominal face.
+    """Compute the deviation of a scan from a nominal face, at places spread over the face.
+
+    The foot of each scanned point on the face is searched. A robust plane through the distances of nearby
+    points gives the deviation of a place. Stray points are counted and left out.
 
     Args:
         points: Points (N, 3) [m] of the scan.
@@ -210,6 +213,7 @@ def deviation(points: FloatArray, pose: ScanPose, face: TriangleMesh, level: flo
     candidates = candidates[
         shapely.contains_xy(outline, moved_points[candidates, 0], moved_points[candidates, 1])
     ]
+    # -(-a // b) is a / b rounded up: every n-th point, so that at most MAX_POINTS remain
     candidates = candidates[:: max(1, -(-len(candidates) // MAX_POINTS))]
     foot, distance, across, up = _foot_points(face, moved_points[candidates])
     # points beside the face are excluded: they are on the flat beside a concave outline
@@ -313,10 +317,11 @@ class _PlaceEstimates:
 
 
 def _estimate_places(tree: KDTree, value: FloatArray, positions: FloatArray) -> _PlaceEstimates:
-    """Estimate values at places (M, 3) [m] from those (K,) of the foot points in ``tree``.
+    """Estimate values at places (M, 3) [m] from the values (K,) of the foot points in ``tree``.
 
-    The estimate is that of a robust plane through the nearest foot points. With few of them, or if all are on
-    one side, it is their median.
+    The estimate is that of a robust plane through the nearest foot points. If there are fewer than
+    ``MIN_PLANE_POINTS``, or if all are on one side, it is their median. With fewer than ``MIN_FOOT_POINTS``,
+    or if the values nearby do not agree, the estimate is NaN.
     """
     out, spread = np.full(len(positions), np.nan), np.full(len(positions), np.inf)
     tilt = np.zeros((len(positions), 3))
@@ -344,7 +349,9 @@ def _estimate_places(tree: KDTree, value: FloatArray, positions: FloatArray) -> 
 
 
 def _fit_plane(offsets: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Fit robust planes by iteratively reweighted least squares with the weights of Geman and McClure.
+    """Fit M robust planes by iteratively reweighted least squares with the weights of Geman and McClure.
+
+    The fit starts from the median of the values of each plane.
 
     Args:
         offsets: Offsets (M, K, 3) [m] of the values of each plane from its centre.
@@ -415,7 +422,11 @@ def _depth_ratio(positions: FloatArray, points: FloatArray, level: float) -> flo
 def _require_part(
     face: TriangleMesh, points: FloatArray, foot: FloatArray, distance: FloatArray, depth: float, level: float
 ) -> None:
-    """Raise ``scan.other_part`` if a scan does not look like the nominal part, or like its mirror image.
+    """Raise ``scan.other_part`` if a scan does not show the nominal part, or shows its mirror image.
+
+    The part is plausible if half of the points are near the face, their median distance is small, and the
+    depth is about the nominal one. A plausible part with a median distance of at most 1 mm is accepted at
+    once. Otherwise the mirror image must not fit much better.
 
     ``points`` (N, 3) [m] are above or below the face; ``foot`` (K, 3) and ``distance`` (K,) [m] are the foot
     points and distances of those near it; ``depth`` is the ratio of scanned to nominal depth, ``level`` [m]

@@ -62,11 +62,16 @@ class InPlaneMotion:
 
 
 def in_plane_motion(measured: Deviation) -> InPlaneMotion:
-    """Estimate the in-plane motion that explains the deviations of a scan best, of those observable."""
+    """Estimate the in-plane motion of a scan that explains its deviations best.
+
+    A scan that is registered at the wrong place in the plane shows such deviations. Only the components of
+    the motion that change the deviations are estimated. The names of the others are in the result.
+    """
     is_known = np.isfinite(measured.deviation)
     deviations, normal = measured.deviation[is_known], measured.normal[is_known]
     offsets = measured.point[is_known, :2] - measured.point[is_known, :2].mean(axis=0)
     radius = float(np.sqrt((offsets**2).sum(axis=1).mean()))
+    # change of the deviation per rotation about z; divided by the radius it is comparable to translations
     rotation_effect = offsets[:, 0] * normal[:, 1] - offsets[:, 1] * normal[:, 0]
     u, size, v = np.linalg.svd(
         np.column_stack([normal[:, :2], rotation_effect / radius]), full_matrices=False
@@ -77,7 +82,7 @@ def in_plane_motion(measured: Deviation) -> InPlaneMotion:
     hidden = [
         name
         for name, component in zip(("x", "y", "the rotation"), observability, strict=True)
-        if component < 0.5
+        if component < 0.5  # less than half of this component is in the observable directions
     ]
     best = v[is_shown].T @ ((u.T @ deviations)[is_shown] / size[is_shown])
     residual = deviations - u[:, is_shown] @ (u.T @ deviations)[is_shown]
@@ -130,6 +135,7 @@ def _no_marks(measured: Deviation, file: str) -> Issue:
 
 
 def _describe_motion(motion: InPlaneMotion) -> str:
+    """Describe an in-plane motion as a sentence of a warning, with the components that cannot be observed."""
     x, y = motion.move / MM
     text = (
         f"{100.0 * motion.fraction:.0f} % of the squared deviation looks as if the scan were offset by "

@@ -119,7 +119,10 @@ class Flat:
 
 
 def register(points: FloatArray, flat: Flat, marks: ProbedPoints | None) -> ScanPose:
-    """Compute the pose of a scan in the sheet's frame.
+    """Compute the pose of a scan in the sheet's frame, from the flat around the part and from marks.
+
+    The pose starts from the marks, or from the scan's own frame. It is improved in steps that move the points
+    of the flat to its plane. Points farther from the plane than the rest are left out.
 
     Args:
         points: Points (N, 3) [m] of the scan.
@@ -142,6 +145,7 @@ def register(points: FloatArray, flat: Flat, marks: ProbedPoints | None) -> Scan
     flat_points = points[flat.holds(transform(pose, points), max_distance)]
     if names and len(flat_points) < MIN_FLAT_POINTS:
         raise _no_flat_at_marks(points, flat, pose, len(flat_points))
+    # -(-a // b) is a / b rounded up: every n-th point, so that at most MAX_FLAT_POINTS remain
     flat_points = flat_points[:: max(1, -(-len(flat_points) // MAX_FLAT_POINTS))]
     noise, count, within = max_distance, 0, np.full(6, np.inf)
     for _ in range(ROUNDS):
@@ -165,6 +169,7 @@ def register(points: FloatArray, flat: Flat, marks: ProbedPoints | None) -> Scan
         raise _no_flat(message, noise / MM, MAX_NOISE_M / MM)
     residuals = lengths(mark_pairs[0] - transform(pose, mark_pairs[1]))
     residual_by_mark = {name: float(value) for name, value in zip(names, residuals, strict=True)}
+    # with only three marks no bad one can be identified
     bad = bad_points(*mark_pairs, AGREE) if len(names) > 3 and float(residuals.max()) > AGREE else None
     return ScanPose(pose, count, noise, residual_by_mark, within, tuple(names[k] for k in bad or ()))
 

@@ -111,7 +111,7 @@ def test_poses_that_a_user_stated_and_arms_that_have_to_meet_stay():
     every = np.arange(300)
     assert len(move_limits.join_short_moves(targets, targets.neutral_values(), time, every)) < 300
     assert len(move_limits.join_short_moves(stated, targets.neutral_values(), time, every)) == 300
-    assert (move_limits.with_lengthened_short_moves(stated, np.full(300, 0.01)) == 0.01).all()
+    assert (move_limits.with_slowed_short_moves(stated, np.full(300, 0.01)) == 0.01).all()
     wire = arc_wire(200)
     rows = np.arange(200)
     assert len(move_limits.join_short_moves(wire, wire.neutral_values(), rows * 0.005, rows)) == 200

@@ -93,7 +93,7 @@ def test_programs_go_by_ftp_into_a_new_folder_and_come_back(
     assert caught.value.issues[0].code == "upload.write"
     assert "nothing of it remains" in str(caught.value)
     assert {path.name for path in root.iterdir()} == {"old.src", first.folder, second.folder}
-    store._link.sock.shutdown(socket.SHUT_RDWR)  # type: ignore[union-attr]
+    store._connection.sock.shutdown(socket.SHUT_RDWR)  # type: ignore[union-attr]
     with pytest.raises(TandemError, match="try again") as caught:
         upload.to_store(store, result)
     assert caught.value.issues[0].code == "upload.controller"
@@ -193,12 +193,12 @@ def test_lists_as_servers_of_unix_and_dos_print_them(line: str, name: str, deepe
             take(line)
 
     store = Ftp.__new__(Ftp)
-    store._link, store._url = Link(), "ftp://host"  # type: ignore[assignment]
-    assert store._listed("/") == {name: deeper}
+    store._connection, store._url = Link(), "ftp://host"  # type: ignore[assignment]
+    assert store._list_by_command("/") == {name: deeper}
     with pytest.raises(TandemError, match="cannot be parsed"):
         bad = type("Bad", (), {"retrlines": lambda _, command, take: take("?? what")})()
-        store._link = bad
-        store._listed("/")
+        store._connection = bad
+        store._list_by_command("/")
 
 
 @pytest.mark.parametrize(("root", "given"), [("", "."), ("R1", "."), ("KRC/R1", "."), ("R1", "R1/Program")])

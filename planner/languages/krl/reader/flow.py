@@ -99,15 +99,16 @@ class KrlRunner:
         tools: Tools by lower-case name of their frame.
         work_objects: Work objects by lower-case name of their frame.
         pose: Pose that the last move reached, None if unknown.
-        outer: External axes that the text states at that pose.
-        ptp_axis_values: Values of the axes under the arm at the last PTP.
-        move_axis_values: Values of the axes under the arm at the last straight move.
+        outer: External axes that the text states at that pose, as pairs (column, value).
+        ptp_axis_values: Values [mm] of the axes under the arm at the last PTP, None before the first one.
+        move_axis_values: Values [mm] of the axes under the arm at the last straight move since that PTP, None
+            if there is none.
         outputs_on: Numbers of the outputs that are on.
-        carried: Name of the load of the tool together with a block, "" if it holds none.
+        carried: Name of the load of the tool together with the block that it holds, "" if it holds none.
         load_line: Line of the last $LOAD setting.
         program: The current program.
         procedure: Name of the current segment.
-        depth: Call depth, 0 in the main program.
+        depth: Number of nested subprogram calls, 0 in the main program.
         started: Whether BAS(#INITMOV,0) has run.
         budget: Number of statements that may still be executed.
     """
@@ -140,7 +141,7 @@ class KrlRunner:
         self.started = False
         self.budget = MAX_STATEMENTS + sum(len(program.body) for program in programs.values())
         self._open: list[str] = []
-        """Lower-case names of the programs on the call stack."""
+        """Lower-case names of the programs on the call stack, so that no program calls itself."""
 
     def run(self, main: syntax_tree.KrlProgram) -> tuple[steps.ProgramStep, ...]:
         """Return the steps of the main program.
@@ -171,7 +172,11 @@ class KrlRunner:
             self._fail(line, message)
 
     def _block(self, body: Sequence[syntax_tree.KrlStatement]) -> None:
-        """Execute statements one after the other. Those of the main program end with a check of the panel."""
+        """Execute the statements of a program one after the other.
+
+        Straight moves and spline blocks do not concern the panel. Before any other statement the panel is
+        checked, and so it is at the end of the main program.
+        """
         for statement in body:
             self.budget -= 1
             if self.budget < 0:
@@ -205,7 +210,11 @@ class KrlRunner:
             self._fail(line, str(wrong))
 
     def _emit_message(self, statement: syntax_tree.KrlStatement) -> None:
-        """Update the panel and append its message, if any. Outputs must be off where the program may halt."""
+        """Update the panel by a statement, and append the message that it shows, if any.
+
+        All outputs must be off at a statement at which the program may halt without a question, because an
+        output of KRL stays on while the program is stopped.
+        """
         message = self.panel.take(statement, self.depth)
         if self.outputs_on and self.panel.may_stop(statement):
             self._fail(statement.line, f"the program may halt while $OUT[{min(self.outputs_on)}] is on")
@@ -266,7 +275,11 @@ class KrlRunner:
                 self._call(line, name)
 
     def _input_wait(self, wait: syntax_tree.InputWait, where: tuple[str, str, int, str]) -> None:
-        """Append a wait for an input. On a timeout all outputs must be switched off."""
+        """Append a wait for an input of the process, which ends the program on a timeout.
+
+        On a timeout the wait must switch off all outputs that are on, and show the expected text (krc4) or
+        none (krc2).
+        """
         line = wait.line
         self._refuse_position(
             line, self.depth > 0, "a wait for the process is allowed only in the main program"
@@ -290,7 +303,11 @@ class KrlRunner:
         return self.depth > 0 and self.program.moves > 0
 
     def _call(self, line: int, name: str) -> None:
-        """Execute a subprogram, and return to the caller's program and segment."""
+        """Execute a subprogram, and then continue with the caller's program and segment.
+
+        A subprogram with moves must state all motion settings itself, so those of earlier files are
+        forgotten.
+        """
         program = self.programs.get(name)
         if program is None or self.depth >= MAX_CALL_DEPTH or name in self._open:
             reason = "is not one of the programs" if program is None else "calls itself"
@@ -309,7 +326,12 @@ class KrlRunner:
     # ---- settings ----
 
     def _setting(self, line: int, name: str, value: float | str) -> None:
-        """Check a setting and put it in force. A new $TOOL or $BASE makes the last pose unknown."""
+        """Check a setting and put it in force.
+
+        Motion settings (speeds and approximation) are allowed only in subprograms, all other settings only in
+        the main program. A new $TOOL or $BASE makes the last pose unknown, because poses are relative to
+        them.
+        """
         allowed_place = "a file with moves" if name in syntax_tree.MOTION_SETTINGS else "the main program"
         wrong = (name in syntax_tree.MOTION_SETTINGS) != (self.depth > 0)
         self._refuse_position(line, wrong, f"{name.upper()} may be set only in {allowed_place}")
@@ -354,7 +376,10 @@ class KrlRunner:
         return self.work_objects[name], self.data.items[name].name
 
     def _emit_load_change(self, line: int) -> None:
-        """Append a step if $LOAD changes: to the load of the tool with a block, or back to its own load."""
+        """Append a step if $LOAD changes between the tool's own load and the load of the tool with a block.
+
+        The step states the load of the block alone, because rules compare it with the block's mass.
+        """
         if "$tool" not in self.settings or "$load" not in self.settings:
             return
         tool, load = str(self.settings["$tool"]), str(self.settings["$load"])
@@ -373,7 +398,12 @@ class KrlRunner:
     # ---- moves ----
 
     def _ptp(self, line: int, name: str) -> None:
-        """Append a PTP. Only a PTP to an E6POS leaves a known pose, from which straight moves may start."""
+        """Append a PTP, which is allowed only in the main program and after the check of the robot's foot.
+
+        After a PTP to an E6POS the pose is known, so that straight moves may start there. After a PTP to an
+        E6AXIS it is unknown. A PTP that moves an external axis under the arm makes another check of the foot
+        necessary.
+        """
         self._refuse_position(line, self.depth > 0, "PTP is allowed only in the main program")
         message = "the arm moves before the program has checked $ROBROOT"
         self._refuse_position(line, not self.panel.robroot_checked, message)
@@ -408,7 +438,7 @@ class KrlRunner:
     def _arm_axis_values(
         self, target: steps.RobTarget | steps.JointTarget | steps.StatusTarget
     ) -> tuple[float, ...]:
-        """Values of the external axes that move the arm, as a target states them."""
+        """Return the values of the external axes that move the arm, as a target states them."""
         return tuple(float(target.external[column]) for column in self.panel.axis_directions)
 
     def _linear(self, move: syntax_tree.LinearStatement) -> None:
@@ -450,7 +480,11 @@ class KrlRunner:
                 self.pose, self.outer = end, item.outer
 
     def _start_pose(self, line: int, word: str) -> _Pose:
-        """Return the pose at which a straight move or a spline block starts, which must be known."""
+        """Return the pose at which a straight move or a spline block starts.
+
+        It is a fault if the statement is in the main program, or if the pose is unknown. ``word`` is the
+        statement's keyword for messages. A change of $LOAD before the move is appended first.
+        """
         self._emit_load_change(line)
         message = f"{word} is in the main program; moves belong in separate files"
         self._refuse_position(line, not self.depth, message)
@@ -463,7 +497,10 @@ class KrlRunner:
     def _speed_and_distance(
         self, line: int, start: _Pose, target: tuple[float, float, float, float, float, float]
     ) -> tuple[steps.MoveSpeed, float, float, _Pose]:
-        """Return the speeds in force, distance [m] and angle [rad] from ``start``, and the target's pose."""
+        """Return the speeds in force, and distance [m], angle [rad] and end pose of a move from ``start``.
+
+        ``target`` is X, Y, Z [mm] and A, B, C [deg] of the end pose.
+        """
         velocity, turning = float(self.settings["$vel.cp"]), float(self.settings["$vel.ori1"])
         if self.settings["$vel.ori2"] != turning:
             self._fail(line, "$VEL.ORI1 and $VEL.ORI2 differ; set both to one value")
@@ -480,11 +517,17 @@ class KrlRunner:
         )
 
     def _external_speed_fractions(self) -> tuple[float, ...]:
-        """Fractions (6,) of their maximum speeds that external axes may use, 0 for axes without a setting."""
+        """Return the fractions (6,) of their maximum speeds that external axes may use.
+
+        The fraction is 0 for an axis without a setting.
+        """
         return tuple(float(self.settings.get(axis, 0.0)) / 100.0 for axis in syntax_tree.EXTERNAL_AXIS_SPEEDS)
 
     def _dwell(self, line: int, seconds: float) -> None:
-        """Append a WAIT SEC in a file with moves as a move in place: only the other arm moves meanwhile."""
+        """Append a WAIT SEC in a file with moves as a move to the current pose.
+
+        It stands for a move during which this arm stands still while the other arm moves.
+        """
         if self.pose is None:
             self._fail(
                 line, "WAIT SEC stands for a move, but the arm's pose in this $BASE and $TOOL is unknown"
@@ -494,7 +537,13 @@ class KrlRunner:
         self._move(line, "WAIT SEC", _KrlMotion(target, speed, seconds))
 
     def _move(self, line: int, word: str, motion: _KrlMotion) -> None:
-        """Append a move, with the tool and the work object in force."""
+        """Append a move with the tool and the work object in force.
+
+        Args:
+            line: Line of the statement, from 1.
+            word: Its keyword.
+            motion: The motion that it commands.
+        """
         tool, tool_name = self._tool(line)
         work_object, work_object_name = self._work_object(line)
         where = (self.program.file.rpartition("/")[2], self.procedure, line, "")
@@ -519,7 +568,10 @@ class KrlRunner:
         )
 
     def _zone(self, corner: str) -> tuple[steps.Zone, str]:
-        """Return the zone and name of a corner: C_DIS bounds its distance, C_ORI its angle, C_SPL both."""
+        """Return the zone of a corner and the word that selects it; an exact stop for the word "".
+
+        C_DIS bounds the corner by the distance $APO.CDIS, C_ORI by the angle $APO.CORI, and C_SPL by both.
+        """
         if not corner:
             return _EXACT_STOP, ""
         distance = 1e-3 * float(self.settings["$apo.cdis"])
@@ -543,7 +595,7 @@ def _target(pose: _Pose, outer: syntax_tree.StatedAxisValues) -> steps.RobTarget
 
 
 def _tool_load(tool: str) -> str:
-    """Name of a tool's own load: l_x for t_x."""
+    """Return the name of a tool's own load: l_x for t_x."""
     return "l_" + tool.removeprefix("t_")
 
 

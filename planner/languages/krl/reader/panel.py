@@ -71,25 +71,31 @@ class OperatorPanel:
         self._reading = False
         """Whether a text with the key Read has been shown, so that a question must follow."""
         self._open = False
-        """Whether a HALT has asked and the mode of operation is not checked yet."""
+        """krc2: whether the last HALT asked a question, so that automatic external must be refused next."""
         self._external = False
-        """Whether the program has refused automatic external."""
+        """krc2: whether the program has refused to run in automatic external at least once."""
         self.prepared = False
         self._shown = ""
         """State that the panel shows until it is cleared, "" for none."""
         self._waited = False
-        """Whether the program has waited while this state was shown."""
+        """Whether the program has waited for the other arm while this state was shown."""
         self._shown_before = ""
         """Normalised text of the notes shown directly before the current statement."""
 
     def check(self, statement: syntax_tree.KrlStatement | None, depth: int) -> None:
         """Check that a statement, or the program's end (None), may come next.
 
-        A question must be answered, a text with the key Read followed by a question, and a state cleared.
+        Four things restrict the next statement:
+
+        - A question that the program has begun to show: a dialog (krc4) or HALT (krc2) must follow.
+        - A text with the key Read: a dialog must follow.
+        - A HALT that asked a question (krc2): the refusal of automatic external must follow.
+        - A state that the panel shows, in the main program: only a wait for an input, a call, or the end of
+          the state may follow.
 
         Args:
             statement: The statement; comments may come anywhere.
-            depth: Call depth, 0 in the main program.
+            depth: Number of nested subprogram calls, 0 in the main program.
 
         Raises:
             PanelError: The statement may not come next.
@@ -118,7 +124,11 @@ class OperatorPanel:
             raise PanelError(f"the panel still shows {self._shown!r} here, which is not true")
 
     def may_stop(self, statement: syntax_tree.KrlStatement) -> bool:
-        """Return whether the program may halt at the statement without having asked a question."""
+        """Return whether the program may halt at the statement without having asked a question.
+
+        The outputs must be off at such a statement. It is a HALT of krc4, a check of the robot's foot or of
+        an external axis, or a refusal of automatic external that does not belong to the question before it.
+        """
         is_plain_halt = isinstance(statement, syntax_tree.HaltStatement) and self.dialect == "krc4"
         return (
             is_plain_halt
@@ -131,7 +141,7 @@ class OperatorPanel:
 
         Args:
             statement: The statement.
-            depth: Call depth, 0 in the main program.
+            depth: Number of nested subprogram calls, 0 in the main program.
 
         Raises:
             PanelError: The statement is not allowed here.
@@ -145,7 +155,10 @@ class OperatorPanel:
         return message
 
     def _take(self, statement: syntax_tree.KrlStatement, depth: int) -> PanelMessage | None:
-        """Update the state by a statement, by its kind, except for the notes shown directly before."""
+        """Update the state by the kind of the statement, and return the message that it shows, or None.
+
+        The caller updates ``_shown_before``.
+        """
         match statement:
             case syntax_tree.CommentStatement(kind="question", text=text) if self.dialect == "krc2":
                 self._require_main(depth, "a question (;?)")
@@ -156,6 +169,7 @@ class OperatorPanel:
                 return self._halt(depth)
             case syntax_tree.ExternalModeRefusal():
                 self._require_main(depth, "the refusal of automatic external")
+                # krc2 refuses this mode at the start, and later only directly after the HALT of a question
                 if self.dialect == "krc4" or (self._external and not self._open):
                     raise PanelError(
                         "automatic external is refused where no question is asked; HALT stops there"
@@ -207,9 +221,21 @@ class OperatorPanel:
             raise PanelError(f"tm_opt is not set before {statement_name}")
 
     def _halt(self, depth: int) -> PanelMessage | None:
-        """Take a HALT: in krc2 it asks the question above it, and gives its message.
+        """Process a HALT, and return the question that it asks, or None if it asks none.
 
-        In krc4 it may only follow the note that asks to start the other arm's program.
+        The meaning of HALT depends on the dialect:
+
+        - krc2: HALT asks the question in the marked comments (;?) above it. The operator answers by pressing
+          Start. In automatic external a PLC could press Start instead. The program must therefore refuse this
+          mode before its first question (``_external``), and again directly after each HALT (``_open``).
+        - krc4: Questions are dialogs, and HALT asks nothing. It is allowed only directly after the message
+          that asks the operator to start the other arm's program.
+
+        Args:
+            depth: Number of nested subprogram calls. HALT is allowed only in the main program, at depth 0.
+
+        Raises:
+            PanelError: The HALT is not allowed here.
         """
         self._require_main(depth, "HALT")
         if self.dialect == "krc4":
@@ -221,13 +247,17 @@ class OperatorPanel:
             raise PanelError(f"HALT is no question: {_EXTERNAL_REASON}; use a dialog")
         if not self._question:
             raise PanelError("HALT without a question (;?) above it")
-        if not self._external:
+        if not self._external:  # no earlier statement refuses automatic external
             raise PanelError("a question is asked before automatic external is refused")
         text, self._question, self._open = " ".join(self._question), [], True
         return PanelMessage("HALT", text, confirm=True)
 
     def _dialog(self, text: str, key: str) -> PanelMessage | None:
-        """Take a dialog: Next shows a part of a question, Read a text before one, Yes asks the question."""
+        """Process a dialog, and return the message or question that it shows; None for part of a question.
+
+        The first key of the dialog tells what its text is. Next: a part of a question, whose next part
+        follows. Read: a message before a question. Yes: the last part of a question, which is asked now.
+        """
         if key == "next":
             self._question.append(text)
             return None
@@ -240,7 +270,10 @@ class OperatorPanel:
         return PanelMessage("Set_KrlDlg", question, confirm=True)
 
     def _state(self, text: str) -> PanelMessage:
-        """Show a state, which must say that the program waits for, or moves with, another arm."""
+        """Process the message of a state, which the panel shows until the program clears it.
+
+        The text must say that the program waits for another arm, or that it moves with another arm.
+        """
         forms = (krl_sentences.WAITING_FOR_PARTNER, krl_sentences.MOVING_WITH_PARTNER)
         allowed_texts = [form.format(arm=arm) for arm in self.others for form in forms]
         if text not in allowed_texts:
@@ -250,14 +283,21 @@ class OperatorPanel:
         return PanelMessage("#STATE", text)
 
     def _poll(self, depth: int) -> None:
-        """Check that the panel shows why the program waits, and record that it has waited."""
+        """Check that the panel shows why the program waits, and record that it has waited.
+
+        In the main program the panel must say that the program waits for another arm. In a subprogram
+        (``depth`` above 0) the program waits between moves, and the panel must say that both arms move.
+        """
         forms = (krl_sentences.MOVING_WITH_PARTNER,) if depth else (krl_sentences.WAITING_FOR_PARTNER,)
         if self._shown not in [form.format(arm=arm) for arm in self.others for form in forms]:
             raise PanelError("the program waits for the other arm, but the panel does not show it")
         self._waited = True
 
     def _robroot(self, check: syntax_tree.RobrootCheck) -> None:
-        """Take the check of the robot's foot: its axes, text and tolerances must be the expected ones."""
+        """Verify a check of the robot's foot, and record that the foot was checked.
+
+        Its external axes and its text must be the expected ones, and its tolerances must not be too large.
+        """
         shift, angle, text = check.shift, check.turn, check.text
         self._require_axes(check.axis_directions)
         sentence = (
@@ -280,7 +320,11 @@ class OperatorPanel:
         self.robroot_checked = True
 
     def _require_axes(self, checked_directions: Sequence[tuple[int, tuple[float, float, float]]]) -> None:
-        """Refuse a check that ignores external axes under the arm, or has other directions or axes."""
+        """Raise `PanelError` unless a check of the foot uses exactly the external axes that move the foot.
+
+        Args:
+            checked_directions: Column and direction of each external axis in the check.
+        """
         if not self.axis_directions:
             if checked_directions:
                 raise PanelError("$ROBROOT_C is checked, but the arm is on no track; expected $ROBROOT")
@@ -350,7 +394,11 @@ class StatementForm:
 
 
 def _row_pattern(code: str) -> re.Pattern[str]:
-    """Return the pattern of a row: <text> stands for a string, <number> and <whole> for numbers."""
+    """Return the pattern that matches a row of code, whatever blanks and case it has.
+
+    In ``code``, <text> stands for a string, <number> for a number and <whole> for an integer. Two words must
+    be separated by a blank in the row. Next to any other character blanks are optional, except at a dot.
+    """
     words = re.findall(r'<[\w|]+>|"[^"]*"|==|<>|\d+\.\d+|[$#]?\w+|[^\w\s]', code)
     pattern = ""
     for previous, word in zip(["", *words], words, strict=False):
@@ -415,7 +463,10 @@ _PARAMETER_RESET = ("tm_par[1].Par_Type=#EMPTY", "tm_par[2].Par_Type=#EMPTY")
 
 
 def _dialog(line: int, matches: RowMatches) -> syntax_tree.KrlStatement:
-    """Build a dialog from the rows of its form: its text and two soft keys."""
+    """Build a dialog from the rows of its form: its text is in row 2, its soft keys are in rows 3 and 4.
+
+    The second key is No if the first one is Yes, and empty if the first one is Next or Read.
+    """
     first_key, second_key = matches[3][1].lower(), matches[4][1]
     if (first_key == "yes") != (second_key is not None):
         message = (
@@ -453,9 +504,16 @@ _SECOND_KEY = re.compile(
 
 
 def _robroot_check(line: int, matches: RowMatches, text: str, on_axes: bool) -> syntax_tree.KrlStatement:
-    """Build the check of the robot's foot; ``on_axes``: external axes move the foot.
+    """Build the check of the robot's foot from the rows of its form.
 
-    The rows that compute the deviation are repeated at the end of the loop, with the same directions.
+    The rows that compute the deviation occur twice, before the loop and at its end. Raises `KrlValueError` if
+    they differ in the directions of external axes.
+
+    Args:
+        line: Line of the first row, from 1.
+        matches: Matches of the rows.
+        text: Message that the check shows, "" for none.
+        on_axes: Whether external axes move the foot.
     """
     value_rows = len(_TRACK_VALUES) if on_axes else len(_ROBROOT_VALUES)
     along: tuple[tuple[int, tuple[float, float, float]], ...] = ()
@@ -473,10 +531,12 @@ def _robroot_check(line: int, matches: RowMatches, text: str, on_axes: bool) -> 
 
 
 def _axis_directions(rows: RowMatches) -> tuple[tuple[int, tuple[float, float, float]], ...]:
-    """Return the direction of each external axis that three rows, for X, Y and Z, subtract, by column.
+    """Return column and direction of each external axis whose motion three rows, for X, Y and Z, subtract.
 
-    Raises `KrlValueError` unless the three rows use the same axes, each once.
+    A row subtracts the motion, so a term with "-" has a positive part of the direction. Raises
+    `KrlValueError` unless the three rows use the same axes, each once.
     """
+    # + 0.0 turns -0.0 into 0.0
     parts = [
         [(int(axis) - 1, (1.0 if sign == "-" else -1.0) * float(size) + 0.0) for sign, size, axis in terms]
         for terms in (_AXIS_TERMS.findall(row[1]) for row in rows)
@@ -531,7 +591,10 @@ _STOP_FOR_GOOD = _row_patterns("LOOP", "HALT", "ENDLOOP", "ENDIF")
 
 
 def _axis_check(line: int, matches: RowMatches, text: str) -> syntax_tree.KrlStatement:
-    """Build the check of an external axis. The row subtracts home, so its sign is the opposite one."""
+    """Build the check that an external axis is at home before the program moves the arm.
+
+    The row subtracts the home value, so "-" before the number means a positive home value.
+    """
     home = float(matches[0][3]) * (1.0 if matches[0][2] == "-" else -1.0)
     return syntax_tree.ExternalAxisCheck(line, int(matches[0][1]) - 1, home + 0.0, float(matches[1][1]), text)
 

@@ -125,7 +125,10 @@ class KrlFileParser:
     # ---- .src ----
 
     def program(self) -> syntax_tree.KrlProgram | None:
-        """Parse the file as a program, and record its faults. None if it does not start with DEF."""
+        """Parse the file as a program, and record its faults. None if it does not start with DEF.
+
+        A line with a fault is left out of the program. EXT and DECL must precede all statements.
+        """
         self._header()
         name = self._frame(_DEF, "DEF name()")
         external: list[str] = []
@@ -203,7 +206,10 @@ class KrlFileParser:
         return None
 
     def _form(self, line: int, forms: list[StatementForm]) -> syntax_tree.KrlStatement | None:
-        """Parse a statement by that of the forms which matches most of the rows from ``line`` on."""
+        """Parse a statement that may have several forms, from ``line`` on; None after a fault.
+
+        The form that matches the largest number of rows counts. It is a fault if a later row of it differs.
+        """
         form, matches, end = max(
             ((form, *self._match_rows(line, form)) for form in forms), key=lambda candidate: len(candidate[1])
         )
@@ -226,7 +232,14 @@ class KrlFileParser:
                 self.fault(line, "syntax", f"{statement_name} must not contain a marked comment")
 
     def _match_rows(self, line: int, form: StatementForm) -> tuple[list[re.Match[str]], int]:
-        """Return the matches of a form from ``line`` on until a row differs, and the index of that row."""
+        """Match the rows of a form with the file, from ``line`` on.
+
+        Blank lines and comment lines are skipped.
+
+        Returns:
+            The matches up to the first row that differs, and the index, from 0, of the line that differs or
+            follows the form.
+        """
         matches: list[re.Match[str]] = []
         index = line - 1
         for pattern in form.rows:
@@ -241,7 +254,12 @@ class KrlFileParser:
         return matches, index
 
     def _guarded_wait(self, line: int) -> syntax_tree.KrlStatement | None:
-        """Parse a guarded wait whose first statement has been read; None after a fault."""
+        """Parse a guarded wait whose first statement has been read; None after a fault.
+
+        If it switches outputs off on a timeout, it is a wait for the process, which may show one message and
+        then ends the program (`InputWait`). Otherwise it halts on a timeout and repeats the wait
+        (`InputPoll`).
+        """
         matches = self._match_wait_rows(_WAIT_GUARD[1:4])
         if matches is None:
             return None
@@ -342,7 +360,10 @@ class KrlFileParser:
     def _declare(
         self, items: dict[str, syntax_tree.KrlDeclaration], line: int, kind: str, name: str, text: str
     ) -> None:
-        """Add a declaration to ``items``. For a CHAR the value is its length until the text follows."""
+        """Add a declaration to ``items``, or record a fault.
+
+        The value of a CHAR is its length, until a later line states its text.
+        """
         self.check_name(line, name)
         if name.lower() in items:
             self.fault(
@@ -453,7 +474,11 @@ def _shorten(row: str) -> str:
 
 
 def _setting(line: int, match: re.Match[str]) -> syntax_tree.KrlStatement:
-    """Build a setting from its name and value. Raises `KrlValueError` for a value that is not allowed."""
+    """Build a setting from its name and value.
+
+    Raises `KrlValueError` if the setting is not supported, or if its value is not one of the allowed numbers
+    or words. A frame setting may have any name, which is checked later against the data list.
+    """
     name, value = match[1].lower(), match[2].lower()
     if name in syntax_tree.NUMBER_SETTINGS:
         low, high, integer_only = syntax_tree.NUMBER_SETTINGS[name]

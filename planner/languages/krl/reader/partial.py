@@ -86,7 +86,12 @@ class _PartialKrlRunner(KrlRunner):
         self.flushed = len(self.steps)
 
     def _block(self, body: Sequence[KrlStatement]) -> None:
-        """Execute statements one after the other, and record a gap for faulty lines and failed statements."""
+        """Execute statements one after the other, and record a gap for each part that is not understood.
+
+        Such a part is a line with a fault between two statements or in one, or a statement that cannot be
+        executed. Outputs, waits for inputs and comments do not affect the path; only the segment of a comment
+        counts.
+        """
         next_line = 0
         for statement in body:
             if isinstance(statement, CommentStatement | OutputStatement | InputPoll | InitMotion):

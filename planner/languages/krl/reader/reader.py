@@ -156,7 +156,11 @@ def main_flow(
 
 
 def _name_faults(text: KrlText, dialect: str) -> Iterator[TextFault]:
-    """Yield faults of names used twice, of undeclared names, and of words of another dialect."""
+    """Yield the faults of names and words in programs without regard to their order of execution.
+
+    These are names that are used twice, names that are not declared, variables and EXT declarations other
+    than the expected ones, and words of another dialect.
+    """
     data = text.data
     if data is not None and text.main is None:
         message = f"program {data.name}, to which the data list belongs, is missing"
@@ -204,7 +208,11 @@ def _declaration_faults(program: syntax_tree.KrlProgram, text: KrlText, dialect:
 def _statement_faults(
     statement: syntax_tree.KrlStatement, text: KrlText, dialect: str
 ) -> Iterator[tuple[str, str]]:
-    """Yield code and message of each fault in the words and names that a statement uses."""
+    """Yield code and message of each fault in the words and names that a statement uses.
+
+    Words of moves and spline blocks must be part of the dialect. A called subprogram, the target of a PTP and
+    the value of a frame setting must be declared, with the required type.
+    """
     if isinstance(statement, syntax_tree.LinearStatement):
         if statement.corner not in _MOVE_WORDS[dialect].get(statement.word, ()):
             words = f"{statement.word} {statement.corner}".rstrip()

@@ -39,7 +39,7 @@ largest parts across of V and A, which are at corners of the family. Along c_i a
 the curve may overrun its ends. The overrun deviates from the next segment, within that segment's length, by
 the difference of their directions over this distance, and by all of it if there is no next segment. Suprema
 over u are taken on a grid, with a reserve for the values between its points. The position of the curve along
-its segment is not bounded, because it is no deviation from the path. Segments rotate by MAX_ROTATION_RAD at
+its segment is not bounded, because it does not deviate from the path. Segments rotate by MAX_ROTATION_RAD at
 most: the error of adding rotation vectors as numbers is then of third order, and smaller than the reserve of
 the grid factor.
 """
@@ -116,8 +116,9 @@ class SplineCurveBounds:
 def bound_curves(pose: FloatArray, duration: FloatArray) -> SplineCurveBounds:
     """Bound the deviation and the speed of all curves of the family on a block.
 
-    The deviation is bounded with knots by length, the speed with knots by time and the arm at rest at both
-    ends of the block.
+    The proof uses the bounds in place of the controller's unknown curve. For the deviation each ratio of knot
+    intervals is between 1 and that of the lengths of the segments. For the speed the knot intervals are
+    proportional to the times, and the arm is at rest at both ends of the block.
 
     Args:
         pose: Points in the base, (N + 1, 4, 4) [m].
@@ -147,12 +148,20 @@ def bound_curves(pose: FloatArray, duration: FloatArray) -> SplineCurveBounds:
 def _deviations(
     step: FloatArray, min_ratio: FloatArray, max_ratio: FloatArray, missing: BoolArray
 ) -> tuple[FloatArray, ...]:
-    """Return the deviations (N,) [m] of curves in all six numbers, in position, and in rotation.
+    """Return the deviations of curves in all six numbers, in position, and in rotation, (N,) [m] each.
 
-    At an end of the block the larger of two cases counts: V and A at full size, or both zero. A segment that
-    rotates too far has an infinite deviation, unless it is the whole block.
+    At an end of the block the larger one of two cases counts: V and A at full size, or the arm at rest with
+    both zero. A segment that rotates by more than ``MAX_ROTATION_RAD`` has an infinite deviation, unless it
+    is the whole block.
+
+    Args:
+        step: Five steps for each segment, (N, 5, 6) [m], see :func:`segment_steps`.
+        min_ratio: Smallest ratio of the segment's knot interval to that of each step, (N, 5).
+        max_ratio: Largest such ratio, (N, 5).
+        missing: Steps that are beyond the ends of the block, (N, 5).
     """
     rotates_too_far = np.linalg.norm(step[:, 2, 3:], axis=1) > ROTATION_LEVER_M_PER_RAD * MAX_ROTATION_RAD
+    # steps 1 and 3 are the segments directly before and after: both are missing if the segment is the block
     unbounded = rotates_too_far & ~missing[:, 1:4:2].all(axis=1)
     out = []
     for components in (slice(0, 6), slice(0, 3), slice(3, 6)):
@@ -214,7 +223,7 @@ class _TermBounds:
 
         Args:
             missing: Neighbours that are beyond the ends of the block, (N, 5).
-            ends: 1 for the start of the first segment, 3 for the end of the last one.
+            ends: 1 for the start of the block, 3 for its end: the index of the step that is missing there.
         """
         across, low, high = self.across.copy(), self.low.copy(), self.high.copy()
         for end in ends:
@@ -285,8 +294,8 @@ def _term_bounds(
 
     Args:
         step: Steps, (N, 5, D) [m].
-        min_ratio: Smallest g_i / g_k, (N, 5).
-        max_ratio: Largest g_i / g_k, (N, 5).
+        min_ratio: Smallest ratio g_i / g_k of the knot intervals of the segment i and of each step k, (N, 5).
+        max_ratio: Largest such ratio, (N, 5).
         missing: Neighbours that are beyond the ends of the block, (N, 5).
         components: Components of D in which the parts across the segment are measured.
     """

@@ -12,7 +12,10 @@ from planner.programs.steps import FlowError, ProgramStep, TextFault
 
 
 def _read(problem: Problem, arms: Arms, files: Files) -> ReadTasks:
-    """Read the programs of the controller's only arm. Steps are empty if there are faults."""
+    """Read the programs of the controller's only arm.
+
+    If the texts have faults, or the order of execution is not unique, the task has no steps.
+    """
     controller = problem.cell.controller
     ((name, arm),) = arms.items()
     text = reader.read(files, controller.max_bytes, controller.dialect)

@@ -120,9 +120,9 @@ def parse_value(kind: str, text: str) -> Any:
 
 
 def parse_target(text: str) -> tuple[tuple[float, float, float, float, float, float], StatedAxisValues]:
-    """Return X, Y, Z [mm], A, B, C [deg] and the stated external axes of a target in place.
+    """Return X, Y, Z [mm], A, B, C [deg] and the external axes of a target that a move statement contains.
 
-    Values are in single precision.
+    Such a target states the external axes that the program moves, or none. Values are in single precision.
 
     Raises:
         KrlValueError: The text is not a target.
@@ -176,7 +176,16 @@ def pose(numbers: list[float]) -> FloatArray:
 
 
 def _parse_components(kind: str, text: str) -> dict[str, Any]:
-    """Return the components of an aggregate by name: numbers in single precision, inner ones as text."""
+    """Return the components of an aggregate by name.
+
+    Numbers are in single precision. The components CM and J of a load, which are aggregates themselves, are
+    returned as text. Raises `KrlValueError` for any other form, and for missing or unexpected components.
+
+    Args:
+        kind: Key of ``_COMPONENTS``, whose components must all be there in this order, or of
+            ``_REQUIRED_PARTS``, after whose components external axes may follow.
+        text: The aggregate in braces.
+    """
     text = text.strip()
     if not (text.startswith("{") and text.endswith("}")):
         raise KrlValueError("syntax", f"{text!r:.40}: expected a value in braces")
@@ -271,7 +280,8 @@ NO_LOAD = LoadData(0.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
 def held_load(whole: LoadData, tool: LoadData, tcp: FloatArray) -> LoadData:
     """Return the load of what a tool holds, in the TCP frame, with principal moments.
 
-    It is the whole less the tool, by the parallel axis theorem about the centre of the whole.
+    Rules compare it with the block that the plan says the tool holds. It is the whole less the tool, by the
+    parallel axis theorem about the centre of the whole.
 
     Args:
         whole: Load of the tool with what it holds, in the flange frame.
@@ -353,6 +363,9 @@ class SplineError(Exception):
 
 def parse_block(line: int, rows: Iterator[tuple[int, str, list[CommentStatement]]]) -> SplineStatement:
     """Parse a spline block up to its ENDSPLINE, and leave the iterator after it.
+
+    The statements must be TIME_BLOCK START, then SPL and TIME_BLOCK PART for each point, then TIME_BLOCK END
+    and ENDSPLINE. A marked comment may only start a segment, and not between SPL and its TIME_BLOCK PART.
 
     Args:
         line: Line of SPLINE, from 1.

@@ -8,7 +8,11 @@ from planner.proof.language_contribution import ControllerPower
 
 
 def controller_files(power: ControllerPower) -> list[str]:
-    """Return the faults of the files of a KUKA controller, by comparison with the expected statements."""
+    """Return the faults of the files of a KUKA controller, by comparison with the expected statements.
+
+    If the names of the files are wrong, only these faults are returned. Otherwise there is a fault for each
+    file that differs, with its first different statement.
+    """
     controller, arm, partner = power.context.problem.cell.controller, power.tasks[0].arm.name, power.partner
     runs = "$PRO_ACT AND $PERI_RDY"
     partner_lines: list[str] = []

@@ -79,7 +79,9 @@ def hidden(context: Context, task: TaskText) -> RuleOutcome:
 def corners(task: TaskText, moves: Sequence[MoveStep]) -> tuple[list[Issue], float]:
     """Return an issue for each corner that uses more than half of an adjacent move, and the largest excess.
 
-    Corner and moves are compared by distance or, if the TCP does not move, by angle.
+    A corner is compared with the shorter one of the moves to it and from it: by distance or, if the TCP does
+    not move in one of them, by angle. Exact stops, joint moves, and corners without an adjacent straight move
+    are left out, and so are the smallest corners that KRL programs state.
 
     Args:
         task: The task.
@@ -160,7 +162,11 @@ def status(context: Context) -> RuleOutcome:
 def _status_faults(
     context: Context, task: TaskText, move: MoveStep, target: StatusTarget
 ) -> tuple[list[str], tuple[int, ...]]:
-    """Return messages on Status and Turn of a move's target, and the axes, from 1, that are near zero."""
+    """Return messages on Status and Turn of a move's target, and the axes, from 1, that are near zero.
+
+    There is a message unless exactly one joint solution within the limits has these bits. There is also one
+    for each axis near zero for which the opposite Turn bit selects another solution.
+    """
     machine, base = arm_model.robot_machine(task.arm.data), context.bases[task.arm.name]
     if task.arm.linear_axes:  # at the axis values that the target states
         base = np.array(base)

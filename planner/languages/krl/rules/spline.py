@@ -66,7 +66,7 @@ class SplineBlock:
 
 
 def blocks(context: Context) -> Iterator[SplineBlock]:
-    """Yield the spline blocks of all tasks, in order."""
+    """Yield the spline blocks of all tasks, in order. A block ends with its first move to a stop."""
     for task in context.job.tasks:
         moves = [step for step in task.steps if isinstance(step, MoveStep)]
         first = None
@@ -74,13 +74,17 @@ def blocks(context: Context) -> Iterator[SplineBlock]:
             if move.kind != SPLINE_MOVE:
                 continue
             first = k if first is None else first
+            # only the last move of a block ends in a stop
             if move.zone.fine:
                 yield _block(task, moves, first, k + 1)
                 first = None
 
 
 def _block(task: TaskText, moves: list[MoveStep], first: int, end: int) -> SplineBlock:
-    """Return the block of the moves ``first`` to ``end`` - 1; the target before them is its first point."""
+    """Return the block of the moves ``first`` to ``end`` - 1 of a task.
+
+    The first point of the block is the target of the move before it, which must be a pose.
+    """
     block_moves = tuple(moves[first:end])
     targets = [move.target for move in moves[max(first - 1, 0) : end]]
     without_pose = JointTarget | PassedTarget
@@ -142,7 +146,11 @@ def spline(context: Context) -> RuleOutcome:
 
 
 def _refusals(context: Context, all_blocks: list[SplineBlock]) -> list[Issue]:
-    """Return the reasons why the job may have no spline block at all, or why blocks cannot be bounded."""
+    """Return the reasons why the job may have no spline block at all, or why blocks cannot be bounded.
+
+    These are: a cell without ``path: spline``, work of two arms, an arm with parallel rods, a claim that is
+    proven on straight moves only, a minimum feed, and a motion that lacks moves of a block.
+    """
     issues = []
     controller, first = context.problem.cell.controller, all_blocks[0]
     if controller.path != "spline":
@@ -190,7 +198,16 @@ def _deviation_issues(block: SplineBlock, bounds: SplineCurveBounds) -> list[Iss
 
 
 def _speed_issues(context: Context, block: SplineBlock, bounds: SplineCurveBounds) -> list[Issue]:
-    """Return issues of speeds: of the tool between points, and of settings that prevent the block's times."""
+    """Return at most 20 issues on speeds of a block.
+
+    They concern four requirements:
+
+    - The TCP keeps the speed limit and, if there are claims on feeds, ``MAX_SPEED_FACTOR`` times the speed of
+      the moves nearby.
+    - $VEL.CP keeps the speed limit.
+    - $VEL.ORI lets the tool rotate fast enough for the times of the block.
+    - No segment of the block has a feed that changes along the path.
+    """
     issues, task = [], block.task
     limit = TCP_SPEED_FACTOR * context.problem.settings.tcp_speed
     step = spline_curve.segment_steps(block.pose)[:, 2]
@@ -228,7 +245,10 @@ def _speed_issues(context: Context, block: SplineBlock, bounds: SplineCurveBound
 
 
 def _nearby_speed(context: Context, block: SplineBlock, mean: FloatArray) -> FloatArray:
-    """Return the highest mean speed (N,) [m/s] of each segment and its neighbours of the same label."""
+    """Return for each move the highest mean speed (N,) [m/s] of it and its neighbours with an equal label.
+
+    The neighbours are up to two moves before and two moves after it. ``mean`` (N,) [m/s] are the mean speeds.
+    """
     label = context.motion.node_label[block.nodes]
     out = mean.copy()
     for k in (1, 2):
@@ -243,12 +263,14 @@ def _joint_allowance(
 ) -> tuple[Allowance, list[Issue]]:
     """Return the deviation of a block's curves from the replay, and issues of joint limits that they exceed.
 
-    The inverse Jacobian converts deviations of the TCP to those of joints. It is evaluated at both ends and
+    There are at most 20 issues: joints that change too much to be bounded, joint limits, and axis speeds. The
+    inverse Jacobian converts deviations of the TCP to those of joints. It is evaluated at both ends and
     the middle of each segment, where its values must not differ too much.
     """
     task, motion = block.task, context.motion
     machine, q = arm_model.robot_machine(task.arm.data), motion.q[task.arm.name]
     data = machine.data
+    # samples of the motion at the end and at the start of each move
     sample = motion.node_sample[block.nodes]
     previous = np.concatenate([[motion.node_sample[block.nodes[0] - 1]], sample[:-1]])
     replay_translation, replay_rotation = _replay_deviation(block)
@@ -305,13 +327,17 @@ def _joint_allowance(
 def _replay_deviation(block: SplineBlock) -> tuple[FloatArray, FloatArray]:
     """Return the deviation (N,) [m] and (N,) [rad] of the replay itself from the straight segments.
 
-    It rounds corners over half of the shorter segment, h in time, by at most h |change of velocity| / 4. Next
-    to ramps the speed is up to twice the mean. The accuracy of the replay is an upper bound.
+    The replay rounds the corner between two segments over half of the time of the shorter one, h. With the
+    velocities v1 and v2 it deviates there by at most h |v2 - v1| / 4. As velocities, twice the mean ones are
+    taken. At the first and the last corner of the block, next to rest, the two velocities may have any ratio,
+    so |v1| + |v2| replaces |v2 - v1|. The accuracy of the replay is another upper bound on the deviation. A
+    segment has the larger deviation of its two corners.
     """
     step = spline_curve.segment_steps(block.pose)
     velocity = step[:, 2] / block.duration[:, None]
     next_velocity = step[:-1, 3] / block.duration[1:, None]  # in the frame of the previous segment
     half = 0.5 * np.minimum(block.duration[:-1], block.duration[1:])
+    # half is h; 2.0: twice the mean velocities
     change = 2.0 * half[:, None] * (np.abs(next_velocity) + np.abs(velocity[:-1])) / 4.0
     straight = 2.0 * half[:, None] * np.abs(next_velocity - velocity[:-1]) / 4.0
     ramps = np.zeros(len(half), dtype=bool)
@@ -323,12 +349,16 @@ def _replay_deviation(block: SplineBlock) -> tuple[FloatArray, FloatArray]:
         (slice(3, 6), ROTATION_LEVER_M_PER_RAD, PATH_ACCURACY_RAD),
     ):
         corner = np.minimum(np.linalg.norm(change[:, components], axis=1) / scale, accuracy)
+        # corner i is at the end of segment i and at the start of segment i + 1
         out.append(np.maximum(np.append(corner, 0.0), np.append(0.0, corner)))
     return out[0], out[1]
 
 
 def _inverse(jacobian: FloatArray) -> FloatArray:
-    """Return the inverses (N, 6, 6), with very large entries for singular matrices."""
+    """Return the inverses (N, 6, 6) of Jacobians.
+
+    A singular Jacobian gets 1e9 in all entries, so that any deviation exceeds the joint limits.
+    """
     regular = np.linalg.cond(jacobian) < 1.0 / np.finfo(np.float64).eps
     out = np.full_like(jacobian, 1e9)
     out[regular] = np.linalg.inv(jacobian[regular])

@@ -32,7 +32,11 @@ def target_offsets(text: str) -> Iterator[tuple[int, bool]]:
 
 
 def _is_rewritten(numbers: tuple[str, ...]) -> bool:
-    """Return whether KSS may have written the numbers: some have more decimals than ours, or all fewer."""
+    """Return whether KSS, and not the planner, may have written the numbers of a target.
+
+    KSS writes as many decimals as single precision needs. So the position or the angles have more decimals
+    than the planner writes, or both have fewer. ``numbers`` are X, Y, Z, A, B and C as written.
+    """
     position, angles = (max(map(decimals_of, group)) for group in (numbers[:3], numbers[3:]))
     longer = position > _MM_DECIMALS or angles > _DEGREE_DECIMALS
     return longer or (position < _MM_DECIMALS and angles < _DEGREE_DECIMALS)

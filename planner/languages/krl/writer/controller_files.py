@@ -120,7 +120,11 @@ def _reset_request(number: int | None, flag: str) -> list[str]:
 
 
 def _torch_lock(numbers: Sequence[int | None]) -> list[str]:
-    """Return statements that block motion, and switching torches on by hand, until the program is reset."""
+    """Return statements that hold the arm and the torches off after a stop at which a torch burned.
+
+    They do so until the program is reset: the override is 0, and the outputs ``numbers`` are off even if
+    somebody sets them by hand.
+    """
     return [
         *("IF $PRO_STATE1==#P_RESET THEN", f"{TORCH_FLAG}=FALSE", "ENDIF"),
         f"IF {TORCH_FLAG} THEN",
@@ -302,7 +306,10 @@ def notes(
 
 
 def _turn_bit_notes(task: TaskProgram) -> list[Issue]:
-    """Return a warning for each operation that starts with axes near zero, whose turn bits may be ignored."""
+    """Return a warning for each operation at whose first target axes are near zero.
+
+    A controller may ignore the turn bits of these axes, and then reach the target in another posture.
+    """
     out = []
     for number, operation in enumerate(task.operations, 1):
         q = spline_blocks.first_joints(operation)
@@ -325,11 +332,12 @@ def _turn_bit_notes(task: TaskProgram) -> list[Issue]:
 
 
 def _rotation_notes(task: TaskProgram, plan: Plan, dialect: KrlDialect) -> list[Issue]:
-    """Return an issue for each operation with a move that rotates far.
+    """Return an issue for each operation in which controllers may rotate the tool otherwise than planned.
 
-    The planner rotates about one axis. A classical LIN swivels the tool axis by A and rotates about it by B.
-    In the middle of a move that rotates by w, with |A|^2 + |B|^2 = w^2, the orientations differ by |A x B| /
-    8, to second order, which is at most w^2 / 16.
+    The issue is a warning in krc2, and a note in krc4. It names the move that rotates most. The planner
+    rotates about one axis. A classical LIN swivels the tool axis by A and rotates about it by B. In the
+    middle of a move that rotates by w, with |A|^2 + |B|^2 = w^2, the orientations differ by |A x B| / 8, to
+    second order, which is at most w^2 / 16.
     """
     out = []
     for operation, moves in zip(
@@ -361,6 +369,7 @@ def _rotation_notes(task: TaskProgram, plan: Plan, dialect: KrlDialect) -> list[
                     value=float(np.rad2deg(deviation)),
                     limit=float(np.rad2deg(MAX_ROTATION_DEVIATION_RAD)),
                     unit="deg",
+                    # the advised rotation w has the allowed deviation w^2 / 16; rounded down to 0.1 deg
                     hint="watch these moves at low speed, or put targets closer, so that the tool rotates "
                     "by "
                     f"{np.floor(np.rad2deg(4.0 * np.sqrt(MAX_ROTATION_DEVIATION_RAD)) * 10.0) / 10.0:.1f} "

@@ -56,7 +56,11 @@ def load_data(tool: Tool, held: HeldLoad | None) -> str:
 
 
 def _combined_load(tool: Tool, held: HeldLoad) -> tuple[float, FloatArray, FloatArray, FloatArray]:
-    """Return mass [kg], centre (3,), axes (3, 3) and moments (3,) of tool and block in the flange frame."""
+    """Return the load of the tool, as a point mass, together with the block, in the flange frame.
+
+    Returns:
+        Mass [kg], centre (3,) [m], principal axes (3, 3) and principal moments (3,) [kg m^2] of inertia.
+    """
     held_axes = tool.tcp[:3, :3] @ held.axes
     held_centre = tool.tcp[:3, :3] @ held.cog + tool.tcp[:3, 3]
     mass = tool.mass + held.mass
@@ -66,7 +70,7 @@ def _combined_load(tool: Tool, held: HeldLoad) -> tuple[float, FloatArray, Float
         lever = point - centre
         tensor = tensor + weight * (lever @ lever * np.eye(3) - np.outer(lever, lever))
     moments, axes = np.linalg.eigh(tensor)
-    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    axes[:, 2] *= np.sign(np.linalg.det(axes))  # makes the axes right-handed
     return mass, centre, axes, moments
 
 
@@ -77,7 +81,10 @@ TURN_BIT_TOLERANCE_RAD: Final = np.deg2rad(2.0)
 
 
 def status(robot: RobotData, q: FloatArray) -> IntArray:
-    """Return the Status S (...,) of joints; the description of this module lists its bits.
+    """Return the Status S (...,) of joints. Together with the Turn it selects a posture for a PTP to a pose.
+
+    Bit 0 (1): the wrist centre is behind axis 1. Bit 1 (2): axis 3 is on the positive side of the posture in
+    which shoulder, elbow and wrist centre are in line. Bit 2 (4): axis 5 is negative.
 
     Args:
         robot: The robot.
@@ -209,6 +216,9 @@ class TaskDeclarations:
 
     def joint(self, step: JointMove, operation: int) -> str:
         """Return the name of the target of a joint move, after declaring it at first use.
+
+        Equal targets share the name of the first one: ``x_home``, or ``x_2_entry_1`` for the first target
+        with the role entry in operation 2.
 
         Args:
             step: The joint move.

@@ -76,7 +76,11 @@ def partner_lines(
 
 
 def partner_suffix(phases: tuple[int, ...]) -> str:
-    """Return the suffix of the name of the subprogram with a meeting, for the phases that use it."""
+    """Return the suffix of the name of a subprogram that contains a meeting after a move.
+
+    A toggle handshake has one subprogram for each level of the lines, which are the ``phases``: "meet_0" and
+    "meet_1". A four-phase handshake has a single one, "meet".
+    """
     return f"meet_{phases[0]}" if len(phases) == 1 else "meet"
 
 
@@ -85,7 +89,15 @@ def _level(value: int) -> str:
 
 
 def _wait(condition: str, seconds: float, unanswered: str) -> list[str]:
-    """Return statements that wait while a condition holds; on a timeout they halt, and then wait again."""
+    """Return statements that wait while a condition holds.
+
+    On a timeout they halt; after the next start they wait again.
+
+    Args:
+        condition: The condition in KRL.
+        seconds: Timeout [s].
+        unanswered: What a timeout means, for a comment.
+    """
     return [
         "$TIMER[1]=0",
         "$TIMER_STOP[1]=FALSE",
@@ -114,10 +126,10 @@ _SPEED_FRACTION: Final = 0.99
 def ptp_percent(
     robot: RobotData, start: FloatArray, end: FloatArray, tcp: FloatArray, limit: float, max_fraction: float
 ) -> int:
-    """Return the largest speed of a PTP [%], at least 1, at which the TCP keeps its speed limit.
+    """Return the largest speed of a PTP [%] at which the TCP keeps its limit, or 1 if even that is too fast.
 
-    The slowest axis runs at a fraction p of its catalogue speed and the others are synchronised with it. The
-    TCP speed is then p times its value at full speed, v_tcp(p) = p v_tcp(1).
+    The axis that needs the longest for its angle runs at a fraction p of its catalogue speed, and the others
+    are synchronised with it. The TCP speed is then p times its value at full speed, v_tcp(p) = p v_tcp(1).
 
     Args:
         robot: The robot.
@@ -129,11 +141,13 @@ def ptp_percent(
     """
     q = start + np.linspace(0.0, 1.0, _SPEED_SAMPLES + 1)[:, None] * (end - start)
     point = (forward_kinematics(robot, q) @ tcp)[:, :3, 3]
-    max_speed = float(np.linalg.norm(np.diff(point, axis=0), axis=1).max()) * _SPEED_SAMPLES
-    seconds = float((np.abs(end - start) / robot.velocity).max())
-    fraction = (
-        max_fraction if max_speed <= 0.0 else min(max_fraction, _SPEED_FRACTION * limit * seconds / max_speed)
-    )
+    # path_rate: largest displacement of the TCP per unit of the path parameter [m];
+    # v_tcp(1) = path_rate / full_speed_time
+    path_rate = float(np.linalg.norm(np.diff(point, axis=0), axis=1).max()) * _SPEED_SAMPLES
+    full_speed_time = float((np.abs(end - start) / robot.velocity).max())
+    fraction = max_fraction
+    if path_rate > 0.0:
+        fraction = min(max_fraction, _SPEED_FRACTION * limit * full_speed_time / path_rate)
     return max(1, int(np.floor(100.0 * fraction + 1e-9)))
 
 
@@ -199,7 +213,11 @@ class MainProgram:
         """Whether the external axes have the speeds for motion between stations."""
 
     def lines(self) -> list[str]:
-        """Return the statements of the main program, and fill ``bodies``."""
+        """Return the statements of the main program, and fill ``bodies`` with those of the subprograms.
+
+        The main program first enables the stop reactions, switches its outputs off, checks the robot's foot
+        and asks the operator for the start. The operations follow.
+        """
         out = [*syntax.STOP_INTERRUPT, "BAS(#INITMOV,0)", "$ADVANCE=3", "$IPO_MODE=#BASE", "$ORI_TYPE=#VAR"]
         out += [self._switch(signal, False) for signal in self.job.switched_signals(self.task)]
         out += [*syntax.message_setup(self.dialect), *self._robroot_check()]
@@ -220,7 +238,15 @@ class MainProgram:
         return out
 
     def _operation(self, index: int, operation: layout.OperationProgram) -> list[str]:
-        """Return the statements of an operation. Consecutive runs of segments become calls of subprograms."""
+        """Return the statements of an operation.
+
+        If the arm moves in it, tool, load and base are set first. Consecutive runs of segments become calls
+        of subprograms.
+
+        Args:
+            index: Index of the operation, from 0.
+            operation: The operation.
+        """
         out = comment(f"Operation {operation.name}.")
         if any(isinstance(step, layout.JointMove | layout.SegmentRun) for step in operation.steps):
             out += [
@@ -247,7 +273,14 @@ class MainProgram:
     def _step(
         self, step: layout.TaskStep, index: int, operation: layout.OperationProgram, question_follows: bool
     ) -> list[str]:
-        """Return the statements of a step; ``question_follows``: a question follows, maybe after messages."""
+        """Return the statements of a step that is not a run of moves; none for a meeting without a handshake.
+
+        Args:
+            step: The step.
+            index: Index of the operation, from 0.
+            operation: The operation.
+            question_follows: Whether the next step that is not a message is a question.
+        """
         match step:
             case layout.JointMove():
                 return self._ptp(step, index, operation)
@@ -269,7 +302,11 @@ class MainProgram:
         return []
 
     def _ptp(self, step: layout.JointMove, index: int, operation: layout.OperationProgram) -> list[str]:
-        """Return a PTP with its speed settings, and a check of the foot if an external axis moves it."""
+        """Return a PTP with its speed settings, and a check of the robot's foot if an external axis moves it.
+
+        The speed is the largest one at which the TCP keeps its limit. The first PTP of a program is slow
+        instead, because the arm may start from anywhere. Settings that are in force already are left out.
+        """
         limits = self.problem.settings
         percent = UNKNOWN_START_PERCENT
         if self._joints is not None:
@@ -343,7 +380,12 @@ class MainProgram:
     def _runs(
         self, index: int, operation: layout.OperationProgram, runs: Sequence[layout.SegmentRun]
     ) -> list[str]:
-        """Return calls of the subprograms with the moves of consecutive runs, and write these subprograms."""
+        """Return calls of the subprograms with the moves of consecutive runs, and write these subprograms.
+
+        There is one subprogram, in one file, for each module of ``split``. If a coordinated track moves with
+        the tool, its speed is set before the calls. If the arms meet after moves, the panel shows during the
+        calls that the arm moves with the other one.
+        """
         if operation.moves is None:
             return []
         first_move, end_move = runs[0].first, runs[-1].last
@@ -370,7 +412,11 @@ class MainProgram:
     def _moves(
         self, index: int, operation: layout.OperationProgram, parts: Iterable[layout.ModulePart]
     ) -> list[str]:
-        """Return the statements of a subprogram with moves. All settings precede its first move."""
+        """Return the statements of a subprogram with moves.
+
+        The first move states all settings, each later one only those that change. After each move at which
+        the arms meet, the subprogram with the meeting is called.
+        """
         text, moves = self.moves[index], operation.moves
         out: list[str] = []
         if text is None or moves is None:
@@ -439,21 +485,27 @@ def write(
 def _move_texts(
     task: layout.TaskProgram, plan: Plan, problem: Problem, data: TaskDeclarations
 ) -> list[MoveText | None]:
-    """Return the text of the moves of each operation, as spline blocks if the problem requires them."""
+    """Return the text of the moves of each operation, None for an operation in which the arm has no moves.
+
+    Each move has a text of its own. If the problem requires splines, the moves from one stop to the next form
+    a spline block where that is possible.
+    """
     controller = problem.cell.controller
     moves_by_operation = spline_blocks.operation_rows(task, data)
-    straight_texts = [
+    single_move_texts = [
         None
         if moves is None
         else syntax.move_text(moves, controller.dialect, operation.axis_setpoint, _track_positions(operation))
         for moves, operation in zip(moves_by_operation, task.operations, strict=True)
     ]
     if controller.path == "slin":
-        return straight_texts
-    runs_by_operation = spline_blocks.operation_runs(task, plan, data)
+        return single_move_texts
+    block_runs_by_operation = spline_blocks.operation_runs(task, plan, data)
     return [
         None if text is None or moves is None else spline_blocks.with_blocks(text, moves, runs)
-        for text, moves, runs in zip(straight_texts, moves_by_operation, runs_by_operation, strict=True)
+        for text, moves, runs in zip(
+            single_move_texts, moves_by_operation, block_runs_by_operation, strict=True
+        )
     ]
 
 

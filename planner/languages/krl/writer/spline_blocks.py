@@ -92,8 +92,14 @@ class MoveCurveBounds(NamedTuple):
 def bound_curves(position: FloatArray, quaternion: FloatArray, duration: FloatArray) -> MoveCurveBounds:
     """Bound the deviation and the speed of all curves of the family on a block.
 
-    The knots of the deviation are between even and by length, those of the speed are by time. At an end of
-    the block the arm may be at rest or not; both cases count for the deviation.
+    The bounds decide whether moves form a spline block. The deviation is bounded for all knot intervals
+    between two extremes: equal for all moves, or proportional to their lengths. The speed is bounded for knot
+    intervals that are proportional to the times of the moves. The deviation at an end of the block is the
+    larger one of two cases: the arm is at rest there, or it is not. The speed assumes that it is at rest
+    there.
+
+    A move of a block with several moves that rotates by more than ``MAX_ROTATION_RAD`` has an infinite
+    deviation.
 
     Args:
         position: Points, (M + 1, 3) [mm].
@@ -104,6 +110,7 @@ def bound_curves(position: FloatArray, quaternion: FloatArray, duration: FloatAr
     rotation = from_quaternion(quaternion)
     count = len(duration)
     for i in range(count):
+        # five steps: two before move i, move i itself (index 2), and two after it; 0 beyond the block
         index = np.clip(np.arange(i - 2, i + 4), 0, count)
         rotation_vectors = log_rotation(rotation[i].T @ rotation[index])
         step = np.diff(
@@ -115,6 +122,7 @@ def bound_curves(position: FloatArray, quaternion: FloatArray, duration: FloatAr
         lengths = np.linalg.norm(step, axis=1)
         length_ratio = np.where(exists, lengths / max(lengths[2], 1e-12), 1.0)
         knot_ratios = np.stack([np.ones(5), np.maximum(length_ratio, 1e-9)])
+        # ends of move i, 0 for its start and 1 for its end, that are also ends of the block
         open_ends = [k for k in (0, 1) if not exists[1 + 2 * k]]
         resting_ends = [[], *([k] for k in open_ends), open_ends]
         for components, values in (
@@ -144,11 +152,16 @@ def _slope_bounds(
     exists: BoolArray,
     components: slice = slice(None),
 ) -> _Terms:
-    """Return bounds on slopes, less the move's own, and curvatures at both ends of a move.
+    """Return bounds on slopes and curvatures at both ends of a move, of all curves of the family.
 
-    The move is the middle one of five steps (5, D) [mm]; those that ``exists`` (5,) are moves of the block.
-    Parts across the move are measured in ``components`` of D. The ratios (5,) are those of the move's knot
-    interval to that of each step.
+    The step of the move itself is subtracted from the slopes, so that a straight curve has the slopes 0.
+
+    Args:
+        step: Steps between six consecutive points, (5, D) [mm]; the move is the middle one.
+        min_ratio: Smallest ratio of the move's knot interval to that of each step, (5,).
+        max_ratio: Largest such ratio, (5,).
+        exists: Whether each step is a move of the block, (5,).
+        components: Components of D in which the parts across the move are measured.
     """
     length = float(np.linalg.norm(step[2]))
     direction = step[2] / max(length, 1e-12)
@@ -158,6 +171,7 @@ def _slope_bounds(
     corners = np.stack([min_ratio, max_ratio])
     offsets = (max_ratio * np.linalg.norm(across_step, axis=1)).tolist()
     slopes = np.sort(corners * relative, axis=0)
+    # bends: changes of slope between steps k and k + 1, both of which are moves of the block
     bend_across, bend_along, scale = np.zeros(4), np.zeros(4), np.zeros(4)
     for k in np.flatnonzero(exists[1:] & exists[:-1]).tolist():
         pairs = [(a, b) for a in corners[:, k] for b in corners[:, k + 1]]
@@ -167,7 +181,7 @@ def _slope_bounds(
         bend_along[k] = max(abs(b * relative[k + 1] - a * relative[k]) for a, b in pairs)
         scale[k] = 2.0 / (1.0 / max_ratio[k] + 1.0 / max_ratio[k + 1])
     across, low, high = [], [], []
-    for k in (1, 2):
+    for k in (1, 2):  # slopes at the start and the end of the move, between steps k and k + 1
         weight = np.array(
             [
                 _NEIGHBOUR_WEIGHT if exists[k + 1] else _END_WEIGHT,
@@ -179,7 +193,7 @@ def _slope_bounds(
         adjacent = [j for j in (k, k + 1) if exists[j]]
         low.append(slopes[0, adjacent].min() - outer_slope - 1.0)
         high.append(slopes[1, adjacent].max() + outer_slope - 1.0)
-    for k in (0, 1):
+    for k in (0, 1):  # curvatures at the start and the end, by the bends at this point and its neighbours
         factor = _BEND_FACTOR if exists[1 + 2 * k] else 1.0
         across.append(factor * float((scale * bend_across)[k : k + 3].max()))
         high.append(factor * float((scale * bend_along)[k : k + 3].max()))
@@ -188,7 +202,10 @@ def _slope_bounds(
 
 
 def _at_rest(terms: _Terms, ends: list[int]) -> _Terms:
-    """Return the terms if the arm is at rest at the start (0) or the end (1) of the move, or at both."""
+    """Return the terms of a move if the arm is at rest at ``ends`` of the move.
+
+    ``ends`` contains 0 for the start of the move, 1 for its end, both, or nothing.
+    """
     across, low, high = (value.copy() for value in terms)
     for k in ends:
         across[[k, k + 2]] = 0.0
@@ -215,6 +232,7 @@ def _max_deviation(
     )
     lengths = np.linalg.norm(step, axis=1)
     unit = step / np.maximum(lengths, 1e-12)[:, None]
+    # k is the step into which the curve overruns: the previous one (1) or the next one (3)
     overrun_deviation = 0.0
     for k, overrun in ((1, under), (3, over)):
         beyond = (max(overrun, 0.0) + between_grid_points) * lengths[2]
@@ -226,7 +244,11 @@ def _max_deviation(
 
 
 def _max_rate(across: FloatArray, low: FloatArray, high: FloatArray, size: float) -> float:
-    """Return the maximum [mm] of |dx/du| of a move of length ``size`` [mm], by its curve parameter u."""
+    """Return the maximum [mm] of |dx/du| on a move of length ``size`` [mm], from bounds on its terms.
+
+    The curve parameter u is 0 at the start of the move and 1 at its end. The speed is the result divided by
+    the time of the move.
+    """
     up, down = np.maximum(_CURVE_RATES, 0.0), np.minimum(_CURVE_RATES, 0.0)
     along = np.maximum(np.abs(1.0 + high @ up + low @ down), np.abs(1.0 + low @ up + high @ down)) * size
     return _GRID_FACTOR * float(np.hypot(along, across @ np.abs(_CURVE_RATES)).max())
@@ -259,6 +281,10 @@ SPLINE_ASSUMPTIONS: Final = (
 
 def spline_refusals(problem: Problem, targets_by_operation: Sequence[Targets]) -> tuple[Issue, ...]:
     """Return the reasons why a job cannot use spline blocks, however it is planned (``post.path``).
+
+    There are none if the cell does not require spline blocks. Otherwise each of these is a reason: an arm
+    that is not from KUKA, has parallel rods, compensated sag or a coordinated track; a claim that is proven
+    on straight moves only; a minimum feed; a feed that changes within a segment.
 
     Args:
         problem: The problem.
@@ -307,10 +333,13 @@ def spline_refusals(problem: Problem, targets_by_operation: Sequence[Targets]) -
 
 
 def _segments_with_varying_feed(targets: Targets) -> Iterator[Segment]:
-    """Yield the segments whose feed, read from a file, varies; moves from and to rest do not count."""
+    """Yield the working segments whose feed, as read from a file, changes within the segment.
+
+    Targets at a stop, and those directly after a stop, are left out, because the arm accelerates there.
+    """
     if not targets.feed_source:
         return
-    moving = ~(targets.stop | np.append(True, targets.stop[:-1]))
+    moving = ~(targets.stop | np.append(True, targets.stop[:-1]))  # the motion starts at rest
     for segment in dict.fromkeys(segment for segment in targets.segment if segment.works):
         feed = targets.feed[
             moving & np.array([target_segment == segment for target_segment in targets.segment])
@@ -393,12 +422,22 @@ def _check_run(
     segments: tuple[Segment, ...],
     limits: CurveLimits,
 ) -> StopToStopRun:
-    """Return the run of the moves ``first`` to ``last`` - 1, with a reason if its curves exceed a limit.
+    """Return the run of the moves ``first`` to ``last`` - 1, with a reason if it cannot be a spline block.
 
-    ``bounds`` are those of the run; ``moves`` and ``segments`` are those of the operation.
+    The first limit that is exceeded gives the reason. The limits are the deviation at each distance from the
+    TCP and then, if ``limits.keeps_feed``, the TCP speed relative to that of the neighbouring moves.
+
+    Args:
+        moves: All moves of the operation.
+        first: Index of the first move of the run.
+        last: Index of the move after the last one.
+        bounds: Bounds on the moves of the run, with indices from 0.
+        segments: Segment of each move of the operation.
+        limits: Limits on the curves.
     """
     mean_speed = moves.length[first:last] / moves.duration[first:last]
     labels = [str(segment) for segment in segments[first:last]]
+    # highest mean speed of each move and of up to two moves of its segment before and after it
     nearby_speed = mean_speed.copy()
     for i in range(last - first):
         for j in range(max(i - 2, 0), min(i + 3, last - first)):
@@ -408,6 +447,7 @@ def _check_run(
     deviation, speed = bounds.deviation, bounds.speed
     worst_index = int(np.argmax(deviation))
     for lever, limit in limits.allowed:
+        # the combined bound holds for one lever only; for any other lever the two parts are added
         lever_deviation = np.maximum(
             bounds.translation + lever * bounds.rotation,
             deviation if lever == ROTATION_LEVER_MM_PER_RAD else 0.0,
@@ -439,6 +479,9 @@ def _check_run(
 
 def with_blocks(lines: MoveText, moves: KrlMoves, runs: list[StopToStopRun]) -> MoveText:
     """Return the text of all moves, in which the moves of each run without a reason form a spline block.
+
+    A block states its time and the part of it for each move. The speed settings in force are those of the
+    block's fastest move, with a small reserve, and the corners are those in force at its first move.
 
     Args:
         lines: Text of all moves as straight moves.

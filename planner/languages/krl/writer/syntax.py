@@ -226,9 +226,10 @@ def declarations(dialect: KrlDialect) -> list[str]:
 
 
 def message_setup(dialect: KrlDialect) -> list[str]:
-    """Return the statements before the first message: options, and empty parameters and keys.
+    """Return the statements that precede the first message or question of a program.
 
-    In krc2 they refuse the mode in which a PLC starts programs.
+    In krc4 they set the options of messages, and clear the parameters and keys. In krc2 they refuse automatic
+    external, the mode in which a PLC starts programs.
     """
     if dialect == "krc2":
         return _refuse_external_mode()
@@ -242,8 +243,8 @@ def message_setup(dialect: KrlDialect) -> list[str]:
 def question_lines(text: str, dialect: KrlDialect) -> list[str]:
     """Return a question: the program continues if the operator answers yes, and asks again otherwise.
 
-    krc4 uses dialogs, all but the last with the key Next. krc2 uses marked comments and HALT, never in
-    automatic external.
+    krc4 shows the parts of the text in dialogs: the last one has the keys Yes and No, all others the key
+    Next. krc2 has marked comments and HALT, and then refuses automatic external, in which a PLC could answer.
 
     Args:
         text: The question.
@@ -509,8 +510,9 @@ def rounded_pose(pose: FloatArray) -> tuple[FloatArray, FloatArray]:
 def krl_moves(track: MoveTable, stop: BoolArray, start: tuple[FloatArray, FloatArray]) -> KrlMoves:
     """Return the moves of an operation, with speeds that take at least the planned time.
 
-    A move whose TCP moves far and fast enough is timed by its TCP speed, any other by its rotation speed. The
-    move before one in which the arm stands still ends in a stop, too.
+    If the TCP moves by at least ``MIN_LINEAR_DISTANCE_MM``, at ``MIN_SPEED_M_S`` or faster, the TCP speed
+    determines the time of the move. Otherwise the rotation speed determines it. A move in which the arm
+    stands still ends in a stop, and so does the move before it.
 
     Args:
         track: Targets of one operation, with their durations.
@@ -550,7 +552,8 @@ def krl_moves(track: MoveTable, stop: BoolArray, start: tuple[FloatArray, FloatA
 def snap_poses(position: FloatArray, quaternion: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return positions and quaternions in which each pose that is too close to the previous one equals it.
 
-    KRL cannot state the speed of a move between such poses.
+    KRL cannot state a speed that is low enough for a move between such poses. An orientation is replaced only
+    together with its position.
 
     Args:
         position: Positions, (N, 3) [mm].
@@ -567,8 +570,8 @@ def snap_poses(position: FloatArray, quaternion: FloatArray) -> tuple[FloatArray
 def _snap_in_place(position: FloatArray, angles: FloatArray) -> None:
     """Set positions (N, 3) [mm], and angles (N, 3) [deg], to the previous ones if the move is too short.
 
-    The limit is the distance that the minimum speed covers in the minimum time of a move. Orientations have a
-    corresponding limit.
+    The limit of a position is the distance that the minimum speed covers in the minimum time of a move. An
+    orientation is set only together with the position, and has a corresponding limit.
     """
     position_tolerance = 1e3 * MIN_SPEED_M_S * MIN_MOVE_TIME_S
     # both rotation speeds of a path act together, so a rotation may take only 0.7 of the time of one alone
@@ -674,19 +677,27 @@ def _setting_changes(values: FloatArray) -> list[str]:
 def _values_in_force(moves: KrlMoves) -> FloatArray:
     """Return the values (M, 5) of the settings in force at each move.
 
-    A move that stands still keeps the previous speeds, and one with a stop the previous approximation.
+    A move in which the arm stands still keeps the speeds of the move before it. A move that ends in a stop
+    keeps the approximation of the move before it, because it has no corner. The values of the first move are
+    its own.
     """
     table = np.stack(
         [moves.speed, moves.rotation_speed, moves.rotation_speed, moves.distance, moves.angle], axis=1
     )
     keep = np.stack([moves.still] * 3 + [moves.stop] * 2, axis=1)
+    # for each value the index of the latest move, up to this one, that states it itself
     source = np.where(keep, 0, np.arange(len(table))[:, None])
     latest = np.maximum.accumulate(source, axis=0) if len(table) else source
     return np.take_along_axis(table, latest, axis=0)
 
 
 def _setting_lines(values: Sequence[float], new: Sequence[bool] = (True,) * len(_MODAL_SETTINGS)) -> str:
-    """Return the statements, each with a line end, that set the new ones of the values."""
+    """Return the statements, each with a line end, that set some of the settings.
+
+    Args:
+        values: Values of ``_MODAL_SETTINGS``.
+        new: Whether each of them changes and must be set.
+    """
     decimals = (SPEED_DECIMALS, ROTATION_SPEED_DECIMALS, ROTATION_SPEED_DECIMALS, 3, 3)
     return "".join(
         f"{word}={_real(value, digits)}\n"
@@ -711,7 +722,8 @@ def _end_words(moves: KrlMoves, dialect: KrlDialect) -> list[str]:
 def _corners(track: MoveTable) -> tuple[FloatArray, FloatArray]:
     """Return the approximation distances (M,) [mm] and angles (M,) [deg] of the corners.
 
-    The angle bounds a corner only if the TCP does not move.
+    If the TCP moves, the distance bounds the corner, and the angle has no effect. If the TCP does not move,
+    the angle bounds the corner.
     """
     rotates_only = track.max_zone <= 0.0  # also for a move of some micrometres without rotation
     distance = _largest_fitting(APPROXIMATION_DISTANCES, track.max_zone)
@@ -722,7 +734,11 @@ def _corners(track: MoveTable) -> tuple[FloatArray, FloatArray]:
 
 
 def _largest_fitting(sizes: Sequence[float], available: FloatArray) -> FloatArray:
-    """Return for each available size (M,) the largest of the descending sizes that fits, or the smallest."""
+    """Return for each available size (M,) the largest of the descending ``sizes`` that fits into it.
+
+    If none fits, it is the smallest one.
+    """
+    # the negative sizes ascend, as the search requires; 1e-9 is for rounding
     index: IntArray = np.searchsorted(-np.array(sizes), -available - 1e-9)
     return np.asarray(np.array(sizes)[np.minimum(index, len(sizes) - 1)])
 

@@ -65,7 +65,13 @@ def parse_configuration(text: str) -> tuple[str, dict[str, list[InstanceRow]]]:
 
 
 def _parse_row(line: str) -> InstanceRow:
-    """Parse the line of one instance, with continuation lines joined, without ignored attributes."""
+    """Parse the line of one instance, in which continuation lines are joined already.
+
+    Attributes without effect on the controller are left out.
+
+    Raises:
+        ConfigurationSyntaxError: An attribute is malformed, spelled differently, or occurs twice.
+    """
     values: dict[str, str] = {}
     offset = 0
     while offset < len(line):

@@ -57,7 +57,10 @@ class NameTable:
     def _search(
         self, key: str, current: syntax_tree.Module
     ) -> tuple[syntax_tree.Module, syntax_tree.DataDeclaration | syntax_tree.Procedure] | None:
-        """Search the current module, then the data and procedures of the others that are not LOCAL."""
+        """Return the declaration of a lower-case name with its module, or None.
+
+        All declarations of the current module come first, then those of other modules that are not LOCAL.
+        """
         for module in (current, *(module for module in self.modules.values() if module is not current)):
             for item in self.items(module).get(key, ()):
                 if module is current or not item.local:
@@ -156,7 +159,10 @@ class Evaluator:
             raise FlowError([fault_at(self.module, expr.start, wrong.code, wrong.message)]) from None
 
     def _literal_items(self, expr: syntax_tree.Expr) -> Any:
-        """Components of an aggregate as nested lists for `build_value`, UNKNOWN if one of them is unknown."""
+        """Return the components of an aggregate as nested lists for `build_value`.
+
+        The result is UNKNOWN if one of them is unknown.
+        """
         if isinstance(expr, syntax_tree.Literal):
             return expr.value
         if isinstance(expr, syntax_tree.Aggregate):
@@ -175,7 +181,10 @@ class Evaluator:
         return self.value(expr, "num")
 
     def _name_value(self, name: syntax_tree.Name) -> syntax_tree.Value:
-        """Value of a name: of a loop counter, else the last one assigned, else the initial one."""
+        """Return the value of a name, UNKNOWN if it is only known at run time.
+
+        The value of a loop counter comes first, then the last assigned value, then the initial value.
+        """
         counter = self.assigned.get(("for", name.key))
         if counter is not None:
             return counter
@@ -196,7 +205,10 @@ class Evaluator:
     def _initial_value(
         self, module: syntax_tree.Module, data: syntax_tree.DataDeclaration
     ) -> syntax_tree.Value:
-        """Value of data when main starts, UNKNOWN if an earlier run or the operator may have changed it."""
+        """Return the value of a datum when main starts.
+
+        It is UNKNOWN if an earlier run or the operator may have changed it.
+        """
         if data.kind == "syncident":
             return syntax_tree.SyncIdent(data.name)
         if data.initial is None or data.kind in syntax_tree.OPAQUE_TYPES or data.name.lower() in self.written:
@@ -215,7 +227,10 @@ class Evaluator:
             self.module = saved_module
 
     def _binary_value(self, expr: syntax_tree.Binary) -> syntax_tree.Value:
-        """Result of a binary operator, UNKNOWN if the controller's single precision may give another one."""
+        """Return the result of a binary operator.
+
+        It is UNKNOWN if the controller's single precision may give another one.
+        """
         left, right = self.value(expr.left, "num"), self.value(expr.right, "num")
         if expr.operator == "and" and (left is False or right is False):
             return False
@@ -237,7 +252,7 @@ class Evaluator:
 
 
 def _is_single_precision(value: Any) -> bool:
-    """Whether the controller, which computes in single precision, holds exactly this value.
+    """Return whether the controller, which computes in single precision, holds exactly this value.
 
     If it rounds an operand, results and comparisons on the controller may differ from those here.
     """
@@ -245,7 +260,10 @@ def _is_single_precision(value: Any) -> bool:
 
 
 def _written_names(module: syntax_tree.Module) -> Iterator[str]:
-    """Lower-case names that statements of the module write to: assignments and "variable" arguments."""
+    """Return the names, in lower case, that statements of the module write to.
+
+    These are targets of assignments and "variable" arguments.
+    """
     todo = [
         block
         for procedure in module.procedures

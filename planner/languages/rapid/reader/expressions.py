@@ -108,6 +108,7 @@ def _sum(cursor: RapidCursor, longest: int, depth: int) -> Expr:
 
 
 def _product(cursor: RapidCursor, longest: int, depth: int) -> Expr:
+    """Parse operands joined by * / DIV or MOD, from left to right."""
     left = _primary(cursor, longest, depth)
     while (cursor.token.kind == "symbol" and cursor.token.text in "*/") or cursor.token.word in (
         "div",
@@ -178,7 +179,10 @@ def _signed(cursor: RapidCursor, longest: int, depth: int) -> Expr:
 
 
 def _string(cursor: RapidCursor, longest: int) -> str:
-    """Take a string and return its value, with doubled quotes and backslashes resolved."""
+    """Take a string and return its value, with doubled quotes and backslashes resolved.
+
+    ``longest`` is the maximum length [characters]. A character code, which a backslash starts, is refused.
+    """
     token = cursor.take()
     value = token.text[1:-1].replace('""', '"')
     if "\\" in value.replace("\\\\", ""):
@@ -257,7 +261,7 @@ def parse_number_list(text: str, start: int) -> tuple[list[Any], int] | None:
 
 
 def _all_finite(value: Any) -> bool:
-    """Whether nested lists are not empty and contain only numbers in the range of single precision."""
+    """Return whether nested lists are not empty and contain only numbers in the range of single precision."""
     if isinstance(value, list):
         return bool(value) and all(map(_all_finite, value))
     return bool(-MAX_NUMBER < value < MAX_NUMBER)
@@ -356,7 +360,11 @@ def parse_instruction(cursor: RapidCursor, line: int, max_string_length: int) ->
 def _arguments(
     cursor: RapidCursor, longest: int, form: InstructionForm
 ) -> tuple[list[Expr], list[_RapidOption]]:
-    """Parse the required arguments and the options of an instruction, up to the semicolon."""
+    """Parse the required arguments and the options of an instruction, up to the semicolon.
+
+    Commas separate required arguments. An option starts with a backslash, and a comma before it is optional.
+    Number and types are not checked here.
+    """
     required: list[Expr] = []
     options: list[_RapidOption] = []
     while not (cursor.token.kind == "symbol" and cursor.token.text == ";"):
@@ -379,7 +387,13 @@ def _arguments(
 
 
 def _argument(value: Expr, kind: str) -> Expr:
-    """Return an argument as a literal of its type if possible; refuse it if it must be a name and is not."""
+    """Return an argument as a literal of its type if it consists of literals, else unchanged.
+
+    ``kind`` is its RAPID type. Some types can only be named.
+
+    Raises:
+        RapidSyntaxError: The argument is not a name although its type requires one, or its value is wrong.
+    """
     if kind.startswith("variable") or kind in ("syncident", "tasks", "signaldo", "signaldi", "clock"):
         if not isinstance(value, Name):
             raise RapidSyntaxError(
@@ -390,7 +404,12 @@ def _argument(value: Expr, kind: str) -> Expr:
 
 
 def _option(option: _RapidOption, form: InstructionForm) -> Expr | None:
-    """Return the value of an option, None for a switch; refuse it if its name, place or value is wrong."""
+    """Return the value of an option, None for a switch.
+
+    Raises:
+        RapidSyntaxError: The instruction has no such option, the option follows another argument, or its
+            value is missing, wrong or not allowed.
+    """
     allowed = form.options.get(option.name)
     if allowed is None:
         names = ", ".join("\\" + name for name in form.options) or "no options"
@@ -430,8 +449,8 @@ _MOVE_TAIL = re.compile(
 def parse_usual_move(cursor: RapidCursor, line: int) -> MoveStatement | None:
     """Parse the move at the cursor if it has the usual form; otherwise return None and leave the cursor.
 
-    In the usual form, the target is a name or numbers, as is the speed; zone, tool and work object are names;
-    and there are no other options than ID, T, WObj and NoEOffs.
+    In the usual form, target and speed are names or numbers. Zone, tool and work object are names. There are
+    no other options than ID, T, WObj and NoEOffs.
 
     Args:
         cursor: Position in the text.

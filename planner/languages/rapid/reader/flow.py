@@ -67,7 +67,7 @@ _STOP_STATEMENTS = ("EXIT", "Stop", "StopMove")
 
 
 class _LeaveError(Exception):
-    """Raised at a RETURN, EXIT, RAISE, RETRY or TRYNEXT."""
+    """Raised at a RETURN, EXIT, RAISE, RETRY or TRYNEXT (``word``), to leave the procedure."""
 
     def __init__(self, word: str) -> None:
         super().__init__(word)
@@ -84,6 +84,8 @@ class RapidRunner(Evaluator):
         condition: Run-time condition of the current branch, "" for none.
         depth: Call depth.
         entered: (module, procedure) of everything that ran or may run.
+        modules: Modules by lower-case name.
+        assigned: Values that were assigned so far, see `Evaluator`.
     """
 
     def __init__(
@@ -126,6 +128,8 @@ class RapidRunner(Evaluator):
     ) -> tuple[ProgramStep, ...]:
         """Execute a block of a procedure and return all steps so far.
 
+        The block ends early at a RETURN, EXIT or similar statement (`_LeaveError`).
+
         Args:
             module: Module of the procedure.
             procedure: The procedure.
@@ -150,7 +154,10 @@ class RapidRunner(Evaluator):
             self.statement(statement)
 
     def statement(self, statement: RapidStatement) -> None:
-        """Execute one statement and append its effects to ``steps``."""
+        """Execute one statement and append its effects to ``steps``.
+
+        The statements of a called procedure are executed at the place of the call.
+        """
         self._spend(statement, 5 if isinstance(statement, MoveStatement) else 1)
         match statement:
             case MoveStatement():
@@ -228,23 +235,26 @@ class RapidRunner(Evaluator):
             self.depth -= 1
 
     def _where(self, statement: RapidStatement) -> tuple[str, str, int, str]:
-        """The first four fields of a `ProgramStep`: module, procedure, line and condition."""
+        """Return the first four fields of a `ProgramStep`: module, procedure, line and condition."""
         return self.module.name, self.procedure, statement.line, self.condition
 
     def _kind(self, name: Name) -> str:
-        """RAPID type of declared data; num for other names, such as loop counters."""
+        """Return the RAPID type of declared data, or num for other names, such as loop counters."""
         declaration = self.find(name.key)
         return declaration[1].kind if declaration and isinstance(declaration[1], DataDeclaration) else "num"
 
     def _assign(self, name: Expr, value: Value) -> None:
-        """Store the value of declared data; UNKNOWN if the statement sets a value at run time."""
+        """Store the value that a statement assigns to declared data; other expressions are ignored.
+
+        ``value`` is UNKNOWN if the value is only known at run time, as the answer of an operator is.
+        """
         if isinstance(name, Name):
             declaration = self.find(name.key)
             if declaration:
                 self.assigned[declaration[0].name.lower(), name.key] = value
 
     def _require_value(self, expr: Expr, kind: str) -> Value:
-        """Value of an expression; raise a FlowError if it is only known at run time."""
+        """Return the value of an expression; raise a FlowError if it is only known at run time."""
         value = self.value(expr, kind)
         if value is None:
             raise self.flow_error(
@@ -253,7 +263,11 @@ class RapidRunner(Evaluator):
         return value
 
     def _move(self, move: MoveStatement) -> MoveStep:
-        """Return the step of a move. All of its data must be known before run time."""
+        """Return the step of a move, with all names replaced by their values.
+
+        Raises:
+            FlowError: A value is only known at run time.
+        """
         form = INSTRUCTIONS[move.kind.lower()]
         target = self._require_value(move.target, form.required[0])
         ident = None if move.id is None else int(self._require_value(move.id, "num"))
@@ -283,7 +297,15 @@ class RapidRunner(Evaluator):
         )
 
     def _instruction(self, statement: Instruction) -> None:
-        """Append the step of an instruction; raise _LeaveError if it ends the procedure without condition."""
+        """Append the step of a built-in instruction that is no move.
+
+        Signal values, meetings, files and loads must be known before run time. Other instructions become a
+        `SettingStep` with their options and their numbers.
+
+        Raises:
+            FlowError: A value that must be known is only known at run time.
+            _LeaveError: The instruction ends the procedure and depends on no run-time condition.
+        """
         name, arguments, options = statement.name, statement.arguments, dict(statement.options)
         where = self._where(statement)
         if name in ("SetDO", "Set", "Reset"):
@@ -326,7 +348,10 @@ class RapidRunner(Evaluator):
                 raise _LeaveError(name)
 
     def _message(self, statement: Instruction, options: dict[str, Expr | None]) -> None:
-        """Append the step of a statement that shows a text. "..." stands for text known at run time only."""
+        """Append the step of a statement that shows a text or asks a question.
+
+        "..." stands for text that is known at run time only. Results of questions become UNKNOWN.
+        """
         name, arguments = statement.name, statement.arguments
         shown = [value for value in (options.get("header"), *arguments) if value is not None]
         # the panel shows lines by number, in whatever order the text lists them
@@ -375,8 +400,12 @@ class RapidRunner(Evaluator):
     # ---- branches and loops ----
 
     def _if(self, statement: If) -> None:
-        """Execute the branch whose condition is known to hold, or all branches that may be executed."""
-        undecided = ""
+        """Execute the branch whose condition is known to hold, or all branches that may be executed.
+
+        As soon as one condition is only known at run time, this branch and all later ones that may hold are
+        collected as choices, with ELSE.
+        """
+        undecided = ""  # text of the last condition that is only known at run time, "" for none
         for (condition, body), source in zip(statement.branches, statement.source, strict=True):
             truth = self.value(condition, "bool")
             if truth is False:
@@ -400,7 +429,10 @@ class RapidRunner(Evaluator):
             self._choice(statement, statement.source, lambda: self.block(statement.body), repeats=True)
 
     def _for(self, statement: For) -> None:
-        """Execute a counted loop. Its range must be known; a missing STEP counts towards the last value."""
+        """Execute a counted loop, whose range must be known before run time.
+
+        Without STEP the step is 1 or -1, towards the last value. ``MAX_ITERATIONS`` limits the steps.
+        """
         first, last = self._require_value(statement.first, "num"), self._require_value(statement.last, "num")
         step = (
             self._require_value(statement.step, "num") if statement.step else (1.0 if last >= first else -1.0)
@@ -423,7 +455,7 @@ class RapidRunner(Evaluator):
 
         ``run`` executes the branch. ``repeats`` is True for a loop. In a handler all steps are allowed.
         """
-        self._spend(statement, 1 + len(self.assigned))
+        self._spend(statement, 1 + len(self.assigned))  # the assigned values are copied below
         outer_steps, outer_condition = self.steps, self.condition
         assigned_before = dict(self.assigned)
         self.steps = []
@@ -453,10 +485,11 @@ class RapidRunner(Evaluator):
 
 
 def _harmless(step: ProgramStep, branch: Sequence[ProgramStep]) -> bool:
-    """Whether a step of a branch may depend on a run-time condition: it shows text, waits or stops the task.
+    """Return whether a step of a branch may depend on a run-time condition.
 
-    In a branch that ends the task with EXIT, signals may be switched off first. A branch that leaves its
-    procedure (RETURN, RAISE) is not harmless, because it would skip the statements that follow there.
+    It may if it shows text, waits, stops the task, or is a procedure's late-bound call or a nested choice. In
+    a branch that ends the task with EXIT, signals may be switched off without delay. A step that leaves its
+    procedure (RETURN, RAISE) may not, because it would skip the statements that follow there.
     """
     last_step = branch[-1]
     # the EXIT depends on no further condition than the first step of the branch
@@ -540,7 +573,11 @@ def error_handlers(modules: Sequence[Module]) -> Sections:
 def _called_procedures(
     modules: Sequence[Module], names: NameTable, entered: set[tuple[str, str]]
 ) -> frozenset[tuple[str, str]]:
-    """All procedures that may run: those ``entered``, and those that their ERROR and UNDO sections call."""
+    """Return (module, procedure) of all procedures that may run, for the rule against hidden procedures.
+
+    The main flow runs those in ``entered``. Their ERROR and UNDO sections may call further procedures, whose
+    sections may again call others.
+    """
     # reversed: of procedures with equal names, the first one counts
     by_name = {
         (module.name, procedure.name): procedure
@@ -563,7 +600,10 @@ def _called_procedures(
 def _sections(
     modules: Sequence[Module], names: NameTable, section: str
 ) -> dict[tuple[str, str], tuple[ProgramStep, ...]]:
-    """Steps of each ERROR section (``section`` "error") or UNDO section ("undo"), by module and procedure."""
+    """Return the steps of each section of one kind, by module and procedure.
+
+    ``section`` is "error" for ERROR sections and "undo" for UNDO sections.
+    """
     sections: dict[tuple[str, str], tuple[ProgramStep, ...]] = {}
     for module in modules:
         for procedure in module.procedures:

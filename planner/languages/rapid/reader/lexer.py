@@ -215,7 +215,10 @@ class InstructionForm:
 
 
 def _move(name: str, target: str, extra: dict[str, tuple[int, str]]) -> InstructionForm:
-    """Form of a move with a target of type ``target``; ``extra`` are the options that other moves lack."""
+    """Return the form of a move with a target of type ``target``.
+
+    ``extra`` are the options that other moves lack.
+    """
     options: dict[str, tuple[int, str]] = {
         "conc": (0, "switch"),
         "id": (1, "num"),

@@ -46,6 +46,9 @@ _SHIFTS: Final = re.compile(
 def read_partly(problem: Problem, arm: Arm, files: Files) -> PartlyRead:
     """Read the modules of one task as far as possible, and follow its main flow.
 
+    The result shows the path of programs that were not written by the planner. Lines that cannot be read
+    become gaps.
+
     Args:
         problem: The problem.
         arm: Arm of the task.
@@ -137,7 +140,7 @@ class _PartialRapidRunner(RapidRunner):
         return True
 
     def block(self, statements: Sequence[RapidStatement]) -> None:
-        """Execute each statement that was read, with gaps for unread lines in between."""
+        """Execute each statement that was read, with gaps for unread lines before, between and after them."""
         if statements:
             first = statements[0].line
             self._gap_if_unread(self._first_unread_line(first), first)
@@ -148,7 +151,10 @@ class _PartialRapidRunner(RapidRunner):
             )
 
     def _first_unread_line(self, line: int) -> int:
-        """First of the contiguous lines above ``line`` that are faulty, blank or only a comment."""
+        """Return the first of the contiguous lines above ``line`` that are faulty, blank or only a comment.
+
+        Without such a line the result is ``line``.
+        """
         faulty_lines = self.faulty_lines.get(self.module.file, [])
         source_lines = self.source_lines.get(self.module.file, [])
         while line > 1:
@@ -160,12 +166,18 @@ class _PartialRapidRunner(RapidRunner):
         return line
 
     def _line_after_procedure(self, line: int) -> int:
-        """First line of the next procedure after ``line``, or the line after the end of the module."""
+        """Return the first line of the next procedure after ``line``, or the line after the module's end."""
         starts = [procedure.line for procedure in self.module.procedures if procedure.line > line]
         return min(starts, default=self.module.lines + 1)
 
     def _statement_or_gap(self, statement: RapidStatement, next_line: int) -> None:
-        """Execute a statement, or record a gap; ``next_line`` is that of the next one that was read."""
+        """Execute a statement, or record a gap if one of its lines has a fault or it cannot be followed.
+
+        ``next_line`` is the line of the next statement that was read.
+
+        Raises:
+            FlowError: The statement budget is used up, so that reading ends.
+        """
         line = statement.line
         next_line = max(next_line, line + 1)
         compound = isinstance(statement, If | While | For)
@@ -185,7 +197,7 @@ class _PartialRapidRunner(RapidRunner):
         self._gap_if_unread(line + 1, next_line)
 
     def call(self, start: int, name: str) -> None:
-        """Expand a procedure; one with unread lines ends in a gap."""
+        """Execute a procedure at the place of its call. If it has unread lines, a gap follows."""
         super().call(start, name)
         declaration = self.find(name.rpartition(":")[2].lower())
         if declaration is not None and isinstance(declaration[1], Procedure):
@@ -211,7 +223,11 @@ class _PartialRapidRunner(RapidRunner):
                 self.path.append(Gap(shifts))
 
     def _while(self, statement: While) -> None:
-        """Execute the first iteration of a loop only, between gaps: later ones start where it ends."""
+        """Execute only the first iteration of a loop whose condition holds, between two gaps.
+
+        The gaps stand for the moves to the start of later iterations, which begin elsewhere. A loop whose
+        condition is unknown or FALSE is executed as in the base class.
+        """
         if self.value(statement.condition, "bool") is True:
             self._append_gap()
             self.flow_faults.append(
@@ -223,7 +239,10 @@ class _PartialRapidRunner(RapidRunner):
         super()._while(statement)
 
     def _initial_value(self, module: Module, data: DataDeclaration) -> Value:
-        """Return UNKNOWN for data with a fault between its line and the next declaration."""
+        """Return the value of a datum when main starts.
+
+        It is UNKNOWN also if a line from its declaration to the next declaration has a fault.
+        """
         lines = [*(item.line for item in module.data), *(item.line for item in module.procedures)]
         later_lines = [line for line in lines if line > data.line]
         faulty_lines = self.faulty_lines.get(module.file, [])

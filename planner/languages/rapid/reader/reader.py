@@ -73,7 +73,7 @@ class RapidParser:
         text: The text.
         file: Its path, for faults.
         limits: Size limits.
-        fast_moves: Whether usual moves take the fast path.
+        fast_moves: Whether `parse_usual_move` is tried before the general parser.
         cursor: Position in the text.
         faults: All faults so far.
     """
@@ -100,7 +100,10 @@ class RapidParser:
     # ---- module level ----
 
     def module(self) -> syntax_tree.Module | None:
-        """Return the module with all that could be read, or None if its MODULE line is faulty."""
+        """Return the module with all that could be read, or None if its MODULE line is faulty.
+
+        Data after the first procedure, a missing ENDMODULE and text after it are faults, too.
+        """
         self._skip_old_header()
         try:
             self.cursor.expect_word("module", "to open the module")
@@ -168,7 +171,10 @@ class RapidParser:
         data.append(self._data(first, storage.upper(), local))
 
     def _data(self, first: RapidToken, storage: str, local: bool) -> syntax_tree.DataDeclaration:
-        """Parse a data declaration from its type on; ``first`` is its first token (LOCAL, CONST...)."""
+        """Parse a data declaration from its type on; ``first`` is its first token (LOCAL, CONST...).
+
+        ``storage`` is CONST, VAR, PERS or TASK PERS. Only a VAR may have no value.
+        """
         token = self.cursor.token
         if token.kind != "name" or token.word not in syntax_tree.ALL_TYPES:
             raise self.cursor.fault("a data type: " + ", ".join(sorted(syntax_tree.ALL_TYPES)))
@@ -242,7 +248,7 @@ class RapidParser:
         return tuple(statements)
 
     def _at(self, words: tuple[str, ...]) -> bool:
-        """Whether the current token is one of these lower-case words."""
+        """Return whether the current token is one of these lower-case words."""
         return self.cursor.token.kind == "name" and self.cursor.token.word in words
 
     def _statement(self, depth: int) -> syntax_tree.RapidStatement:
@@ -293,7 +299,10 @@ class RapidParser:
         return condition, " ".join(self.text[start : self.cursor.end].split())
 
     def _if(self, line: int, depth: int) -> syntax_tree.RapidStatement:
-        """Parse an IF with its branches, or the short form without THEN, which has one statement."""
+        """Parse an IF that starts in ``line``, inside ``depth`` other blocks.
+
+        It has ELSEIF and ELSE branches, or is the short form without THEN, which has one statement.
+        """
         first = self.cursor.take()
         condition, source = self._condition()
         if self.cursor.take_word("then") is None:  # the short form: IF condition statement;
@@ -323,6 +332,7 @@ class RapidParser:
         return syntax_tree.While(line, first.start, condition, body, source)
 
     def _for(self, line: int, depth: int) -> syntax_tree.RapidStatement:
+        """Parse a FOR loop that starts in ``line``, up to its ENDFOR; ``depth`` blocks are around it."""
         first = self.cursor.take()
         name = self._new_name("loop counter")
         self.cursor.expect_word("from", "after the loop counter")
@@ -346,7 +356,10 @@ class RapidParser:
         self.fault(wrong.start, wrong.code, wrong.message)
 
     def _guard(self, read: Callable[[], None]) -> None:
-        """Parse one item. On a fault, record it and resume after the next ";" or at the next opening word."""
+        """Parse one statement or declaration with ``read``; on a fault, record it and skip to the next one.
+
+        Parsing resumes after the next ";", or at a word that starts a statement or closes a block.
+        """
         start = self.cursor.token.start
         try:
             read()
@@ -403,7 +416,7 @@ def read_module(
 ) -> tuple[syntax_tree.Module | None, tuple[TextFault, ...]]:
     """Return one module and its faults of syntax and size. `read_task` also checks names and types.
 
-    The module is None if its MODULE line is faulty or if the text is far too long.
+    The module is None if its MODULE line is faulty, or if the text exceeds 20 times the size limit.
 
     Args:
         text: The text; bytes are decoded.

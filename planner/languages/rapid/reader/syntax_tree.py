@@ -108,7 +108,7 @@ def build_value(kind: str, items: Any) -> Value:
                 if math.isfinite(sum(numbers)):  # no number is infinite or NaN
                     axes = _NO_AXES if external == _NO_AXIS_VALUES else np.array(external, dtype=float)
                     position, quaternion = steps.to_singles((x, y, z)) * 1e-3, steps.to_singles((a, b, c, d))
-                    return steps.RobTarget(position, quaternion, _shared_configuration(configuration), axes)
+                    return steps.RobTarget(position, quaternion, _interned_configuration(configuration), axes)
         except (TypeError, ValueError, OverflowError):
             pass  # the components do not have the usual form; the general check reports what is wrong
     check_components(kind, items, kind)
@@ -122,7 +122,7 @@ _NO_AXES = read_only(np.array(_NO_AXIS_VALUES))
 
 
 @functools.lru_cache(maxsize=256)
-def _shared_configuration(configuration: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+def _interned_configuration(configuration: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
     """Return an equal tuple that an earlier target has, to save memory."""
     return configuration
 

@@ -37,7 +37,10 @@ _read_and_follow_cached = functools.lru_cache(maxsize=8)(_read_and_follow)
 
 
 def _read(problem: Problem, arms: Arms, files: Files) -> ReadTasks:
-    """Read the files of the one task that ``arms`` names; see `Reader`."""
+    """Read the modules of the one task that ``arms`` names, and follow all that they may do.
+
+    Small tasks are cached, because several program sets may contain them. This is the entry point `Reader`.
+    """
     controller = problem.cell.controller
     ((name, arm),) = arms.items()
     arm_number = [cell_arm.name for cell_arm in problem.cell.arms].index(arm.name)

@@ -23,7 +23,7 @@ class TypeChecker:
         module: The current module.
         globals: Declarations that all modules see, by lower-case name.
         locals: Declarations of each module, by the lower-case names of module and declaration.
-        counters: Loop counters in scope.
+        counters: Lower-case names of the loop counters in scope, the innermost last.
     """
 
     def __init__(self, modules: Sequence[syntax_tree.Module], signals: frozenset[str] | None = None) -> None:
@@ -65,7 +65,12 @@ class TypeChecker:
     # ---- declarations ----
 
     def _declare(self, module: syntax_tree.Module) -> None:
-        """Register the declarations of a module, with a fault for a name that is already in use."""
+        """Register the declarations of a module, with a fault for a name that is already in use.
+
+        A name is in use by the module itself, an earlier declaration of the module, predefined data, or a
+        declaration of another module if neither is LOCAL.
+        """
+        # for faults: who uses each lower-case name in this module
         descriptions: dict[str, str] = {module.name.lower(): "the module"}
         declared = self.locals.setdefault(module.name.lower(), {})
         items: list[syntax_tree.DataDeclaration | syntax_tree.Procedure] = [*module.data, *module.procedures]
@@ -93,7 +98,11 @@ class TypeChecker:
         return declared.get(key) or self.globals.get(key)
 
     def _data(self, data: syntax_tree.DataDeclaration) -> None:
-        """Check the initial value of a declaration against its type and array size."""
+        """Check the initial value of a declaration against its type and array size.
+
+        Persistent data take literals only, and some types no value at all. A missing value is not a fault
+        here.
+        """
         if data.initial is None:
             return
         if data.kind in syntax_tree.OPAQUE_TYPES:
@@ -123,7 +132,10 @@ class TypeChecker:
             self._statement(statement, handler)
 
     def _statement(self, statement: syntax_tree.RapidStatement, handler: bool) -> None:
-        """Check one statement with its blocks; ``handler`` is True in an ERROR or UNDO section."""
+        """Check one statement with its blocks; ``handler`` is True in an ERROR or UNDO section.
+
+        The counter of a FOR is in scope in the body of the loop.
+        """
         match statement:
             case syntax_tree.MoveStatement():
                 self._move(statement)
@@ -172,7 +184,10 @@ class TypeChecker:
             self.fault(loop.start, "rapid.name_duplicate", message)
 
     def _move(self, move: syntax_tree.MoveStatement) -> None:
-        """Check the types of a move's arguments and options, and that literal options are positive."""
+        """Check the types of a move's arguments and options, and the values of literal options.
+
+        ID, T and V must be positive, and ID must be a whole number.
+        """
         form = INSTRUCTIONS[move.kind.lower()]
         for value, kind in zip((move.target, move.speed, move.zone, move.tool), form.required, strict=True):
             self.expect(value, kind)
@@ -189,7 +204,10 @@ class TypeChecker:
             self.fault(move.id.start, "rapid.number", f"\\ID is {move.id.value:g}; allowed: whole numbers")
 
     def _instruction(self, statement: syntax_tree.Instruction, handler: bool) -> None:
-        """Check where an instruction stands, and the types of its arguments and options."""
+        """Check the types of an instruction's arguments and options.
+
+        RETRY and TRYNEXT must be in an ERROR or UNDO section (``handler``).
+        """
         form = INSTRUCTIONS[statement.name.lower()]
         if statement.name.lower() in IN_HANDLER_ONLY and not handler:
             self.fault(
@@ -235,7 +253,11 @@ class TypeChecker:
         self._expect(value, kind)
 
     def _expect(self, value: syntax_tree.Expr, kind: str) -> None:
-        """Check the type of an expression as `expect` does, without its shortcuts for repeated values."""
+        """Check the type of an expression as `expect` does, without its shortcuts for repeated values.
+
+        Records are checked by component. Signals and mechanical units need no declaration, because the
+        controller's configuration declares them. If the configured signals are known, others are faults.
+        """
         variable = kind.startswith("variable ")
         expected = syntax_tree.base_type(kind.removeprefix("variable "))
         if isinstance(value, syntax_tree.Aggregate) and expected in syntax_tree.RECORDS:
@@ -292,7 +314,10 @@ class TypeChecker:
                 return self._binary(value)
 
     def _name(self, value: syntax_tree.Name) -> str | None:
-        """Type of the data that a name refers to; record a fault and return None if it is not declared."""
+        """Return the type of the data that a name refers to.
+
+        If it is not declared, record a fault and return None.
+        """
         if value.key in self.counters:
             return "num"
         declaration = self.find(value.key)
@@ -310,7 +335,10 @@ class TypeChecker:
         self.fault(value.start, "rapid.undeclared", message)
 
     def _function(self, value: syntax_tree.Function) -> str | None:
-        """Result type of a function call, after a check of its arguments; None for an unknown function."""
+        """Return the result type of a function call, after a check of its arguments.
+
+        The result is None for an unknown function.
+        """
         signature = FUNCTIONS.get(value.text.lower())
         if signature is None:
             allowed = ", ".join(sorted(FUNCTIONS))
@@ -329,7 +357,10 @@ class TypeChecker:
         return result
 
     def _binary(self, value: syntax_tree.Binary) -> str | None:
-        """Result type of a binary operator, after a check of its operands; None if one has no type."""
+        """Return the result type of a binary operator, after a check of its operands.
+
+        The result is None if one has no type.
+        """
         if value.operator in ("and", "or", "xor"):
             self.expect(value.left, "bool")
             self.expect(value.right, "bool")

@@ -46,7 +46,7 @@ def cell_check(context: Context, task: TaskText) -> RuleOutcome:
 
 
 def _check_faults(context: Context, task: TaskText) -> list[tuple[str, str]]:
-    """Faults of the check module and of its call in main, each with its file.
+    """Return the faults of the check module and of its call in main, each as (file, message).
 
     The module must have the expected tokens; the order of comparisons is free. Another rule checks handlers.
     """
@@ -106,7 +106,10 @@ def _describe_call(call: str) -> str:
 
 
 def _is_called_first(task: TaskText) -> bool:
-    """Whether main calls check_cell after settings and outputs set to 0 only."""
+    """Return whether main calls check_cell before any other procedure or move.
+
+    Only settings of the motion and outputs that are set to 0 may precede the call.
+    """
     mains = [
         procedure
         for module in modules_of(task.text)
@@ -161,7 +164,10 @@ def _split_axes_check(rest: Sequence[str]) -> tuple[list[str], list[str], list[s
 
 
 def _expected_axes_check(axes: Sequence[TaskAxis]) -> list[str]:
-    """Expected statements of check_axes, which compare external axes with their home, in order of columns."""
+    """Return the expected statements of check_axes, in order of the columns.
+
+    They compare the external axes with their home values.
+    """
     text = "VAR jointtarget cfg_here; cfg_here:=CJointT();" if axes else ""
     for axis in sorted(axes, key=lambda external_axis: external_axis.column):
         value = f"cfg_here.extax.eax_{'abcdef'[axis.column]}"
@@ -184,12 +190,15 @@ def _split_statements(words: Sequence[str]) -> list[list[str]]:
 
 
 def _statements(text: str) -> list[str]:
-    """Statements of a text, each as its tokens joined by spaces."""
+    """Return the statements of a text, each as its tokens joined by spaces."""
     return [" ".join(part) for part in _split_statements(rapid_words(text))]
 
 
 def _expected_statements(context: Context, task: TaskText) -> tuple[list[str], list[str]]:
-    """Expected statements that read the base frame, in this order, and comparisons, in any order."""
+    """Return the expected statements of a check module: those that read the base frame, and comparisons.
+
+    The first ones must be in this order. The comparisons may be in any order.
+    """
     controller = context.problem.cell.controller
     arms = [arm.name for arm in context.problem.cell.arms]
     config_path = f'"/MOC/ROBOT/{controller.robot_name(arms.index(task.arm.name))}"'
@@ -211,7 +220,11 @@ def _expected_statements(context: Context, task: TaskText) -> tuple[list[str], l
 
 
 def _comparisons(name: str, kind: str, value: Sequence[str]) -> str:
-    """Expected comparisons of a declared tool or work object, with its components as texts in ``value``."""
+    """Return the expected statements that compare a declared tool or work object with the controller's data.
+
+    ``value`` has its components as texts: those of tooldata are robhold, tframe and tload, and those of
+    wobjdata are robhold, ufprog, ufmec, uframe and oframe.
+    """
     if kind == "tooldata":
         text = f'check_pose "{rapid_sentences.FRAME_OF.format(name=name)}",{name}.tframe,{value[1]};'
         return text + f'check_true "{rapid_sentences.HOLDER_OF.format(name=name)}",{name}.robhold;'
@@ -224,7 +237,10 @@ def _comparisons(name: str, kind: str, value: Sequence[str]) -> str:
 
 
 def _declared_components(task: TaskText, name: str) -> list[str]:
-    """Texts of the components with which data are declared in the task, at least five; "" if missing."""
+    """Return the texts of the components with which a datum is declared in a task.
+
+    Declarations in check modules do not count. Five empty texts follow, which stand for missing components.
+    """
     for path, text in task.files.items():
         if CHECK_MODULE.match(PurePosixPath(path).name):
             continue
@@ -238,12 +254,15 @@ def _declared_components(task: TaskText, name: str) -> list[str]:
 
 
 def _components(text: str) -> list[str]:
-    """Split an aggregate at the commas outside of brackets and strings; five empty texts are appended."""
+    """Split an aggregate at the commas outside of brackets and strings.
+
+    Five empty texts are appended, so that missing components of a record can be read.
+    """
     parts = [""]
     depth = 0
     quoted = False
     for character in text:
-        quoted ^= character == '"'
+        quoted ^= character == '"'  # each quote starts or ends a string
         depth += 0 if quoted else (character == "[") - (character == "]")
         if character == "," and depth == 0 and not quoted:
             parts.append("")
@@ -253,10 +272,11 @@ def _components(text: str) -> list[str]:
 
 
 def _expected_helpers(multiple_tasks: bool, with_axes: bool) -> str:
-    """Expected text of the comparing procedures; ``with_axes`` adds the one for tracks and turntables.
+    """Return the expected text of the procedures that check_cell calls to compare, report and stop.
 
-    The angle between unit quaternions p and q of equal sign is 4 asin(|p - q| / 2): for small angles
-    2 |p - q| [rad], or 114.59 |p - q| [degrees].
+    ``multiple_tasks`` stops all tasks of the controller. ``with_axes`` adds the procedure that compares
+    tracks and turntables. The angle between unit quaternions p and q of equal
+    sign is 4 asin(|p - q| / 2): for small angles 2 |p - q| [rad], or 114.59 |p - q| [degrees].
     """
     numbers = ("1", "2", "3", "4")
     dot = "+".join(f"got.rot.q{i}*wanted.rot.q{i}" for i in numbers)

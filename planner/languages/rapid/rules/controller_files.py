@@ -20,7 +20,12 @@ from planner.proof.language_contribution import ControllerPower
 
 
 def controller_files(power: ControllerPower) -> list[str]:
-    """Return the faults of the files of one ABB controller: EIO.cfg, SYS.cfg and the module TandemPower."""
+    """Return the faults of the files of one ABB controller: EIO.cfg, SYS.cfg and the module TandemPower.
+
+    Rows of the configuration may be in any order, but none may be missing, added or repeated. Cross
+    connections may have their terms in any order. The module must have its expected tokens. SYS.cfg and the
+    module exist only if the programs switch power outputs.
+    """
     cell = power.context.problem.cell
     controller, signals = cell.controller, power.signals
     torches, partner = power.burning, power.partner
@@ -61,7 +66,11 @@ def _row_faults(
     expected: Mapping[str, Sequence[InstanceRow]],
     actual: Mapping[str, Sequence[InstanceRow]],
 ) -> list[str]:
-    """Faults of the rows of one type in a configuration file: missing, unexpected or repeated rows."""
+    """Return faults of the rows of one type in a configuration file: missing, unexpected or repeated rows.
+
+    ``name`` is the name of the file without suffix, and ``kind`` the type of the rows, as EIO_SIGNAL.
+    ``expected`` and ``actual`` have the rows of all types in the file, by type.
+    """
     expected_rows, actual_rows = expected.get(kind, ()), actual.get(kind, ())
     faults = [
         f"{name}.cfg, {kind}: the row {_row_text(row)} is missing"
@@ -79,7 +88,10 @@ def _row_faults(
 
 
 def _shared_bit_faults(rows: Sequence[InstanceRow]) -> list[str]:
-    """Faults for signals of one type on the same bit of a device: one would switch what the other powers."""
+    """Return a fault for each bit of a device that two signals of one type share.
+
+    One of them would switch what the other powers.
+    """
     signal_by_bit: dict[tuple[str, ...], str] = {}
     faults = []
     for row in rows:
@@ -103,10 +115,11 @@ def _other_rows(
     signals: Sequence[str],
     partner: ControllerPartner | None,
 ) -> list[InstanceRow]:
-    """Expected rows of the signals that the programs name besides power outputs and partner signals.
+    """Return the expected rows of signals other than power outputs and partner signals.
 
-    Each row has the type (DI or DO) that the use of the signal requires, and the device and bit that the cell
-    states for it, if any. Without a row the programs would not load.
+    These are the other signals that the programs name. Each row has the type (DI or DO) that the use of the
+    signal requires, and the device and bit that the cell states for it, if any. Without a row the programs
+    would not load.
     """
     power_names = (
         name for signal in signals for name in (signal, controller.interlock.power_output(signal).signal)
@@ -132,9 +145,9 @@ def _expected_rows(
     other_rows: Sequence[InstanceRow],
     partner: ControllerPartner | None,
 ) -> dict[str, list[InstanceRow]]:
-    """Expected rows of EIO.cfg by type, without cross connections.
+    """Return the expected rows of EIO.cfg by type, without cross connections.
 
-    A request is a signal on no device that the program sets, as may the operator unless it lights a torch.
+    A request is a signal on no device. The program sets it, and so may the operator if it lights no torch.
     Nobody sets the real outputs by hand: a cross connection drives them. ``other_rows`` are those of other
     signals that the programs name, because programs do not load without them.
     """
@@ -172,11 +185,11 @@ def _cross_connection_faults(
     partner: ControllerPartner | None,
     rows: Sequence[InstanceRow],
 ) -> list[str]:
-    """Faults of the cross connections.
+    """Return the faults of the cross connections.
 
-    Each power output is request AND running program AND motors on, with two controllers also AND partner
-    running. Each of two controllers reports its own state and receives that of the other one. Nothing else is
-    connected.
+    Each power output follows the term: request AND program running AND motors on. With two controllers, AND
+    partner running is added. Each controller then also reports its own state, and inverts the state that it
+    receives from the other one. No other cross connection is allowed. ``rows`` are those of EIO_CROSS.
     """
     interlock = controller.interlock
     running = (interlock.cycle, interlock.motors)

@@ -15,6 +15,8 @@ from planner.proof.rules.external_axes import EXTERNAL_AXES
 def units_and_offsets(context: Context, task: TaskText) -> RuleOutcome:
     """Check that mechanical units are activated correctly and that no offsets stay active.
 
+    Offsets are checked only if the arm has external axes.
+
     Args:
         context: The proof.
         task: The task.
@@ -35,7 +37,11 @@ def checks_axis(context: Context, axis: TaskAxis, step: SettingStep) -> bool:
 
 
 def _unit_issues(task: TaskText, axes: Sequence[TaskAxis]) -> Iterator[Issue]:
-    """Issues of ActUnit and DeactUnit: each unit of the arm is activated once, before any move."""
+    """Yield the issues of ActUnit and DeactUnit.
+
+    Each mechanical unit of the arm must be activated once, before any move, and never be deactivated. Other
+    units must not be named. An arm without external axes has no unit.
+    """
     activations = dict.fromkeys((axis.mechanical_unit.lower() for axis in axes), 0)
     moved = False
     names = {axis.mechanical_unit.lower(): axis.mechanical_unit for axis in axes}
@@ -61,10 +67,11 @@ def _unit_issues(task: TaskText, axes: Sequence[TaskAxis]) -> Iterator[Issue]:
 
 
 def _offset_issues(task: TaskText, axes: Sequence[TaskAxis]) -> Iterator[Issue]:
-    r"""Issues of moves and checks that an offset of external axes from another program would shift.
+    r"""Yield the issues of moves and checks that an offset of external axes would shift.
 
-    These are all checks and moves before EOffsOff, and joint moves without \NoEOffs, because a start from
-    elsewhere than main skips EOffsOff. Only the first issue of the former kind is reported, alone.
+    All checks of external axes and all moves must follow EOffsOff. Joint moves also need \NoEOffs, because a
+    program that does not start at main skips EOffsOff. After the first check or move without EOffsOff before
+    it, nothing more is reported.
     """
     names = " and ".join(axis.label for axis in axes)
     offsets_cleared = False

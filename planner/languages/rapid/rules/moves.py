@@ -32,7 +32,10 @@ _MAX_ROTARY_SPEED_RAD_S = np.deg2rad(1000.0)
 
 
 def unknown_start(context: Context, task: TaskText) -> RuleOutcome:
-    """Check the speed of the first move, times of joint moves, and external axes (verify.unknown_start).
+    """Check the speeds that no planned path limits (verify.unknown_start).
+
+    The arm may be anywhere when a program starts. Therefore its first move must be slow, joint moves must
+    state a speed instead of a time, and speeds of external axes must be possible ones.
 
     Args:
         context: The proof.
@@ -50,9 +53,10 @@ def unknown_start(context: Context, task: TaskText) -> RuleOutcome:
 
 
 def _first_move_speed(move: MoveStep, limit: float) -> tuple[float, list[str]]:
-    """Speed of the first move as a fraction of the allowed one, and messages if it is too fast.
+    """Return the speed of the first move as a fraction of the allowed one, and messages if it is too fast.
 
-    The fraction is the larger one of TCP speed, allowed up to ``limit`` [m/s], and rotation speed.
+    Two fractions are computed: that of the TCP speed, allowed up to ``limit`` [m/s], and that of the rotation
+    speed. The result is the larger one.
     """
     speed = move.speed.tcp if move.velocity is None else move.velocity
     faults = []
@@ -65,7 +69,10 @@ def _first_move_speed(move: MoveStep, limit: float) -> tuple[float, list[str]]:
 
 
 def _stated_speed_faults(move: MoveStep) -> list[str]:
-    """Faults of the time of a joint move, and of the speeds of external axes, which no path limits."""
+    """Return the faults of a joint move that states a time, and of stated speeds of external axes.
+
+    The latter are checked in moves without a time only, because a time replaces them.
+    """
     faults = []
     if move.by_joints and move.time is not None:
         faults.append("a joint move states a time, which applies at any distance; state a speed")
@@ -85,6 +92,10 @@ def _stated_speed_faults(move: MoveStep) -> list[str]:
 
 def move_kinds(context: Context, task: TaskText) -> RuleOutcome:
     """Refuse moves whose path is not known, and check the state of ConfL (verify.move_kinds).
+
+    Refused are MoveJ, some options, and targets that move external axes which the arm does not have. ConfL
+    must be stated before the first MoveL. It must be off for an arm whose postures confdata cannot name, and
+    on for others. The check of a task ends at its first MoveL where this does not hold.
 
     Args:
         context: The proof.
@@ -106,7 +117,7 @@ def move_kinds(context: Context, task: TaskText) -> RuleOutcome:
         for switch in step.switches:
             if switch in _REFUSED_OPTIONS:
                 findings.add_at_step(_REFUSED_OPTIONS[switch], task, step)
-        # 9E9 in single precision deviates by 512
+        # 9E9, for an unused axis, deviates in single precision by up to 512
         used = np.abs(step.target.external - UNUSED_AXIS) > 1e3
         if isinstance(step.target, RobTarget | JointTarget) and not axes and used.any():
             findings.add_at_step("the target moves an external axis", task, step)

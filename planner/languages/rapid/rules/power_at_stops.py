@@ -158,7 +158,7 @@ def system_module(
 
 
 def _torch_routines(signal_by_flag: Mapping[str, str], stop: str) -> str:
-    """Routines for torches, whose outputs are ``signal_by_flag``.
+    """Return the routines for torches, whose outputs are ``signal_by_flag``.
 
     tandem_lost sets all flags after power-on, because a controller that was off saw no stop. tandem_end never
     lets the program continue. tandem_begin asks about each torch before a start from main.
@@ -180,7 +180,10 @@ def _torch_routines(signal_by_flag: Mapping[str, str], stop: str) -> str:
 
 
 def _question(flag: str, lines: Iterable[str], buttons: Iterable[str]) -> str:
-    """Start of a loop that asks until a flag is reset, up to the first answer; `_refusal_branch` ends it."""
+    """Return the start of a loop that asks while a flag is TRUE, up to the first answer, which resets it.
+
+    `_refusal_branch` ends the loop.
+    """
     line_list, button_list = (",".join(f'"{text}"' for text in texts) for texts in (lines, buttons))
     return (
         f'WHILE {flag} DO answer:=UIMessageBox(\\Header:="{sentences.HEADER}"\\MsgArray:=[{line_list}]'
@@ -189,6 +192,6 @@ def _question(flag: str, lines: Iterable[str], buttons: Iterable[str]) -> str:
 
 
 def _refusal_branch(lines: Iterable[str], stop: str) -> str:
-    """End of the loop of `_question`: for the last answer, show lines and stop."""
+    """Return the end of the loop of `_question`: any other answer shows ``lines`` and stops."""
     shown = "".join(f'TPWrite "{line}";' for line in lines)
     return f"ELSE {shown} {stop}; ENDIF ENDWHILE "

@@ -86,12 +86,17 @@ def power_outputs(context: Context, task: TaskText) -> list[str]:
 
 
 def _has_blocks(task: TaskText) -> bool:
-    """Whether the task contains a synchronised block."""
+    """Return whether the task contains a synchronised block (SyncMoveOn)."""
     return any(point.kind == "SyncMoveOn" for point in sync_points(task))
 
 
 def _undo_faults(steps: tuple[ProgramStep, ...] | None, signals: list[str], has_blocks: bool) -> list[str]:
-    """Faults of an UNDO section, which must switch ``signals`` off and, if there are blocks, end them."""
+    """Return what is wrong with an UNDO section, as clauses for messages.
+
+    It must switch ``signals`` off at once and without a condition, and then, if the task has synchronised
+    blocks, end them. ``steps`` is None if the procedure has no UNDO. Without signals and blocks none is
+    needed.
+    """
     if not signals and not has_blocks:
         return []
     if steps is None:
@@ -145,7 +150,13 @@ def error_handler(context: Context) -> RuleOutcome:
 
 
 def _handler_faults(steps: tuple[ProgramStep, ...], signals: list[str], multiple_tasks: bool) -> list[str]:
-    """Faults of an error handler, which must switch ``signals`` off, stop all tasks and end the program."""
+    """Return what is wrong with an error handler, as clauses for messages.
+
+    It must switch ``signals`` off before anything else, and stop the motion before it waits or shows a text.
+    It must report the error, stop the program (with ``multiple_tasks``, all tasks) and, as its last step, end
+    the program. None of these steps may have a condition. It must not switch anything on, move an arm, load a
+    module, switch a mechanical unit, or resume.
+    """
     # the first steps, one per output; a text that waits for nobody may precede them
     first_steps = [step for step in steps if not isinstance(step, MessageStep) or step.confirm][
         : len(signals)
@@ -188,7 +199,9 @@ def _handler_faults(steps: tuple[ProgramStep, ...], signals: list[str], multiple
 
 
 def hidden(context: Context, task: TaskText) -> RuleOutcome:
-    """Refuse attributes of modules and procedures that are never called (verify.hidden).
+    """Refuse modules with attributes, and procedures that are never called (verify.hidden).
+
+    Such code could act without being seen, or could not be corrected at the controller.
 
     Args:
         context: The proof.
@@ -209,7 +222,10 @@ def hidden(context: Context, task: TaskText) -> RuleOutcome:
 
 
 def _implied_attributes(module: Module) -> tuple[str, ...]:
-    """Attributes that follow from the file name: controllers load .sys and .sysx files as system modules."""
+    """Return the attributes that follow from the file name.
+
+    Controllers load files with the suffix .sys or .sysx as system modules.
+    """
     return ("sysmodule",) if PurePosixPath(module.file).suffix.lower().startswith(".sys") else ()
 
 

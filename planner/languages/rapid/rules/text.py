@@ -29,7 +29,10 @@ _MODPOS_QUATERNION_DIGITS: Final = 6
 
 
 def target_offsets(text: str) -> Iterator[tuple[int, bool]]:
-    """Yield the offset of each target in a module, and whether ModPos may have written it."""
+    """Yield the offset of each target in a module, and whether ModPos may have written it.
+
+    ModPos teaches a target at the controller. Such a target has no more digits than ModPos writes.
+    """
     for match in _TARGET.finditer(text):
         position, orientation = (match.group(group).split(",") for group in (1, 2))
         rounded = all(decimals_of(number) <= _MODPOS_MM_DECIMALS for number in position)
@@ -40,12 +43,12 @@ def target_offsets(text: str) -> Iterator[tuple[int, bool]]:
 
 
 def _digits(number: str) -> int:
-    """Number of digits of a numeral from its first nonzero digit on, without the exponent."""
+    """Return the number of digits of a numeral from its first nonzero digit on, without the exponent."""
     return len(number.strip().upper().partition("E")[0].lstrip("+-0.").replace(".", ""))
 
 
 def _lines(content: str) -> list[str]:
-    """Lines with more than a comment; "!" starts one, because no string continues over a line end."""
+    """Return lines with more than a comment; "!" starts one, because no string continues over a line end."""
     lines = (line.strip(" \t\r") for line in content.split("\n"))
     return [line for line in lines if line and not line.startswith("!")]
 
@@ -61,7 +64,10 @@ def same_text(first: str, second: str) -> bool:
 
 
 def _words(content: str) -> list[str]:
-    """Tokens up to the end or to the first bad one, with all text in lower case, and the kind of the last."""
+    """Return the lower-case tokens up to the end of the text or the first token that is no RAPID.
+
+    The last element is the kind of the token at which the list ends: "end" or "bad".
+    """
     cursor = RapidCursor(content)
     out: list[str] = []
     while cursor.token.kind not in ("end", "bad"):
@@ -71,7 +77,7 @@ def _words(content: str) -> list[str]:
 
 
 def shared_persistents(context: Context, task: TaskText) -> RuleOutcome:
-    """Refuse PERS data, which the other tasks share, except lists of tasks (verify.pers_literal).
+    """Refuse PERS data except lists of tasks, because other tasks share them (verify.pers_literal).
 
     Args:
         context: The proof.
@@ -141,7 +147,10 @@ def program_lists(context: Context) -> list[Issue]:
 
 
 def _suffix_issues(context: Context, file: str) -> list[Issue]:
-    """Issue of a module that the controller does not load: RobotWare 6 loads ``.mod``, 7 loads ``.modx``."""
+    """Return an issue if the controller does not load a module with this suffix.
+
+    RobotWare 6 loads ``.mod``, RobotWare 7 loads ``.modx``.
+    """
     version = context.problem.cell.controller.robotware
     allowed = {6: ".mod", 7: ".modx"}[version]
     if PurePosixPath(file).suffix == allowed:
@@ -152,7 +161,10 @@ def _suffix_issues(context: Context, file: str) -> list[Issue]:
 
 
 def _program_list_issues(context: Context, path: str, text: str) -> list[Issue]:
-    """Issues of one program list (.pgf): its form, and whether it names exactly the modules in its folder."""
+    """Return the issues of one program list (.pgf).
+
+    Its form is checked, and whether it names exactly the modules in its folder.
+    """
     if "<!" in text:  # a document type, an entity or a comment
         return [_unexpected_content(path)]
     wrong_line_end = re.search(r"(?<!\r)\n|\r(?!\n)", text)

@@ -72,7 +72,7 @@ def build_files(
 
 
 def _module_file(controller: Controller) -> str:
-    """Name of the file of the module that switches outputs; RobotWare 7 has another suffix."""
+    """Return the file name of the module that switches outputs; RobotWare 7 has another suffix."""
     return f"{POWER_MODULE}{'.sys' if controller.robotware == 6 else '.sysx'}"
 
 
@@ -84,7 +84,16 @@ def _eio(
     has_partner: bool,
     other_rows: Sequence[ConfigurationRow],
 ) -> str:
-    """Text of EIO.cfg: signals, their access levels, system inputs and outputs, and cross connections."""
+    """Return the text of EIO.cfg: signals, access levels, system inputs and outputs, cross connections.
+
+    Args:
+        controller: Controllers of the cell.
+        requests: Signals that programs set to request power, on no device. A real output follows each.
+        torches: Those of them that light a torch, which only a program may set.
+        arm: Name of the first arm of this controller.
+        has_partner: Whether there are running wires to another controller.
+        other_rows: Rows of other signals that the programs name.
+    """
     interlock = controller.interlock
     partner_terms = [rapid_power_term(controller, arm)] if has_partner else []
     running_rows = rapid_running_rows(controller, arm) if has_partner else {}
@@ -128,7 +137,10 @@ def _eio(
 
 
 def _sys(controller: Controller, tasks: Sequence[str], has_torch: bool) -> str:
-    """Text of SYS.cfg. At a start the first task asks the operator, and the others wait for the answer."""
+    """Return the text of SYS.cfg, which binds the event routines to system events of each task.
+
+    At a start the first task asks the operator, and the others wait for the answer.
+    """
     hooks: list[ConfigurationRow] = []
     for number, task in enumerate(tasks):
         start_routine = "tandem_again" if number == 0 else "tandem_wait"
@@ -213,7 +225,13 @@ def device_attributes(controller: Controller, arms: Sequence[str], signal: str) 
 
 
 def _cfg(head: str, sections: Mapping[str, Sequence[ConfigurationRow]]) -> str:
-    """Text of a configuration file from its first line and its rows by type; long rows are continued."""
+    """Return the text of a configuration file.
+
+    Args:
+        head: First line.
+        sections: Rows of each section, by the name of the section. A row that is longer than
+            ``_CONFIG_WIDTH`` continues in the next line, after a backslash.
+    """
     out = [head]
     for kind, rows in sections.items():
         out += ["#", f"{kind}:"]
@@ -233,7 +251,16 @@ def _cfg(head: str, sections: Mapping[str, Sequence[ConfigurationRow]]) -> str:
 def _module(
     controller: Controller, requests: Sequence[str], torches: Sequence[str], multiple_tasks: bool
 ) -> str:
-    """Text of the system module TandemPower with the event routines that SYS.cfg names."""
+    """Return the text of the system module TandemPower with the event routines that SYS.cfg names.
+
+    A flag for each request (tandem_cut_n, tandem_lit_n for torches) stores that it was on at a stop.
+
+    Args:
+        controller: Controllers of the cell.
+        requests: Signals that programs set to request power.
+        torches: Those of them that light a torch.
+        multiple_tasks: Whether the controller has several motion tasks.
+    """
     flags = {
         request: f"tandem_{'lit' if request in torches else 'cut'}_{number}"
         for number, request in enumerate(requests, 1)
@@ -288,7 +315,11 @@ def _module(
 
 
 def _torch_routines(torches: Sequence[str], flags: Mapping[str, str], stop: str) -> list[str]:
-    """Routines for a program that stopped while a torch burned; ``flags`` are their names by request."""
+    """Return the lines of the routines for a program that stopped while a torch burned.
+
+    ``torches`` are the requests of torches, ``flags`` the names of the flags by request, and ``stop`` is the
+    statement that stops all tasks.
+    """
     out = ["", "  ! A controller that was off saw no stop: a torch may have burned."]
     out += ["  PROC tandem_lost()", *(f"    {flags[request]}:=TRUE;" for request in torches)]
     out += ["    tandem_off;", "  ENDPROC", ""]
@@ -306,12 +337,15 @@ def _torch_routines(torches: Sequence[str], flags: Mapping[str, str], stop: str)
 
 
 def _end_if_set(flags: Sequence[str]) -> list[str]:
-    """Statements that end the program if one of the torches' ``flags`` is TRUE."""
+    """Return statements that end the program if one of the torches' ``flags`` is TRUE."""
     return [line for flag in flags for line in (f"    IF {flag} THEN", "      tandem_end;", "    ENDIF")]
 
 
 def _question_loop(flag: str, lines: Sequence[str], buttons: Sequence[str]) -> list[str]:
-    """Start of a loop that asks while a flag is TRUE, up to the first answer, which resets the flag."""
+    """Return the start of a loop that asks while a flag is TRUE.
+
+    It ends with the branch of the first answer, which resets the flag.
+    """
     return [
         f"    WHILE {flag} DO",
         f"      answer:=UIMessageBox(\\Header:={quoted(sentences.HEADER)}",
@@ -325,7 +359,7 @@ def _question_loop(flag: str, lines: Sequence[str], buttons: Sequence[str]) -> l
 
 
 def _refusal_branch(lines: Sequence[str], stop: str) -> list[str]:
-    """End of the loop of `_question_loop`: any other answer shows ``lines`` and stops."""
+    """Return the end of the loop of `_question_loop`: any other answer shows ``lines`` and stops."""
     shown = [f"        TPWrite {quoted(line)};" for line in lines]
     return ["      ELSE", *shown, f"        {stop}", "      ENDIF", "    ENDWHILE"]
 
@@ -423,7 +457,11 @@ def _readme(
     wires: Sequence[SignalWire],
     other_rows: Sequence[ConfigurationRow],
 ) -> str:
-    """Text of README.txt: how to load the files, try them and wire the signals."""
+    """Return the text of README.txt: how to load the files, try them and wire the signals.
+
+    ``requests`` and ``torches`` are as in `_eio`. ``wires`` are the running wires to another controller, none
+    for one controller. Sections about power, torches, wires and other signals occur only if there are any.
+    """
     module = _COPY_MODULE.format(module=_module_file(controller)) if requests else _NO_MODULE
     files = "EIO.cfg and SYS.cfg" if requests else "EIO.cfg"
     manual_requests = bool(set(requests) - set(torches))
@@ -449,7 +487,7 @@ def _readme(
 
 
 def _other_signal_lines(row: ConfigurationRow, arm: str) -> list[str]:
-    """README lines on a signal that switches no power."""
+    """Return the lines of the README on a signal that switches no power."""
     name = row["Name"]
     is_input = row["SignalType"] == "DI"
     kind = "input" if is_input else "output"
@@ -464,7 +502,7 @@ def _other_signal_lines(row: ConfigurationRow, arm: str) -> list[str]:
 
 
 def _power_output_lines(controller: Controller, requests: Sequence[str]) -> list[str]:
-    """README lines on each request and the power output that follows it."""
+    """Return the lines of the README on each request and the power output that follows it."""
     lines = []
     for request in requests:
         output = controller.interlock.power_output(request)
@@ -482,7 +520,7 @@ def _power_output_lines(controller: Controller, requests: Sequence[str]) -> list
 def _running_wires_section(
     controller: Controller, arm: str, wires: Sequence[SignalWire], powered: bool
 ) -> str:
-    """README section on the running wires between the controller of ``arm`` and the other one."""
+    """Return the README section on the running wires between the controller of ``arm`` and the other one."""
     outgoing, incoming = handshake.running_wires(wires, arm)
     signals = controller.handshake.of(arm)
     lines = []

@@ -75,7 +75,7 @@ def load_name(load: layout.HeldLoad | None) -> str:
 
 
 def _setup_suffix(setup: int) -> str:
-    """Suffix of names that differ between setups, "" for the first setup."""
+    """Return the suffix of names that differ between setups, "" for the first setup."""
     return "" if setup == 1 else f"_{setup}"
 
 
@@ -196,17 +196,21 @@ def data_lines(
 
 
 def _tooldata(tool: Tool) -> str:
-    """Tooldata of a tool on the flange: TCP frame, mass and centre of mass, without moments of inertia."""
+    """Return the tooldata of a tool on the flange as RAPID text, without moments of inertia.
+
+    Raises:
+        TandemError: The tool has no mass (``post.tool``).
+    """
     require_mass(tool, "RAPID needs at least {} kg")
     load = f"[{layout.format_fixed(tool.mass, 3)},{vector(tool.cog * 1e3, 3)},[1,0,0,0],0,0,0]"
     return f"[TRUE,{pose(tool.tcp)},{load}]"
 
 
 def _wobj_declarations(task: layout.TaskProgram, job: layout.JobPrograms, plan: Plan) -> list[str]:
-    """Declarations of the work objects in whose frames the task's targets are, in the order of operations.
+    """Return declarations of the work objects in whose frames the task's targets are.
 
-    They are ``TASK PERS`` although they are equal in all tasks: a shared ``PERS`` keeps the value of a
-    program that was loaded before.
+    They are in the order of operations. They are ``TASK PERS`` although they are equal in all tasks: a shared
+    ``PERS`` keeps the value of a program that was loaded before.
     """
     data_by_name: dict[str, str] = {}
     for index, operation in enumerate(task.operations):
@@ -231,16 +235,17 @@ def _wobj_declarations(task: layout.TaskProgram, job: layout.JobPrograms, plan: 
 
 
 def _held_wobjdata(holder: layout.TaskProgram, operation: layout.OperationProgram) -> str:
-    """Wobjdata of a work object on the holder's flange, whose object frame is the holder's TCP frame.
+    """Return the wobjdata of a work object on the holder's flange as RAPID text.
 
     The controller itself keeps the user frame at the flange of the named mechanical unit. The planner does
-    not rely on the value that a program states for it. The object frame is the TCP frame in the flange frame.
+    not rely on the value that a program states for it. The object frame is the holder's TCP frame, stated in
+    its flange frame.
     """
     return f"[FALSE,FALSE,{quoted(holder.unit)},{pose(np.eye(4))},{pose(operation.arm.tool.tcp)}]"
 
 
 def _load_declarations(task: layout.TaskProgram) -> list[str]:
-    """Declarations of the loads that the arm carries; their values are in the tool frame."""
+    """Return the declarations of the loads that the arm carries; their values are in the tool frame."""
     steps = (step for operation in task.operations for step in operation.steps)
     out = []
     for load in (step.load for step in steps if isinstance(step, layout.CarryLoad) and step.load is not None):
@@ -287,7 +292,10 @@ def cell_check_statements(
 
 
 def _wobj_checks(task: layout.TaskProgram, job: layout.JobPrograms, plan: Plan) -> list[str]:
-    """Statements that check work objects. A moving user frame is not compared: the controller sets it."""
+    """Return the statements that check work objects.
+
+    A moving user frame is not compared: the controller sets it.
+    """
     lines_by_name: dict[str, list[str]] = {}
     for index, operation in enumerate(task.operations):
         if operation.moves is None or operation.moves.frame == "world":
@@ -313,7 +321,10 @@ def _wobj_checks(task: layout.TaskProgram, job: layout.JobPrograms, plan: Plan) 
 
 
 def _pose_check(title: str, actual: str, expected: str) -> str:
-    """Statement that compares two poses, given as RAPID text; ``title`` names the pose on a difference."""
+    """Return the statement that compares two poses, given as RAPID text.
+
+    ``title`` names the pose in the text that is shown if they differ.
+    """
     return f"check_pose {quoted(title)},{actual},{expected};"
 
 

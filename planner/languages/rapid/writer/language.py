@@ -36,7 +36,7 @@ def _refuse_segment(segment: Segment) -> tuple[Issue, ...]:
 def _controller_files(
     job: JobPrograms, tasks: Sequence[TaskProgram], controller: Controller, powered: PoweredSignals
 ) -> dict[str, str]:
-    """Texts of the configuration files of one controller, by file name."""
+    """Return the texts of the configuration files of one controller, by file name."""
     other_signals = _other_signals(job, tasks, powered.signals)
     task_names = [task.task for task in tasks]
     arm_names = [task.arm.name for task in tasks]
@@ -46,10 +46,10 @@ def _controller_files(
 def _other_signals(
     job: JobPrograms, tasks: Sequence[TaskProgram], signals: Sequence[str]
 ) -> dict[str, SignalType]:
-    """Type (DI or DO) of each signal in the programs of one controller except the power outputs ``signals``.
+    """Return the type (DI or DO) of each signal in the programs of one controller that is no power output.
 
-    These are inputs that programs wait for, outputs that request a step, and the handshake signals between
-    two controllers.
+    They are inputs that programs wait for, outputs that programs switch, and the handshake signals between
+    two controllers. ``signals`` are the power outputs, which other rows of the configuration declare.
     """
     steps = [step for task in tasks for operation in task.operations for step in operation.steps]
     inputs = {

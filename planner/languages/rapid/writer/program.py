@@ -57,7 +57,7 @@ def partner_lines(partner: handshake.HandshakeSide, steps: Sequence[handshake.Pa
 
 
 def partner_call(partner: handshake.HandshakeSide, number: int) -> str:
-    """Return the call after a move that ends at a meeting; empty for meeting 0.
+    """Return the call after a move that ends at a meeting; "" for number 0, which means no meeting.
 
     Args:
         partner: The handshake as one of the two programs sees it.
@@ -87,12 +87,15 @@ def partner_timeout_lines(partner: handshake.HandshakeSide) -> list[str]:
 
 
 def _procedure_name(phases: tuple[int, ...]) -> str:
-    """Name of the procedure for meetings at which the lines take these levels in turn."""
+    """Return the name of the procedure for meetings at which the lines take these levels in turn.
+
+    It is handshake_0 or handshake_1 for one level (toggle), and handshake for several.
+    """
     return f"handshake_{phases[0]}" if len(phases) == 1 else "handshake"
 
 
 def _step_lines(partner: handshake.HandshakeSide, step: handshake.PartnerStep) -> list[str]:
-    """Statements of one handshake step."""
+    """Return the statements of one handshake step, with the signals of this program's arm."""
     signals = partner.handshake.of(partner.arm)
     match step:
         case handshake.SetLine(value):
@@ -188,7 +191,7 @@ def _moving_tasks(job: layout.JobPrograms, operation: int) -> list[layout.TaskPr
 
 
 def _zones(job: layout.JobPrograms, operation: int) -> dict[int, NameArray]:
-    """Zone names of the moves of an operation, by task number, for the tasks that move in it."""
+    """Return the zone names of the moves of an operation, by task number, for the tasks that move in it."""
     out = {}
     for task in _moving_tasks(job, operation):
         program = task.operations[operation]
@@ -200,7 +203,10 @@ def _zones(job: layout.JobPrograms, operation: int) -> dict[int, NameArray]:
 def _moves(
     task: layout.TaskProgram, job: layout.JobPrograms, zones_by_task: Sequence[Mapping[int, NameArray]]
 ) -> list[list[str]]:
-    """Lines of a task's moves for each operation, empty if the arm has no moves in it."""
+    """Return one line for each move of a task, by operation; a list is empty if the arm has no moves in it.
+
+    Moves have numbers (``ID``) where several tasks of one controller move synchronised.
+    """
     out: list[list[str]] = []
     tools = ToolNames(task)
     for i, program in enumerate(task.operations):
@@ -281,7 +287,12 @@ class _TaskWriter:
         return {f"{self.folder}/{name}": text for name, text in files.items()}
 
     def _require_unique_names(self, bodies: Mapping[str, Sequence[str]]) -> None:
-        """Raise a TandemError if two declarations have one name, the last word before brackets or value."""
+        """Check that all declarations of the task have different names.
+
+        Raises:
+            TandemError: Two of them have one name (``post.name``).
+        """
+        # the words of each line before brackets or a value: the last word of a declaration is its name
         heads = [
             line.split("(")[0].split(":=")[0].rstrip(";").split() for body in bodies.values() for line in body
         ]
@@ -298,12 +309,15 @@ class _TaskWriter:
             raise issue_error("post.name", message, hint="give the segment or tool another name")
 
     def _module(self, name: str, lines: Sequence[str]) -> str:
-        """Text of a module with header comments and these lines, indented by one level."""
+        """Return the text of a module with header comments and these lines, indented by one level."""
         inside = [f"{_INDENT}{line}" if line else "" for line in [*self._header(), "", *lines]]
         return "\n".join([f"MODULE {name}", *inside, "ENDMODULE", ""])
 
     def _header(self) -> list[str]:
-        """Comment lines at the start of each module: origin of the programs, and warnings before a start."""
+        """Return the comment lines at the start of each module.
+
+        They state the origin of the programs, and warn before a start.
+        """
         task = self.task
         header_sentences = [
             f"Written by Tandem {__version__} for task {task.task}, {task.unit}: {task.robot.title}.",
@@ -334,7 +348,10 @@ class _TaskWriter:
     # ---- main module ----
 
     def _main(self) -> list[str]:
-        """Lines of the main module: main, the handshake procedures, and a procedure for each operation."""
+        """Return the lines of the main module.
+
+        These are main, the handshake procedures, and a procedure for each operation.
+        """
         conf = "Off" if self.task.robot.has_unnamed_postures else "On"
         body = [f"{rapid_data.CELL_CHECK};", "ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
         units = [axis.unit for axis in self.task.arm.linear_axes]
@@ -364,7 +381,10 @@ class _TaskWriter:
         return out
 
     def _check(self) -> list[str]:
-        """Lines of the check module: comparisons with the controller's data, and their helper procedures."""
+        """Return the lines of the check module.
+
+        These are comparisons with the controller's data, and their helper procedures.
+        """
         task = self.task
         multiple_tasks = len(self.job.tasks) > 1 and self.partner is None
         arm_index = [arm.name for arm in self.problem.cell.arms].index(task.arm.name)
@@ -383,7 +403,10 @@ class _TaskWriter:
         return self._procedure(f"operation_{index + 1}", body)
 
     def _step(self, step: layout.TaskStep, operation: int) -> list[str]:
-        """Statements of one step of the operation with this index."""
+        """Return the statements of one step of the operation with this index, from 0.
+
+        A run of moves becomes calls of the procedures into which the moves are split.
+        """
         match step:
             case layout.JointMove():
                 name = self.joint_targets.of(step, operation + 1)
@@ -417,7 +440,10 @@ class _TaskWriter:
     # ---- procedures ----
 
     def _part(self, part: layout.ModulePart) -> list[str]:
-        """Procedure with the moves of a part; a handshake follows each move that ends at a meeting."""
+        """Return the procedure with the moves of a part.
+
+        A handshake follows each move that ends at a meeting.
+        """
         operation = self.task.operations[part.operation]
         part_slice = slice(part.first, part.last)
         seconds = (
@@ -435,7 +461,10 @@ class _TaskWriter:
         return self._procedure(self.split[part], [*body, *moves])
 
     def _procedure(self, name: str, body: Sequence[str]) -> list[str]:
-        """Procedure with an ERROR section, and an UNDO section if there is power or a block to end."""
+        """Return the lines of a procedure with an ERROR section.
+
+        It also has an UNDO section if the job switches power or has synchronised blocks.
+        """
         out = [f"PROC {name}()", *(_INDENT + line for line in body)]
         out += ["ERROR", *(_INDENT + line for line in self._handler(name))]
         undo = [*self._power_off_lines(), *self._leave_block_lines()]
@@ -452,7 +481,11 @@ class _TaskWriter:
         return ["SyncMoveUndo;"] if self.job.blocks and self.partner is None else []
 
     def _handler(self, name: str) -> list[str]:
-        """Body of an error handler: power off, then stop. EXIT ends the program, so no arm resumes."""
+        """Return the body of the error handler of the procedure ``name``.
+
+        It switches power off, stops the motion, shows the error, stops all tasks, and ends the program, so
+        that no arm resumes.
+        """
         warning = (sentences.JOINED if self.job.coupled else sentences.ALONE).format()
         stop = "Stop\\AllMoveTasks;" if len(self.job.tasks) > 1 and self.partner is None else "Stop;"
         message = quoted(f"{sentences.FAILED.format(procedure=name)} ")

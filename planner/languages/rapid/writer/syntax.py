@@ -111,6 +111,8 @@ def comment(text: str, indent: str = "") -> list[str]:
 def identifier(text: str) -> str:
     """Return a name made from text: letters, digits and single underscores, with a letter first.
 
+    Four of the 32 characters are reserved for a suffix, such as ``__12``.
+
     Raises:
         TandemError: ``post.name`` if the result is empty, too long, reserved or does not start with a letter.
     """
@@ -199,7 +201,13 @@ def procedure(segment: Segment) -> str:
 
 
 def _part_name(segment: Segment, visits: dict[str, int], segments_by_name: dict[str, Segment]) -> str:
-    """Name of the procedure of the next part of a segment; ``visits`` counts its parts, by name."""
+    """Return the name of the procedure for the next part of a segment, and update both tables.
+
+    ``visits`` counts the parts so far by name. ``segments_by_name`` has the segment of each lower-case name.
+
+    Raises:
+        TandemError: ``post.name`` if the name is too long, or if another segment has it.
+    """
     name = procedure(segment)
     other = segments_by_name.setdefault(name.lower(), segment)
     if other != segment:
@@ -302,7 +310,11 @@ def zone_declarations(used: Collection[str]) -> list[str]:
 
 
 def zones(track: MoveTable, stop: BoolArray) -> NameArray:
-    """Return the zone name of each move (M,): fine at a stop, else the largest zone that fits the corner.
+    """Return the name of the zone in which each move ends, (M,).
+
+    It is fine at a stop, and otherwise the largest zone that fits the corner at the target. If even the
+    smallest zone does not fit the path of the TCP, the TCP hardly moves. A zone for rotations then applies,
+    and the smallest of these if none fits.
 
     Args:
         track: Moves of one operation, M of them.
@@ -320,15 +332,17 @@ def zones(track: MoveTable, stop: BoolArray) -> NameArray:
 
 
 def _largest_fitting(sizes: Sequence[float], available: FloatArray) -> IntArray:
-    """Index (M,) of the largest of the descending sizes that fits; their number where none fits.
+    """Return the index (M,) of the largest of the descending ``sizes`` that fits, for each move.
 
-    ``available`` (M,) are the distances in the unit of the sizes. Rounding may exceed them by 1e-9.
+    It is the number of sizes where none fits. ``available`` (M,) has the distances in the unit of the sizes.
+    A size may exceed them by 1e-9, for rounding.
     """
     return np.searchsorted(-np.array(sizes), -available - 1e-9)
 
 
 def speeds(track: MoveTable) -> NameArray:
     """Return the predefined speed of each move (M,): the smallest that is not below distance / duration."""
+    # vmax where no predefined speed is high enough; 1e-9 mm/s for rounding
     names = np.array([*(f"v{speed}" for speed in PREDEFINED_SPEEDS), "vmax"])
     return np.asarray(names[np.searchsorted(PREDEFINED_SPEEDS, track.distance / track.duration - 1e-9)])
 

@@ -71,9 +71,14 @@ class _TrajectoryRunner:
 
     Attributes:
         arms: Names of the arms in the file's order. Steps that concern no arm belong to the first one.
-        label: Current segment of the operation.
-        frames: Work frames so far, so that equal ones are one object.
+        columns: Slice of each arm's joints among the numbers of a row, by arm.
+        out: Steps so far, by arm.
+        tools: Name and data of the tool that each arm carries, by arm.
+        operation: Row of the current operation, None before the first one.
+        label: Segment in which the last move ended, ``NO_WORK_SEGMENT`` outside of work.
+        frames: Work frames so far, by line of the operation and key of the frame. Equal ones are one object.
         posture: Joints [rad] of all arms after the last move, None before the first check of the joints.
+            Before the first move it is the posture of that check.
         goals: Number of moves so far.
         ids: Number of points so far.
     """
@@ -107,7 +112,11 @@ class _TrajectoryRunner:
         return self.program.file.rpartition("/")[2], label, row.line, ""
 
     def _row(self, row: rows.TrajectoryRow) -> None:
-        """Append the steps of a row, or store its data for later moves."""
+        """Append the steps of a row, or store its data for later moves.
+
+        Operations and tools are stored. The first check of the joints gives the start posture. Later checks
+        have no effect here: a rule compares them with the moves. A question is also a meeting of all arms.
+        """
         where = self._where(row)
         lead_steps = self.out[self.arms[0]]
         match row:
@@ -140,13 +149,20 @@ class _TrajectoryRunner:
                 self._move(row)
 
     def _meet(self, row: rows.TrajectoryRow, kind: str, ident: str) -> None:
-        """Append a meeting of all arms, if there are several."""
+        """Append a meeting of all arms, if the file has several. ``kind`` is the RAPID instruction for it."""
         if len(self.arms) > 1:
             for arm in self.arms:
                 self.out[arm].append(steps.SyncStep(*self._where(row), kind, ident, tuple(self.arms)))
 
     def _move(self, row: rows.MoveRow) -> None:
-        """Append the points of a goal as moves of its arms, between two meetings of all arms."""
+        """Append the points of a goal as moves of its arms, between two meetings of all arms.
+
+        A goal of work has a start without segment, then points with segments. A rest-to-rest move has two
+        points without segments.
+
+        Raises:
+            FlowError: The points have another form, or a row that must precede the move is missing.
+        """
         if self.posture is None:
             self._fail(row, "a move precedes the first check of the joints (at)")
         missing = [arm for arm in row.arms if arm not in self.tools]
@@ -190,7 +206,10 @@ class _TrajectoryRunner:
         self.posture = row.points[-1].q
 
     def _check_move(self, row: rows.MoveRow) -> None:
-        """Check that times increase, the move ends at rest, and arms that do not move keep their joints."""
+        """Check that times increase, the move ends at rest, and arms that do not move keep their joints.
+
+        Such an arm must have exactly the joints of the previous posture, and zero velocities, at each point.
+        """
         previous_time = 0.0
         start_posture = self.posture or ()
         unmoved = [i for arm in self.arms if arm not in row.arms for i in _indices(self.columns[arm])]
@@ -213,7 +232,12 @@ class _TrajectoryRunner:
     def _step(
         self, label: str, kind: str, point: rows.TrajectoryPoint, arm: str, time: float, together: bool
     ) -> steps.MoveStep:
-        """Return the move of one arm to a point; ``time`` [s] counts from the previous point."""
+        """Return the move of one arm to a point.
+
+        The target is a point that is passed if ``kind`` is one of work, and joints otherwise. ``label`` is
+        the segment. ``time`` [s] counts from the previous point. If several arms move (``together``), their
+        moves to this point have a common number.
+        """
         arm_columns = self.columns[arm]
         q, v = np.array(point.q[arm_columns]), np.array(point.v[arm_columns])
         name, tool = self.tools[arm]
@@ -240,7 +264,7 @@ class _TrajectoryRunner:
         )
 
     def _frame(self, arm: str) -> tuple[steps.WorkObject, str]:
-        """Work frame of an arm with its name: the frame of the block.
+        """Return the work frame of an arm with its name: the frame of the block.
 
         If an arm holds the block, the work frame is the world for that arm, and the holder's TCP frame for
         the others.
@@ -260,7 +284,10 @@ class _TrajectoryRunner:
         return self._shared_frame(operation.line, block), BLOCK
 
     def _shared_frame(self, key: int, frame: steps.WorkObject) -> steps.WorkObject:
-        """The first frame with this key in the current operation: later equal frames are the same object."""
+        """Return the first frame with this key in the current operation, or ``frame`` if it is the first.
+
+        Equal frames are one object, so that the proof recognises them.
+        """
         line = 0 if self.operation is None else self.operation.line
         return self.frames.setdefault((line, key), frame)
 

@@ -226,7 +226,7 @@ class RowError(Exception):
     """A row is not valid.
 
     Attributes:
-        kind: Issue code without the language.
+        kind: Issue code without its prefix "trajectory.".
         message: What is wrong.
     """
 
@@ -312,7 +312,20 @@ class _End:
 
 
 def _build_program(file: str, lines: Sequence[str], parsed: Sequence[Any]) -> TrajectoryProgram:
-    """Return the parsed rows as a program; raise `_MisplacedError` for a row that does not fit the file."""
+    """Return the parsed rows as a program.
+
+    The order is: head, arms, all other rows, end. Points and segments follow their move. The first segment of
+    a move follows its first point, and all its later points belong to a segment. Version, number of rows and
+    hash are checked, names of arms and joints are unique, and each signal has one spelling.
+
+    Args:
+        file: Path of the file.
+        lines: All lines, without line ends.
+        parsed: The parsed row of each line.
+
+    Raises:
+        _MisplacedError: A row does not fit the file.
+    """
     if not parsed or not isinstance(parsed[0], _Head):
         raise _MisplacedError(1, "the file does not start with its head (tandem_trajectory)")
     head, end = parsed[0], parsed[-1]
@@ -367,7 +380,7 @@ def _build_program(file: str, lines: Sequence[str], parsed: Sequence[Any]) -> Tr
 
 
 def _signals(row: TrajectoryRow) -> tuple[str, ...]:
-    """Names of all signals in a row."""
+    """Return the names of all signals in a row."""
     match row:
         case SetRow(signal=name):
             return (name,)
@@ -377,7 +390,13 @@ def _signals(row: TrajectoryRow) -> tuple[str, ...]:
 
 
 def _check_row(row: TrajectoryRow, program: TrajectoryProgram) -> None:
-    """Raise `_MisplacedError` unless a row has one number for each joint, and names only arms of the file."""
+    """Check that a row has one number for each joint, and names only arms of the file.
+
+    A move must name at least one arm, in the file's order, and have at least one point.
+
+    Raises:
+        _MisplacedError: The row does not fit the arms of the file.
+    """
     arm_names = [arm.arm for arm in program.arms]
     match row:
         case AtRow(at=values):
@@ -411,7 +430,13 @@ def _require_width(row: TrajectoryRow, program: TrajectoryProgram, values: Seque
 
 
 def _parse_row(number: int, line: str) -> Any:
-    """Return the row in line ``number`` as an object of its kind; raise a `RowError` if it is not valid."""
+    """Return the row in line ``number`` as an object of its kind, such as `MoveRow`.
+
+    The first key names the kind. All keys of the kind must follow in their order.
+
+    Raises:
+        RowError: The row is not valid.
+    """
     if not line.isascii():
         raise RowError("syntax", "the row contains characters that are not ASCII")
     try:
@@ -431,7 +456,7 @@ def _parse_row(number: int, line: str) -> Any:
         raise RowError(
             "syntax", f"a row {keys[0]!r} has the keys {list(parsers)}, in this order; got {list(keys)}"
         )
-    values = [parse(name, value[name]) for name, parse in parsers.items()]
+    values = [parse(key, value[key]) for key, parse in parsers.items()]
     return construct(number, *values)
 
 
@@ -452,64 +477,68 @@ def _number(word: str) -> float | int:
     return float(word) if "." in word else int(word)
 
 
-def _real(name: str, value: Any) -> float:
+def _real(key: str, value: Any) -> float:
+    """Parse the value of a key as a number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise RowError("type", f"{name} is no number")
+        raise RowError("type", f"{key} is no number")
     if not (math.isfinite(value) and abs(value) <= MAX_VALUE):
-        raise RowError("number", f"{name} is {value}; allowed: up to {MAX_VALUE:g}")
+        raise RowError("number", f"{key} is {value}; allowed: up to {MAX_VALUE:g}")
     return float(value)
 
 
-def _integer(name: str, value: Any) -> int:
+def _integer(key: str, value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int):
-        raise RowError("type", f"{name} is no integer")
+        raise RowError("type", f"{key} is no integer")
     return value
 
 
-def _bit(name: str, value: Any) -> int:
-    if _integer(name, value) not in (0, 1):
-        raise RowError("type", f"{name} is {value}; allowed: 0 and 1")
+def _bit(key: str, value: Any) -> int:
+    if _integer(key, value) not in (0, 1):
+        raise RowError("type", f"{key} is {value}; allowed: 0 and 1")
     return int(value)
 
 
 def _reals(count: int | None = None) -> Callable[[str, Any], tuple[float, ...]]:
     """Return a parser of a list of ``count`` numbers, or of any number of them."""
 
-    def parse(name: str, value: Any) -> tuple[float, ...]:
+    def parse(key: str, value: Any) -> tuple[float, ...]:
         if not isinstance(value, list):
-            raise RowError("type", f"{name} is no list of numbers")
+            raise RowError("type", f"{key} is no list of numbers")
         if count is not None and len(value) != count:
-            raise RowError("type", f"{name} has {len(value)} numbers; expected {count}")
-        return tuple(_real(name, number) for number in value)
+            raise RowError("type", f"{key} has {len(value)} numbers; expected {count}")
+        return tuple(_real(key, number) for number in value)
 
     return parse
 
 
-def _name(name: str, value: Any) -> str:
+def _name(key: str, value: Any) -> str:
     if not isinstance(value, str) or _NAME.fullmatch(value) is None:
         raise RowError(
-            "name_form", f"{name} is {value!r}; expected a letter, then letters, digits and _ / . -"
+            "name_form", f"{key} is {value!r}; expected a letter, then letters, digits and _ / . -"
         )
     return value
 
 
-def _name_or_none(name: str, value: Any) -> str:
-    return "" if value == "" else _name(name, value)
+def _name_or_none(key: str, value: Any) -> str:
+    return "" if value == "" else _name(key, value)
 
 
-def _names(name: str, value: Any) -> tuple[str, ...]:
-    """Parse a list of names that differ, case ignored."""
+def _names(key: str, value: Any) -> tuple[str, ...]:
+    """Parse the value of a key as a list of distinct names, where case does not count.
+
+    Raises `RowError` if it is not such a list.
+    """
     if not isinstance(value, list):
-        raise RowError("type", f"{name} is no list of names")
-    out = tuple(_name(name, item) for item in value)
-    if len({item.lower() for item in out}) != len(out):
-        raise RowError("name_duplicate", f"{name}: {', '.join(out)} must differ")
-    return out
+        raise RowError("type", f"{key} is no list of names")
+    names = tuple(_name(key, item) for item in value)
+    if len({name.lower() for name in names}) != len(names):
+        raise RowError("name_duplicate", f"{key}: {', '.join(names)} must differ")
+    return names
 
 
-def _text(name: str, value: Any) -> str:
+def _text(key: str, value: Any) -> str:
     if not isinstance(value, str) or not value.strip() or not value.isprintable():
-        raise RowError("type", f"{name} is no text of one line")
+        raise RowError("type", f"{key} is no text of one line")
     return value
 
 

@@ -12,7 +12,12 @@ from planner.programs.steps import FlowError, ProgramStep, TextFault
 
 
 def _read(problem: Problem, arms: Arms, files: Files) -> ReadTasks:
-    """Read a trajectory file as one task for each arm, and follow it if its arms are those of the cell."""
+    """Read a trajectory file as one task for each of its arms that the cell has.
+
+    Arms, robots and joints of the file must be those of the cell, in the cell's order. Otherwise the tasks
+    have no steps, because columns of joints could not be assigned. More than one file is a fault; the first
+    one by name is then read.
+    """
     file = sorted(files)[0]
     program, faults = rows.read(file, files[file], problem.cell.controller.max_bytes)
     flow_faults: list[TextFault] = []
@@ -56,7 +61,10 @@ def _read(problem: Problem, arms: Arms, files: Files) -> ReadTasks:
 
 
 def _joint_names(problem: Problem, arm: Arm) -> tuple[str, ...]:
-    """Names of an arm's joints at the controller: the URDF names with the prefix that the cell states."""
+    """Return the names of an arm's joints at the controller.
+
+    These are the names in the URDF, with the prefix that the cell states.
+    """
     prefix = problem.cell.controller.joint_prefix.get(arm.name, "")
     return tuple(f"{prefix}{name}" for name in arm.data.joints)
 

@@ -12,7 +12,7 @@ from planner.proof.rule import RuleOutcome
 
 
 def _unknown_start(context: Context, task: TaskText) -> RuleOutcome:
-    """The rule does not apply: no move starts from an unknown position."""
+    """Return that the rule on starts does not apply, because each move starts from a checked posture."""
     return RuleOutcome(nothing="each move starts from the checked posture")
 
 

@@ -74,10 +74,13 @@ def _row_issue(
 
 
 def announcement_issues(context: Context) -> list[Issue]:
-    """Return issues of rows of operations and tools that inform the operator incorrectly.
+    """Return issues of rows that inform the operator incorrectly.
 
-    Each operation is announced once, by name and setup, right before its first move. Its tools follow, by
-    name and mass.
+    - Each operation is announced once, in order, by name, setup and holder of the block.
+    - Each tool is announced by name and mass.
+    - Only tools, then the check of the joints, follow an operation or a tool.
+    - Each move is in the setup that was announced last.
+    - The operator is not asked twice in succession what one arm holds.
     """
     issues: list[Issue] = []
     setups = context.setups
@@ -86,6 +89,7 @@ def announcement_issues(context: Context) -> list[Issue]:
         (context.problem.operations[k].name, setup.number) for setup in setups for k in setup.operations
     ]
     for _, program in _programs(context):
+        # number of the setup of each point of a move, by its line
         setup_by_line = {
             step.line: setups[int(context.spans.of_stage[number])].number
             for number, stage in enumerate(context.job.stages)
@@ -132,7 +136,10 @@ def announcement_issues(context: Context) -> list[Issue]:
 
 
 def _held_fault(stock: Stock, row: OperationRow) -> str:
-    """Fault of the announced holder of the block or of its pose in the holder's TCP frame, "" for none."""
+    """Return what is wrong with the announced holder of the block, or its pose in the holder's TCP frame.
+
+    The result is a clause for a message, "" if nothing is wrong.
+    """
     if row.held_by != (stock.held_by or ""):
         return f"announced block holder: {row.held_by or 'no arm'}; expected: {stock.held_by or 'none'}"
     if not row.held_by:
@@ -200,9 +207,11 @@ def start_posture(context: Context) -> RuleOutcome:
 def _first_point_issues(
     context: Context, program: TrajectoryProgram, row: MoveRow, check: AtRow, tools: Mapping[str, FloatArray]
 ) -> list[Issue]:
-    """Issues of the first point of a move: its posture, and its time to correct the allowed deviation.
+    """Return issues of the first point of a move.
 
-    ``check`` is the check of the joints before it. ``tools`` are the TCPs in the flange frame, (4, 4) [m].
+    The point must be the checked posture, at rest. Its time must be sufficient for each arm to correct the
+    deviation that the check allows. ``row`` is the move, ``check`` the check of the joints before it.
+    ``tools`` are the TCPs in the flange frame, (4, 4) [m], by arm.
     """
     first = row.points[0]
     code = "verify.start_posture"
@@ -274,7 +283,7 @@ def goal_tolerances(context: Context) -> RuleOutcome:
 def power_on_failure(context: Context) -> RuleOutcome:
     """Trajectories: each step that may fail names exactly the outputs that are on, so that they go off.
 
-    At the end of the file all outputs are off.
+    At the end of the file all outputs are off. The operator is not asked about a load while an output is on.
     """
     issues: list[Issue] = []
     code = "verify.power_on_failure"
@@ -350,11 +359,17 @@ def between_points(context: Context) -> RuleOutcome:
 
 
 def _speed_issues(context: Context, task: TaskText) -> list[Issue]:
-    """Issues of moves in which the tool moves backwards, or much faster than its mean speed nearby."""
+    """Return issues of moves in which the tool moves backwards, or much faster than its mean speed nearby.
+
+    Only moves of work are checked, to points that are passed, in which the tool moves more than
+    ``STANDSTILL_M``. The mean speed nearby is the largest mean of this move and the two adjacent ones. There
+    are at most 20 issues of either kind.
+    """
     out: list[Issue] = []
     speeds = tool_speeds(context)[task.arm.name]
     moves, mean = speeds.moves, speeds.mean
     is_work = np.array([isinstance(move.target, PassedTarget) for move in moves])
+    # 0 stands for the missing neighbours of the first and last move
     nearby_mean = np.maximum(mean, np.maximum(np.append(mean[1:], 0.0), np.append(0.0, mean[:-1])))
     is_moving = is_work & (speeds.length > STANDSTILL_M)
     speed_ratio = np.where(is_moving, speeds.peak / np.maximum(nearby_mean, 1e-9), 0.0)
@@ -373,10 +388,11 @@ def _speed_issues(context: Context, task: TaskText) -> list[Issue]:
 
 
 def _segment_deviation(start: FloatArray, end: FloatArray, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Deviation (S,) [m] and (S,) [rad] of poses (S, 4, 4) from straight segments with uniform rotation.
+    """Return the distance (S,) [m] and the rotation (S,) [rad] of each pose from its segment.
 
-    The segments lead from ``start`` to ``end``, (S, 4, 4) each. The deviation is that from the nearest
-    position, or from the nearest rotation if the segment has no length.
+    Each of the poses (S, 4, 4) has one segment, straight and with a uniform rotation. It leads from ``start``
+    to ``end``, (S, 4, 4) each. Both deviations are those from one pose of the segment: the one with the
+    nearest position, or with the nearest rotation if the segment has no length.
     """
     step = end[:, :3, 3] - start[:, :3, 3]
     segment_rotation = log_rotation(np.swapaxes(start[:, :3, :3], 1, 2) @ end[:, :3, :3])

@@ -19,14 +19,15 @@ MIN_DISTANCE_M: Final = 1e-6
 
 
 def passing_times(arm: TrajectoryArm, q: FloatArray, trajectory: TrajectoryPoints) -> FloatArray:
-    """Return path positions and the times [s] at which a curve reaches them, (2, K).
+    """Return path positions (row 0) and the times [s] at which a curve reaches them (row 1), (2, K).
 
-    Path position k + f, from 0 to N, is at the fraction f of the segment from target k to target k + 1. The
-    fraction is the progress of the arm's tool on this straight segment.
+    The kerf of a melting cut is computed from these times. Path position k + f, from 0 to N, is at the
+    fraction f of the segment from target k to target k + 1. The fraction is the progress of the arm's tool on
+    this straight segment, or that of the time if the tool only rotates. Path positions never decrease.
 
     Args:
         arm: The arm.
-        q: Joints of the targets, (N + 1, D) [rad].
+        q: Joints of the start posture and of the N targets, (N + 1, D) [rad].
         trajectory: The curve.
     """
     ends = arm.relative_pose(q)[:, :3, 3]
@@ -38,6 +39,7 @@ def passing_times(arm: TrajectoryArm, q: FloatArray, trajectory: TrajectoryPoint
     step = np.diff(ends, axis=0)[segment]
     squared_length = dots(step, step)
     fraction = dots(samples - ends[segment], step) / np.maximum(squared_length, MIN_DISTANCE_M**2)
+    # index in `trajectory.t` of the last point of each segment, which is the target at its end
     last_point = np.searchsorted(trajectory.end[1:], np.arange(len(ends) - 1), side="right")
     arrival_times = np.append(0.0, trajectory.t[last_point])
     time_fraction = (sample_times - arrival_times[segment]) / np.maximum(
@@ -51,15 +53,17 @@ def passing_times(arm: TrajectoryArm, q: FloatArray, trajectory: TrajectoryPoint
 
 
 def splice_clocks(time: FloatArray, runs: Sequence[tuple[IntArray, FloatArray]]) -> FloatArray:
-    """Return path positions of an operation and the times [s] at which the programs pass them, (2, K).
+    """Return the path positions of an operation (row 0) and the times [s] at which they are passed (row 1).
 
-    Path position k + f is at the fraction f of the way from target k to target k + 1. Outside of the runs the
-    planned times apply, with the delay that the runs before them cause.
+    The kerf of a melting cut is computed from these times, (2, K). Path position k + f is at the fraction f
+    of the move from target k to target k + 1. Outside of the runs the planned times apply, with the delay
+    that the runs before them cause.
 
     Args:
         time: Planned times of the targets, (N,) [s].
-        runs: Runs that are written as curves: their targets (M,), and path positions with times (2, L) from
-            :func:`passing_times`, in which 0 is the target before the run.
+        runs: Runs that are written as curves. Each has the indices (M,) of its targets in the operation, and
+            its own path positions with times (2, L) from :func:`passing_times`. Path position 0 of a run is
+            the target before its first one.
     """
     parts: list[FloatArray] = []
     delay = 0.0
@@ -70,6 +74,7 @@ def splice_clocks(time: FloatArray, runs: Sequence[tuple[IntArray, FloatArray]])
         parts.append(np.stack([planned, time[planned] + delay]))
         start_time = float(time[run_targets[0]]) + delay
         path_position = np.interp(clock[0], np.arange(len(run_targets)), run_targets)
+        # the first column is the target before the run, which `planned` contains already
         parts.append(np.stack([path_position, start_time + clock[1]])[:, 1:])
         delay = start_time + float(clock[1, -1]) - float(time[run_targets[-1]])
         last_target = int(run_targets[-1])

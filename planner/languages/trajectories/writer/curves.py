@@ -98,19 +98,21 @@ class TrajectoryPoints:
 
 @dataclasses.dataclass(frozen=True)
 class SegmentRequirements:
-    """Requirements on N straight segments of A arms.
+    """Requirements on N straight segments, on each of which A arms move at once.
 
     Attributes:
         duration: Planned times, (N,) [s].
         tcp_speed: Maximum speed of any tool in the world [m/s].
-        max_speed: Maximum speed of each arm's tool on a segment, in its frame, (A, N) [m/s].
-        min_speed: Minimum speed of each arm's tool, (A, N) [m/s]; 0 for none. It does not hold next to a
-            rest, or where a slower motion is planned.
+        max_speed: Maximum speed of each arm's tool on a segment, (A, N) [m/s], relative to the block if
+            another arm holds it, in the world otherwise; infinite for none.
+        min_speed: Minimum speed of each arm's tool, (A, N) [m/s]; 0 for none. It does not hold in the first
+            and last segment of a curve, which starts and ends at rest, or where a slower motion is planned.
         min_progress: Minimum fraction of the segment per second, (N,) [1/s]; 0 for none.
         may_stop: Whether the motion may stop after the segment if no points keep the path otherwise, (N,).
-        melts: Whether work melts where the motion nearly stops, (N,).
+        melts: Whether the tool melts the work, so that the motion must not nearly stop, (N,).
         max_deviation: Maximum deviation of a tool from its segment [m].
-        max_rotation: Maximum rotation of each arm's tool off its segment, (A,) [rad].
+        max_rotation: Maximum rotation of each arm's tool away from its orientation on the segment [rad], one
+            value for each of the A arms.
     """
 
     duration: FloatArray
@@ -150,11 +152,14 @@ class SegmentRequirements:
 def fit_curve(
     arms: Sequence[TrajectoryArm], q: FloatArray, stop: BoolArray, requirements: SegmentRequirements
 ) -> TrajectoryPoints:
-    """Return a curve through the targets at the ends of N straight segments.
+    """Return the points of a curve through the targets at the ends of N straight segments.
+
+    The points become one goal of the controller. The curve may stop at more targets than ``stop`` states, see
+    ``SegmentRequirements.may_stop``.
 
     Args:
         arms: The arms that move.
-        q: Joints of the targets, (N + 1, D) [rad].
+        q: Joints of the start posture and of the N targets, (N + 1, D) [rad].
         stop: Whether each segment ends at rest, (N,); the last one always does.
         requirements: Requirements on the segments.
 
@@ -162,7 +167,7 @@ def fit_curve(
         PathNotKeptError: No points keep the path.
     """
     parts = _fit_parts(arms, q, requirements, np.flatnonzero(stop) + 1)
-    parts_on_one_clock = [parts[0]]
+    parts_on_one_clock = [parts[0]]  # each later part starts at the last point of the previous one
     end_time = parts[0].t[-1]
     for part in parts[1:]:
         parts_on_one_clock.append(
@@ -197,10 +202,16 @@ class _PointSequence:
 def _fit_parts(
     arms: Sequence[TrajectoryArm], q: FloatArray, requirements: SegmentRequirements, stops: IntArray
 ) -> list[TrajectoryPoints]:
-    """Fit consecutive curves from rest to rest.
+    """Fit consecutive curves from rest to rest through the targets ``q`` (N + 1, D) [rad].
 
-    They stop at the targets ``stops`` of ``q`` (N + 1, D). Where no points keep the path, they also stop at
-    the ends of that segment if the requirements allow it.
+    The curves meet at the targets whose indices in ``q`` are ``stops``. Where no points keep the path, the
+    motion also stops at the start and at the end of that segment, as far as the requirements allow it there.
+
+    Returns:
+        The curves in order, each with times from 0. ``end`` counts the N segments of all curves.
+
+    Raises:
+        PathNotKeptError: No points keep the path, and no further stop is allowed.
     """
     out: list[TrajectoryPoints] = []
     edges = sorted({0, *stops.tolist(), len(requirements.duration)})
@@ -210,6 +221,7 @@ def _fit_parts(
         try:
             parts = [_fit_from_rest(arms, joints, section)]
         except PathNotKeptError as error:
+            # k: targets at both ends of the failing segment; may_stop[k - 1] is the segment before target k
             cuts = [k for k in (error.row, error.row + 1) if 0 < k < b - a and section.may_stop[k - 1]]
             if not cuts:
                 raise PathNotKeptError(a + error.row, error.reason, error.feed_fraction) from None
@@ -226,7 +238,14 @@ def _fit_parts(
 def _fit_from_rest(
     arms: Sequence[TrajectoryArm], q: FloatArray, requirements: SegmentRequirements
 ) -> TrajectoryPoints:
-    """Fit a curve from rest to rest through ``q`` (N + 1, D); insert points until it keeps the path."""
+    """Fit one curve from rest to rest through ``q`` (N + 1, D) [rad], without stops between.
+
+    Points are inserted until no tool deviates from its segments. Minimum feed and even speed are checked
+    once, on the final points.
+
+    Raises:
+        PathNotKeptError: A limit cannot be kept, or points would be too close in time or too many.
+    """
     count = len(requirements.duration)
     span = np.maximum(requirements.duration, MIN_INTERVAL_S)
     points = _PointSequence(q, span, np.arange(-1, count), np.zeros(count + 1, dtype=np.bool_))
@@ -255,9 +274,11 @@ def _fit_from_rest(
 
 
 def _with_adjacent(points: _PointSequence, deviating: BoolArray) -> BoolArray:
-    """The intervals ``deviating`` (P - 1,), and adjacent ones that are long enough to be halved, too.
+    """Return which intervals between two points are to be halved, (P - 1,).
 
-    If a single interval is halved, the spline oscillates into the next one.
+    These are the intervals ``deviating`` (P - 1,) and up to :data:`_ADJACENT_INTERVALS` on either side. If a
+    single interval is halved, the spline oscillates into the next one. An adjacent interval is left out if it
+    is too short to be halved, or starts or ends at a corner.
     """
     adjacent = np.zeros(len(deviating), dtype=np.bool_)
     indices = np.flatnonzero(deviating)[:, None] + np.arange(-_ADJACENT_INTERVALS, _ADJACENT_INTERVALS + 1)
@@ -271,24 +292,36 @@ def _with_corners(
 ) -> _PointSequence:
     """Insert a point before and a point after each corner, so close that the velocity changes only there.
 
-    A spline through the corner itself would oscillate far to both sides. The tool slows down uniformly to the
-    corner and accelerates uniformly after it. With a minimum feed it may lose only half of that time.
+    A spline through the corner itself would oscillate far to both sides. A corner is a target at which the
+    joint velocity turns by more than 15 degrees, see :data:`CORNER_COSINE`, and next to which the moves are
+    long enough for both points. Other targets are unchanged.
+
+    The tool slows down uniformly to the corner and accelerates uniformly after it. With a minimum feed it may
+    lose only half of the time that this takes.
+
+    Args:
+        arms: The arms that move.
+        points: Targets, none of which is a corner yet.
+        has_min_feed: Whether some segments have a minimum feed.
     """
     q, span = points.q, points.span
     max_velocity = np.concatenate([arm.robot.velocity for arm in arms])
     max_acceleration = np.concatenate([arm.robot.acceleration for arm in arms]) * ACCELERATION_FRACTION
-    rate = np.diff(q, axis=0) / span[:, None]
+    rate = np.diff(q, axis=0) / span[:, None]  # mean velocity of each interval (P - 1, D) [rad/s]
     scaled = rate / max_velocity
     size = np.maximum(np.linalg.norm(scaled, axis=1), 1e-12)
     cosine = dots(scaled[:-1], scaled[1:]) / (size[:-1] * size[1:])
     corner_rate = 0.5 * (rate[:-1] + rate[1:])  # velocity at a target if it is a corner
+    # the arrays from here to `available_time` are per inner target (P - 2,): entry i is target i + 1
     min_time = (np.abs(rate[:-1] - corner_rate) / max_acceleration).max(axis=1)
+    # with a minimum feed the tool has less time than uniform braking takes, so the points are farther away
     needed_time = np.maximum(4.0 * min_time if has_min_feed else min_time, MIN_INTERVAL_S)
     available_time = MAX_CORNER_FRACTION * np.minimum(span[:-1], span[1:])
     corners = np.flatnonzero((cosine < CORNER_COSINE) & (needed_time <= available_time)) + 1
     if not len(corners):
         return points
     corner_time = needed_time[corners - 1]
+    # points on the straight segments before and after each corner, at `corner_time` from it
     corner_ends: list[FloatArray] = []
     for interval, fraction in (
         (corners - 1, 1.0 - corner_time / span[corners - 1]),
@@ -303,22 +336,24 @@ def _with_corners(
         corner_ends.append(joints)
     corner_entry, corner_exit = corner_ends
     weight = 1.0 / max_velocity**2
-    # a uniform change from speed s to c s over the distance s T takes the time 2 T / (1 + c)
+    # a uniform change from speed s to c s over the distance s T takes the time 2 T / (1 + c); c is bounded
+    # by -0.5, because the time would be infinite for a reversal
     slow_in, slow_out = (
         2.0
         * corner_time
         / (1.0 + np.clip(_relative_component(corner_rate[corners - 1], rate[interval], weight), -0.5, 1.0))
         for interval in (corners - 1, corners)
     )
-    if has_min_feed:  # mean of that and of the time at which the speed would overshoot the previous one
+    if has_min_feed:  # half of the lost time: mean of this time and of the time T without slowing down
         slow_in = 0.5 * (slow_in + corner_time)
         slow_out = 0.5 * (slow_out + corner_time)
     out_q = [q[0]]
     out_span: list[float] = []
     out_end = [int(points.end[0])]
     out_corner = [False]
-    corner_numbers = {int(k): i for i, k in enumerate(corners)}
+    corner_numbers = {int(k): i for i, k in enumerate(corners)}  # index in `corners` by target
     for k in range(1, len(q)):
+        # time of the interval before target k without the part that a corner at its start uses
         remaining = span[k - 1] - (corner_time[corner_numbers[k - 1]] if k - 1 in corner_numbers else 0.0)
         if k in corner_numbers:
             i = corner_numbers[k]
@@ -335,9 +370,10 @@ def _with_corners(
 
 
 def _relative_component(vector: FloatArray, other: FloatArray, weight: FloatArray) -> FloatArray:
-    """Components (K,) of vectors (K, D) along other vectors (K, D), relative to the length of the latter.
+    """Return the components (K,) of vectors (K, D) along other vectors (K, D), as fractions of the latter.
 
-    c = <vector, other> / <other, other>, with the scalar product weighted by ``weight`` (D,).
+    c = <vector, other> / <other, other>, with the scalar product weighted by ``weight`` (D,). For velocities,
+    c is the ratio of the speed at a corner to the speed before or after it.
     """
     return np.asarray(
         (vector * other * weight).sum(axis=1) / np.maximum((other**2 * weight).sum(axis=1), 1e-18)
@@ -345,16 +381,18 @@ def _relative_component(vector: FloatArray, other: FloatArray, weight: FloatArra
 
 
 def _velocities(points: _PointSequence, has_min_feed: bool) -> FloatArray:
-    """Velocities (P, D) at the points, from splines with continuous accelerations between rests and corners.
+    """Return the joint velocities (P, D) [rad/s] at the points, from splines between rests and corners.
 
-    At a corner the velocity is the mean of those at the points before and after it. With a minimum feed this
-    mean is scaled up to :data:`CORNER_SPEED_FRACTION` of the slower one, at most by
-    :data:`MAX_CORNER_SPEED_FACTOR`.
+    The velocity is 0 at the first and last point. A spline ends at the points next to a corner, where its
+    velocity is that of the straight line to the adjacent point of the spline. At a corner the velocity is the
+    mean of those at the points before and after it. With a minimum feed this mean is scaled up to
+    :data:`CORNER_SPEED_FRACTION` of the slower one, at most by :data:`MAX_CORNER_SPEED_FACTOR`.
     """
     q, span = points.q, points.span
     t = np.append(0.0, np.cumsum(span))
     v = np.zeros_like(q)
     corners = np.flatnonzero(points.corner)
+    # first and last point of each spline; corners belong to none
     first, last = np.append(0, corners + 1), np.append(corners - 1, len(q) - 1)
     for a, b in zip(first, last, strict=True):
         start_velocity = np.zeros(q.shape[1]) if a == 0 else (q[a + 1] - q[a]) / span[a]
@@ -377,7 +415,14 @@ def _velocities(points: _PointSequence, has_min_feed: bool) -> FloatArray:
 def _with_feasible_times(
     arms: Sequence[TrajectoryArm], points: _PointSequence, requirements: SegmentRequirements
 ) -> tuple[_PointSequence, FloatArray]:
-    """Extend the times until joints and tools keep their limits; return points and velocities (P, D)."""
+    """Extend the times between points until joints and tools keep their speeds and accelerations.
+
+    Returns:
+        The points with their new times, and the joint velocities (P, D) [rad/s] at the points.
+
+    Raises:
+        PathNotKeptError: The limits do not hold after :data:`_MAX_TIMING_ROUNDS` rounds.
+    """
     max_velocity = np.concatenate([arm.robot.velocity for arm in arms]) * SPEED_FRACTION
     max_acceleration = np.concatenate([arm.robot.acceleration for arm in arms]) * ACCELERATION_FRACTION
     for _ in range(_MAX_TIMING_ROUNDS):
@@ -386,6 +431,7 @@ def _with_feasible_times(
         if excess.max() <= 1.0:
             return points, v
         factor = np.maximum(excess, 1.0)
+        # each interval is extended at least as much as its two neighbours, which the spline couples
         factor = np.maximum(factor, np.maximum(np.append(factor[1:], 1.0), np.append(1.0, factor[:-1])))
         # all intervals around a corner slow down together
         for corner in np.flatnonzero(points.corner).tolist():
@@ -406,7 +452,12 @@ def _time_excess(
     max_acceleration: FloatArray,
     requirements: SegmentRequirements,
 ) -> FloatArray:
-    """Factors (P - 1,) by which the times between points are too short; at most 1 if all limits hold."""
+    """Return the factors (P - 1,) by which the times between points are too short.
+
+    A factor is at most 1 if the interval keeps all limits: joint speeds and accelerations, the speed of each
+    tool on its segment, and the speed of each tool in the world. ``v`` (P, D) [rad/s] are the velocities at
+    the points. ``max_velocity`` (D,) [rad/s] and ``max_acceleration`` (D,) [rad/s^2] limit the joints.
+    """
     q, span = points.q, points.span
     T = span[:, None]
     change = np.diff(q, axis=0) / T
@@ -423,6 +474,7 @@ def _time_excess(
     out = np.maximum(speed_excess.max(axis=1), acceleration_excess.max(axis=1))
     samples = joints_between(q, span, v, np.linspace(0.0, 1.0, _PIECES + 1))
     for arm, max_speed in zip(arms, requirements.max_speed, strict=True):
+        # without a carrier the relative pose is that in the world, so that one check covers both limits
         max_speed = np.minimum(max_speed[points.end[1:]], np.inf if arm.carrier else requirements.tcp_speed)
         out = np.maximum(
             out, _max_speeds(arm.relative_pose(samples), span) / (TOOL_SPEED_FRACTION * max_speed)
@@ -435,7 +487,7 @@ def _time_excess(
 
 
 def _max_speeds(poses: FloatArray, span: FloatArray) -> FloatArray:
-    """Maximum speeds (P - 1,) [m/s] of tools with the poses (P - 1, S, 4, 4) at equal time steps."""
+    """Return the maximum speeds (P - 1,) [m/s] of tools, from poses (P - 1, S, 4, 4) at equal time steps."""
     steps = np.linalg.norm(np.diff(poses[..., :3, 3], axis=1), axis=2)
     return np.asarray(steps.max(axis=1) * steps.shape[1] / span)
 
@@ -443,7 +495,21 @@ def _max_speeds(poses: FloatArray, span: FloatArray) -> FloatArray:
 def _require_min_feed(
     arms: Sequence[TrajectoryArm], points: _PointSequence, v: FloatArray, requirements: SegmentRequirements
 ) -> None:
-    """Raise if segments with a minimum feed take too long, or if a tool that melts the work nearly stops."""
+    """Check that a curve keeps the minimum feeds, and that no tool that melts the work nearly stops.
+
+    Three conditions hold, with ``v`` (P, D) [rad/s] the velocities at the points:
+
+    - A whole segment with a minimum feed takes at most the planned time or the time that the minimum feed
+      allows, whichever is longer, times :data:`MIN_FEED_TIME_FACTOR`.
+    - Within such a segment each tool keeps its ``min_speed`` on average over short intervals. This does not
+      apply to the first and last segment, next to the rests, nor to segments that are planned slower.
+    - In segments that melt, neither the joints nor a tool relative to the arm that holds the block nearly
+      stop, see :func:`_nearly_stops`.
+
+    Raises:
+        PathNotKeptError: A condition does not hold.
+    """
+    # arrays per segment (N,), except `segment`, which is the segment of each interval (P - 1,)
     segment_time = np.bincount(points.end[1:], points.span, len(requirements.duration))
     has_min_feed = requirements.min_progress > 0.0
     max_time = (
@@ -453,9 +519,9 @@ def _require_min_feed(
     feed_fraction = np.where(has_min_feed, max_time / segment_time, np.inf)
     segment = points.end[1:]
     samples = joints_between(points.q, points.span, v, np.linspace(0.0, 1.0, _PIECES + 1))
-    # within segments the feed is checked where the planned times keep it, except next to a rest
+    # within segments the feed is checked where the planned times keep it
     is_bound = has_min_feed & (requirements.duration * requirements.min_progress <= MIN_FEED_TIME_FACTOR)
-    is_bound[[0, -1]] = False
+    is_bound[[0, -1]] = False  # the first segment starts at rest, the last one ends at rest
     for arm, min_speed in zip(arms, requirements.min_speed, strict=True):
         speed_ratio = (
             _min_mean_speeds(arm.relative_pose(samples)[..., :3, 3], points.span) * MIN_FEED_TIME_FACTOR
@@ -469,6 +535,7 @@ def _require_min_feed(
     if feed_fraction.min() < 1.0:
         reason = "tools would fall below the minimum feed"
         raise PathNotKeptError(int(np.argmin(feed_fraction)), reason, float(feed_fraction.min()))
+    # joints are compared as fractions of their maximum speeds, at 8 pieces of each interval
     scale = np.concatenate([arm.robot.velocity for arm in arms])
     samples = samples[:, :: _PIECES // 8] / scale
     nearly_stops = _nearly_stops(samples, v / scale, points.span)
@@ -489,9 +556,12 @@ def _require_min_feed(
 
 
 def _min_mean_speeds(position: FloatArray, span: FloatArray) -> FloatArray:
-    """Minimum mean speeds (P - 1,) [m/s] of positions (P - 1, S, 3) at equal time steps.
+    """Return the minimum mean speed (P - 1,) [m/s] of a TCP in each interval between two points.
 
-    Each mean is over :data:`MIN_FEED_INTERVAL_S` or longer: over 1, 1/2, 1/4... of the time between points.
+    ``position`` (P - 1, S, 3) [m] are samples at equal time steps, with S - 1 a power of two. A mean is the
+    straight distance over a part of the interval, divided by its time. The part is 1, 1/2, 1/4... of the
+    interval, down to one step: the smallest one that lasts :data:`MIN_FEED_INTERVAL_S` or longer. It starts
+    at each sample.
     """
     count = position.shape[1] - 1
     out = np.empty(len(span))
@@ -506,7 +576,11 @@ def _min_mean_speeds(position: FloatArray, span: FloatArray) -> FloatArray:
 
 
 def _marks(pose: FloatArray) -> FloatArray:
-    """Positions (..., 9) [m] of three points of poses (..., 4, 4), which represent their orientation."""
+    """Return the positions (..., 9) [m] of three points that are fixed to a tool, at poses (..., 4, 4).
+
+    The points are the TCP, and one each on the x and y axes of the tool. All three stand still only if the
+    tool neither moves nor rotates.
+    """
     points = (
         pose[..., :3, 3, None] + np.array([0.0, MARK_DISTANCE_M, MARK_DISTANCE_M]) * pose[..., :3, [2, 0, 1]]
     )
@@ -514,11 +588,21 @@ def _marks(pose: FloatArray) -> FloatArray:
 
 
 def _nearly_stops(samples: FloatArray, rate: FloatArray, span: FloatArray) -> BoolArray:
-    """Whether a motion nearly stops in each interval or at its end, (P - 1,), except next to rest.
+    """Return in which intervals between two points a motion nearly stops, (P - 1,).
 
-    The motion has the positions ``samples`` (P - 1, S, D) at equal time steps between the points, and the
-    velocities ``rate`` (P, D) at the points.
+    A tool that melts the work would cut a wider kerf there, so that the curve is then refused. Entry i is the
+    interval from point i to point i + 1. It nearly stops if its lowest speed is below
+    :data:`STANDSTILL_FRACTION` of its mean speed, or if the speed at point i + 1 is below this fraction of
+    the slower mean before and after that point. The first and last interval are always False, because the
+    motion starts and ends at rest there.
+
+    Args:
+        samples: Positions at S equal time steps of each interval, including both ends, (P - 1, S, D). They
+            are joints or points of a tool, in any unit.
+        rate: Velocities at the points, (P, D), in this unit per second.
+        span: Times between points, (P - 1,) [s].
     """
+    # the mean speed is that along the straight line between the two ends of the interval
     mean = np.linalg.norm(samples[:, -1] - samples[:, 0], axis=1) / span
     min_speed = np.linalg.norm(np.diff(samples, axis=1), axis=2).min(axis=1) * (samples.shape[1] - 1) / span
     out = np.asarray(min_speed < STANDSTILL_FRACTION * mean)
@@ -530,24 +614,31 @@ def _nearly_stops(samples: FloatArray, rate: FloatArray, span: FloatArray) -> Bo
 def joints_between(q: FloatArray, span: FloatArray, v: FloatArray, fractions: FloatArray) -> FloatArray:
     """Return the joints (P - 1, S, D) [rad] at fractions of the times between points.
 
+    They lie on the cubics that the controller interpolates through positions and velocities of the points.
+
     Args:
         q: Joints of the points, (P, D) [rad].
         span: Times between points, (P - 1,) [s].
         v: Joint velocities at the points, (P, D) [rad/s].
-        fractions: Fractions, (S,).
+        fractions: Fractions from 0 to 1, (S,), the same ones in each interval.
     """
     t = np.append(0.0, np.cumsum(span))
     times = t[:-1, None] + fractions * span[:, None]
-    times[:, fractions == 1.0] = t[1:, None]
+    times[:, fractions == 1.0] = t[1:, None]  # exactly, without rounding into the next interval
     return np.asarray(CubicHermiteSpline(t, q, v, axis=0)(times))
 
 
 def _deviating_intervals(
     arms: Sequence[TrajectoryArm], points: _PointSequence, v: FloatArray, requirements: SegmentRequirements
 ) -> BoolArray:
-    """Whether a tool leaves the straight segment between two points by more than the tolerances, (P - 1,)."""
+    """Return in which intervals a tool leaves the straight segment by more than the tolerances, (P - 1,).
+
+    The segment is that between the two points of the interval. Position and orientation are compared at seven
+    instants with the nearest pose on it. Points are inserted in these intervals.
+    """
     out = np.zeros(len(points.span), dtype=bool)
     samples = joints_between(points.q, points.span, v, _CHECK_FRACTIONS)
+    # not strict, because the default of max_rotation has two values also for one arm
     for arm, max_rotation in zip(arms, requirements.max_rotation, strict=False):
         ends = arm.relative_pose(points.q)
         poses = arm.relative_pose(samples)
@@ -562,9 +653,11 @@ def _deviating_intervals(
 
 
 def _uneven_intervals(arms: Sequence[TrajectoryArm], points: _PointSequence, v: FloatArray) -> BoolArray:
-    """Whether a tool moves backwards between two points, or much faster than its mean nearby, (P - 1,).
+    """Return in which intervals a tool moves backwards or much faster than on average, (P - 1,).
 
-    The limit of the speed is :data:`MAX_SPEED_RATIO`.
+    The rules of the proof refuse such a curve. The maximum speed in an interval is compared with the largest
+    mean speed of this and the two adjacent intervals; the limit is :data:`MAX_SPEED_RATIO`. Intervals in
+    which the tool moves at most :data:`MIN_MOVING_DISTANCE_M` are not checked.
     """
     out = np.zeros(len(points.span), dtype=np.bool_)
     samples = joints_between(points.q, points.span, v, np.linspace(0.0, 1.0, _PIECES + 1))
@@ -572,13 +665,14 @@ def _uneven_intervals(arms: Sequence[TrajectoryArm], points: _PointSequence, v: 
         position = arm.relative_pose(samples)[..., :3, 3]
         chord = position[:, -1] - position[:, 0]
         length = np.linalg.norm(chord, axis=1)
-        mean = np.pad(length / points.span, 1)
+        mean = np.pad(length / points.span, 1)  # 0 before the first and after the last interval
         steps = np.diff(position, axis=1)
         progress_steps = (steps * chord[:, None]).sum(axis=2) / np.maximum(length, 1e-9)[:, None]
         max_speed = np.linalg.norm(steps, axis=2).max(axis=1) * _PIECES / points.span
         nearby_mean = np.maximum(mean[1:-1], np.maximum(mean[:-2], mean[2:]))
         out |= (length > MIN_MOVING_DISTANCE_M) & (
             (max_speed > MAX_SPEED_RATIO * nearby_mean)
+            # 0.01 mm: half of the proof's limit
             | (progress_steps.min(axis=1) < -0.2 * MAX_DEVIATION_M)
         )
     return out
@@ -587,10 +681,14 @@ def _uneven_intervals(arms: Sequence[TrajectoryArm], points: _PointSequence, v: 
 def _insert_midpoints(
     arms: Sequence[TrajectoryArm], points: _PointSequence, v: FloatArray, intervals: IntArray
 ) -> _PointSequence:
-    """Insert a point in the middle of each of the ``intervals``, on the straight segments of all tools.
+    """Insert a point at half of the time of each of the ``intervals``, on the straight segments of all tools.
 
-    All arms have the same progress there: their mean, weighted by how far they move. Next to a corner no
-    point can be inserted.
+    ``intervals`` (K,) are indices i of intervals from point i to point i + 1. At the new point all arms have
+    one common progress on their segments: the mean of their progress on the curve, weighted by how far they
+    move and rotate.
+
+    Raises:
+        PathNotKeptError: An interval starts or ends at a corner, or a pose has no joint solution.
     """
     q, span, end = points.q, points.span, points.end
     next_to_corner = points.corner[intervals] | points.corner[intervals + 1]

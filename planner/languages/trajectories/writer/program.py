@@ -39,7 +39,7 @@ JOINT_TOLERANCE_RAD: Final = 1e-6
 CHECK_TOLERANCE_FACTOR: Final = 2.0
 """Tolerance of the check before a move, relative to the goal tolerance."""
 ParallelSteps = tuple[bool, Mapping[str, list[layout.TaskStep]]]
-"""Steps between two meetings: whether the arms move synchronised, and the steps by arm."""
+"""Steps between two meetings: whether the arms move synchronised, and the steps of each arm by its name."""
 
 
 def joint_names(arm: Arm, controller: Controller) -> tuple[str, ...]:
@@ -84,15 +84,19 @@ def write(
 
 
 class _TrajectoryWriter:
-    """Writes the rows of a job.
+    """Writes the rows of a job; D is the number of joints of all arms.
 
     Attributes:
+        arms: Names of the arms in the order of their joints in rows.
+        width: D.
         columns: Columns of each arm's joints among those of all arms.
-        posture: Joints of all arms after the last point, (D,) [rad].
-        outputs_on: Outputs that are on; each step that may fail names them.
+        posture: Joints of all arms after the last point, rounded as written, (D,) [rad].
+        outputs_on: Names of the outputs that are on, in the order in which they were switched. Each step that
+            may fail names them, so that the runner switches them off.
         tools: Tool that each arm carries, as the rows so far state.
         pending_operation: Row of an operation and its programs by arm, until its first move.
-        runs: Runs of each operation that are written as curves, see `splice_clocks`.
+        runs: Runs of each operation that are written as curves, by index of the operation. Each has its
+            targets, and its path positions with times, see `splice_clocks`.
     """
 
     def __init__(self, job: layout.JobPrograms, plan: Plan, problem: Problem) -> None:
@@ -144,7 +148,7 @@ class _TrajectoryWriter:
     # ---- operations ----
 
     def _operation(self, programs: Mapping[str, layout.OperationProgram]) -> None:
-        """Append the rows of an operation, whose programs are given by arm."""
+        """Append the rows of an operation. ``programs`` has the program of each arm, by name."""
         first = programs[self.arms[0]]
         stock = self.problem.setups[first.setup - 1].stock
         holder = stock.held_by
@@ -180,7 +184,10 @@ class _TrajectoryWriter:
         self.rows_out.append(row(values))
 
     def _solo(self, arm: str, steps: Sequence[layout.TaskStep], program: layout.OperationProgram) -> None:
-        """Append the steps of one arm; consecutive segments become one goal."""
+        """Append the rows of one arm's steps between two meetings. Consecutive segments become one goal.
+
+        ``program`` is the program of the operation to which the steps belong.
+        """
         for is_work, group in itertools.groupby(steps, key=lambda step: isinstance(step, layout.SegmentRun)):
             if is_work:
                 runs = [step for step in group if isinstance(step, layout.SegmentRun)]
@@ -198,7 +205,11 @@ class _TrajectoryWriter:
     def _synchronised(
         self, steps: Mapping[str, Sequence[layout.TaskStep]], programs: Mapping[str, layout.OperationProgram]
     ) -> None:
-        """Append the synchronised moves of several arms: goals of work, then rest-to-rest moves."""
+        """Append the synchronised moves of several arms: one goal of work, then rest-to-rest moves.
+
+        The segments of all arms are the same ones, so that the first arm's segments define the goal. The
+        n-th rest-to-rest moves of all arms form one goal.
+        """
         moving = {arm: arm_steps for arm, arm_steps in steps.items() if arm_steps}
         runs = {
             arm: [step for step in arm_steps if isinstance(step, layout.SegmentRun)]
@@ -218,7 +229,11 @@ class _TrajectoryWriter:
     def _driven(
         self, arms: Sequence[str], programs: Mapping[str, layout.OperationProgram]
     ) -> dict[str, TrajectoryArm]:
-        """The arms that move, by name; their joint columns are consecutive in the given order."""
+        """Return the arms that move in a goal, by name.
+
+        Their joint columns are consecutive in the order of ``arms``. If one of them holds the block, it is
+        the carrier of the arms that work on this block.
+        """
         out: dict[str, TrajectoryArm] = {}
         first = 0
         for arm in arms:
@@ -228,6 +243,7 @@ class _TrajectoryWriter:
             first = columns.stop
         for arm, trajectory_arm in out.items():
             track = programs[arm].moves
+            # "held:NAME" is the work frame on the tool of arm NAME; other frames have no such prefix
             holder = "" if track is None else track.frame.removeprefix("held:")
             if track is not None and holder != track.frame and holder in out:
                 out[arm] = dataclasses.replace(trajectory_arm, carrier=out[holder])
@@ -238,7 +254,10 @@ class _TrajectoryWriter:
     def _rest_to_rest(
         self, ends: Mapping[str, FloatArray], programs: Mapping[str, layout.OperationProgram]
     ) -> None:
-        """Append a move to the joints ``ends`` by arm, unless the arms are there already."""
+        """Append a goal with one rest-to-rest move to the joints ``ends`` by arm.
+
+        Nothing is appended if the arms are there already. Its time keeps the limits of joints and tools.
+        """
         arms = [arm for arm in self.arms if arm in ends]
         goal = self.posture.copy()
         for arm in arms:
@@ -260,7 +279,13 @@ class _TrajectoryWriter:
         programs: Mapping[str, layout.OperationProgram],
         runs: Sequence[layout.SegmentRun],
     ) -> None:
-        """Append a goal of work: the curve through the targets of consecutive segments (``runs``)."""
+        """Append a goal of work: the curve through the targets of consecutive segments (``runs``).
+
+        The curve starts at the current posture. Its times are also stored in ``self.runs`` for the kerf.
+
+        Raises:
+            TandemError: No points keep the path (``post.trajectory``).
+        """
         first, last = runs[0].first, runs[-1].last
         tracks = {arm: programs[arm].moves for arm in arms}
         lead = programs[arms[0]]
@@ -301,7 +326,8 @@ class _TrajectoryWriter:
     ) -> None:
         """Append the points of a curve after its first one, and a row where a segment starts.
 
-        The curve starts at ``start_time`` [s] in the goal. ``labels`` are the segments of the points.
+        The curve starts at ``start_time`` [s] in the goal. ``labels`` are the segments of its points 1 to
+        P - 1. The joints of the curve are those of ``arms``; other arms keep their posture.
         """
         current_segment = ""
         for k, segment in enumerate(labels, 1):
@@ -320,7 +346,11 @@ class _TrajectoryWriter:
             self._point(start_time + float(trajectory.t[k]), q, v)
 
     def _move(self, arms: Sequence[str]) -> float:
-        """Append a move and its first point, the start posture; return the time [s] of that point."""
+        """Append the start of a goal; return the time [s] of its first point, which is the start posture.
+
+        The rows are those of an operation and its tools that are not written yet, the check of the joints,
+        the move with its tolerances, and the first point.
+        """
         controller = self.controller
         if self.pending_operation is not None:
             head, programs = self.pending_operation
@@ -343,7 +373,10 @@ class _TrajectoryWriter:
         return float(np.round(start_time, TIME_DECIMALS))
 
     def _all_arms(self) -> list[TrajectoryArm]:
-        """All arms with their tools: at the start of a goal, arms that do not move may deviate as well."""
+        """Return all arms with their tools.
+
+        At the start of a goal, arms that do not move may deviate as well.
+        """
         tasks = ((self.tasks[arm], self.columns[arm]) for arm in self.arms)
         return [
             TrajectoryArm(task.robot, task.base, self.tools.get(task.arm.name, task.arm.tool).tcp, columns)
@@ -358,6 +391,7 @@ class _TrajectoryWriter:
         )
 
     def _point(self, time: float, q: FloatArray, v: FloatArray) -> None:
+        """Append a point with the joints ``q`` (D,) [rad] and velocities ``v`` (D,) [rad/s] of all arms."""
         values = {
             "t": rows.real(time, TIME_DECIMALS),
             "q": rows.numbers(q, JOINT_DECIMALS),
@@ -370,7 +404,10 @@ class _TrajectoryWriter:
     # ---- messages and signals ----
 
     def _carry(self, arm: str, load: layout.HeldLoad | None) -> None:
-        """Append the load that an arm's tool holds from here on, in its TCP frame; None is a mass of 0."""
+        """Append the row of the load that an arm's tool holds from here on, in its TCP frame.
+
+        Without a load (None) all values are 0.
+        """
         mass, centre, rotation_vector, inertia = 0.0, np.zeros(3), np.zeros(3), np.zeros(3)
         if load is not None:
             mass, centre, inertia = load.mass, load.cog, load.inertia
@@ -393,7 +430,11 @@ class _TrajectoryWriter:
         self.rows_out.append(row({"set": rows.require_name(signal), "to": int(on)}))
 
     def _action(self, action: TargetAction, arm: str) -> None:
-        """Append the row of an action of the process."""
+        """Append the row of an action of the process.
+
+        Raises:
+            TandemError: The action waits for an input, as a torch requires (``post.controller``).
+        """
         match action.kind:
             case "message":
                 self.rows_out.append(row({"tell": rows.ascii_text(action.text)}))
@@ -410,14 +451,17 @@ class _TrajectoryWriter:
 
 
 def _remedy(targets: Targets, row: int, feed_fraction: float) -> str:
-    """Hint for a path to target ``row`` that no points keep.
+    """Return the hint of the issue that no points keep the path to a target.
 
-    ``feed_fraction`` is the fraction of its minimum feed that is possible, 1 if the feed is not the reason.
+    ``row`` is the index of the target in ``targets``. ``feed_fraction`` is the fraction of its minimum feed
+    that is possible, 1 if the feed is not the reason. Stops are proposed only where the process allows them
+    or the tool does not touch the stock (``works`` is False).
     """
     if targets.may_stop or not targets.segment[row].works:
         return "stop the motion at sharp corners, or reduce the speed there"
     remedies = "lower the feed there (feed_mm_s), allow more (shape_tol_mm), or round the corner of the part"
     if feed_fraction < 1.0:
+        # rounded down to 0.1 mm/s
         min_feed_mm_s = math.floor(10.0 * feed_fraction * targets.feed_min[row] / MM) / 10.0
         return f"set feed_min_mm_s: {min_feed_mm_s:g} there, which can be kept, or {remedies}"
     return remedies
@@ -432,7 +476,11 @@ def torch_issue(arm: str) -> Issue:
 
 
 def _parallel_steps(programs: Mapping[str, layout.OperationProgram]) -> list[ParallelSteps]:
-    """Split the steps of an operation at the meetings, which all arms have in common."""
+    """Split the steps of an operation at the meetings, and at both ends of each synchronised block.
+
+    These are common to all arms. The result lists in their order the steps that arms execute in parallel,
+    including groups without steps, and is written group by group.
+    """
     groups_by_arm: list[list[tuple[bool, list[layout.TaskStep]]]] = []
     for program in programs.values():
         groups: list[tuple[bool, list[layout.TaskStep]]] = [(False, [])]

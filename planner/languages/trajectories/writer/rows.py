@@ -27,7 +27,10 @@ NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_/.-]{0,99}", re.ASCII)
 
 
 def row(values: Mapping[str, object]) -> str:
-    """Format a row as a JSON object, with keys in this order; :class:`JsonText` values are JSON already."""
+    """Format a row as a JSON object with the keys in their order in ``values``.
+
+    Values of :class:`JsonText` are inserted unchanged, because they are JSON already.
+    """
     parts = (f"{json.dumps(key)}:{_value(value)}" for key, value in values.items())
     return f"{{{','.join(parts)}}}"
 
@@ -98,7 +101,8 @@ def pose(matrix: FloatArray) -> JsonText:
 def seal_rows(lines: Sequence[str]) -> str:
     """Return the text of a file with these rows and the end row, by which a reader detects changes.
 
-    The end row states the number of all rows, and the SHA-256 of the rows before it, each with a line feed.
+    The end row states the number of all rows including itself, and the SHA-256 of the rows before it, each
+    with a line feed.
     """
     digest = hashlib.sha256("".join(f"{line}\n" for line in lines).encode("ascii")).hexdigest()
     rows = [*lines, row({"end": len(lines) + 1, "sha256": digest})]

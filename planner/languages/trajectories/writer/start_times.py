@@ -26,12 +26,13 @@ def settling_time(
 ) -> float:
     """Return the time [s] in which joints that deviate from a posture reach it, from rest to rest.
 
-    Joints keep their maximum speeds and accelerations, and tools their maximum speed. A cubic from rest to
-    rest over a distance d in time T has the maximum speed 1.5 d / T and acceleration 6 d / T^2.
+    It is the time of the first point of each goal. Joints keep their maximum speeds and accelerations, and
+    tools their maximum speed. A cubic from rest to rest over a distance d in time T has the maximum speed
+    1.5 d / T and acceleration 6 d / T^2. The time is at least ``MIN_INTERVAL_S``, and contains 5 % reserve.
 
     Args:
-        arms: The arms.
-        posture: The posture, (D,) [rad].
+        arms: All arms of the controller.
+        posture: Joints of all arms, (D,) [rad].
         tolerance: Maximum deviation of the joints [rad].
         tcp_speed: Maximum speed of tools [m/s].
     """
@@ -45,10 +46,11 @@ def settling_time(
 
 
 def _max_tool_shift(robot: RobotData, q: FloatArray, tcp: FloatArray, tolerance: float) -> float:
-    """Maximum path length [m] of the TCP while all joints rotate by ``tolerance`` [rad] to ``q`` (J,).
+    """Return an upper bound [m] of the path of the TCP while each joint rotates by at most a tolerance.
 
-    To first order, it is the sum of the speeds of the TCP per joint speed, times the tolerance. On the way
-    each of these speeds changes by at most max_lever * J * tolerance.
+    The J joints end at ``q`` (J,) and rotate by up to ``tolerance`` [rad] each. To first order, the path is
+    the tolerance times the sum over all joints of the TCP speed per joint speed. During the motion, each of
+    these J slopes changes by at most max_lever * J * tolerance, which adds max_lever * (J * tolerance)^2.
     """
     slopes = jacobian(robot, q)
     lever = forward_kinematics(robot, q)[:3, :3] @ tcp[:3, 3]
@@ -64,7 +66,10 @@ def rest_to_rest_time(
     fractions: tuple[float, float],
     tcp_speed: float,
 ) -> float:
-    """Return the time [s] of a rest-to-rest move, straight in joint space on a cubic.
+    """Return the shortest allowed time [s] of a rest-to-rest move, straight in joint space on a cubic.
+
+    A cubic over a distance d in time T has the maximum speed 1.5 d / T and acceleration 6 d / T^2. The tool
+    speeds are sampled. The time is at least ``MIN_INTERVAL_S``.
 
     Args:
         arms: The arms that move, by name.
@@ -82,5 +87,6 @@ def rest_to_rest_time(
         time = max(time, float((1.5 * arm_change / (fractions[0] * arm.robot.velocity)).max()))
         time = max(time, float(np.sqrt(6.0 * arm_change / (fractions[1] * arm.robot.acceleration)).max()))
         max_step = np.linalg.norm(np.diff(arm.tcp_pose(q)[:, :3, 3], axis=0), axis=1).max()
+        # 1 % reserve, because the maximum lies between two samples
         time = max(time, float(max_step * (len(s) - 1) / (0.99 * tcp_speed)))
     return time

@@ -51,7 +51,7 @@ class TrajectoryArm:
         )
 
     def solve_joints(self, poses: FloatArray, q: FloatArray, rows: IntArray) -> FloatArray:
-        """Return joints (K, J) [rad] of the arm at which `relative_pose` gives some poses.
+        """Return the joints (K, J) [rad] of the arm at which `relative_pose` gives the poses ``poses``.
 
         Args:
             poses: The poses, (K, 4, 4) [m].
@@ -87,10 +87,10 @@ class PathNotKeptError(Exception):
 
 
 def segment_progress(ends: FloatArray, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return how far poses are along straight segments.
+    """Return the progress of poses along straight segments.
 
-    The progress is that of the nearest position on the segment, or of the nearest rotation if the segment has
-    no length, or 0.5 if it has neither length nor angle.
+    The deviation of a pose is measured at this progress. It is that of the nearest position on the segment,
+    or of the nearest rotation if the segment has no length, or 0.5 if it has neither length nor angle.
 
     Args:
         ends: Common ends of consecutive segments, (P, 4, 4) [m].
@@ -127,10 +127,10 @@ def interpolate_segments(ends: FloatArray, fraction: FloatArray) -> FloatArray:
 
 
 def spread_fractions(fraction: FloatArray, rows: IntArray, count: int) -> FloatArray:
-    """Return a fraction for each of ``count`` segments, (count, 1), as `interpolate_segments` takes them.
+    """Return one fraction for each of ``count`` segments, (count, 1), as `interpolate_segments` takes them.
 
     Args:
-        fraction: Fractions of some segments, (K,); the others get one half.
+        fraction: Fractions of some segments, (K,); the others get 0.5, whose poses the caller ignores.
         rows: Indices of these segments, (K,).
         count: Number of segments.
     """
@@ -140,7 +140,7 @@ def spread_fractions(fraction: FloatArray, rows: IntArray, count: int) -> FloatA
 
 
 def solve_joints(arm: TrajectoryArm, poses: FloatArray, q: FloatArray, rows: IntArray) -> FloatArray:
-    """Return joints (K, J) [rad] at which the TCP has some poses, by Newton's method.
+    """Return the joints (K, J) [rad] at which the TCP has the poses ``poses``, by Newton's method.
 
     The step is q += J^+ [r, p], with the pseudoinverse J^+ of the Jacobian, the rotation vector r and the
     translation p from the reached to the required flange pose. For seven joints it is the smallest step.

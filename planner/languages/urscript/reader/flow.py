@@ -152,7 +152,12 @@ class _FlowReader:
         self.torches = TorchChecks(program, self._fail, self._output, self._input)
 
     def run(self) -> tuple[steps.ProgramStep, ...]:
-        """Return the steps of the program; raise a FlowError at the first statement that is not allowed."""
+        """Return the steps of the program.
+
+        Raises:
+            FlowError: A function or thread differs from what is required, a statement is not allowed where it
+                is, or the program ends with an open question or a torch that is on.
+        """
         if self.meets:
             self._check_functions()
         self.torches.check_functions()
@@ -183,11 +188,19 @@ class _FlowReader:
         )
 
     def _location(self, statement: syntax_tree.Statement) -> tuple[str, str, int, str]:
-        """The first four fields of a step: module, procedure, line and condition."""
+        """Return the first four fields of a step: module, procedure, line and condition."""
         return self.program.file.rpartition("/")[2], self.procedure, statement.line, ""
 
     def _statement(self, statement: syntax_tree.Statement) -> None:
-        """Append the step of a statement, or store its setting for later moves."""
+        """Append the step of a statement, or store its setting for later moves.
+
+        Tool and payload are stored. The checks whether an output stays on give no step.
+
+        Raises:
+            FlowError: The statement comes too early, as an output that is switched on before the check of the
+                arm, or calls a function that does not exist, or a popup holds the program while its running
+                wire is high.
+        """
         where = self._location(statement)
         match statement:
             case syntax_tree.SetTcp(name=name):
@@ -285,7 +298,7 @@ class _FlowReader:
     # ---- the other controller ----
 
     def _output(self, number: int) -> str:
-        """Name of an output, or its number in words if it has none."""
+        """Return the name of an output, or its number in words if it has none."""
         return self.wires.outputs.get(number, f"output {number}")
 
     def _input(self, number: int) -> str:
@@ -350,8 +363,13 @@ class _FlowReader:
     def _take_running_wire(self, statement: syntax_tree.Statement) -> bool:
         """Check a statement against the state of the running wire.
 
-        The wire falls before a question, only some statements are allowed while it is low, it rises after the
-        answer, and a pause follows. Returns True if the statement needs no further processing.
+        - The wire falls before a question.
+        - While it is low, only popups, checks of the other program, and the fall of the line before a
+          question are allowed, and short pauses after the question.
+        - It rises after the answer. A pause of fixed length follows, and then the thread or a wait.
+
+        Returns:
+            True if the statement needs no further processing.
         """
         if self.wire_rose:
             if not isinstance(statement, syntax_tree.SleepStatement) or statement.seconds != SETTLING_TIME_S:
@@ -420,7 +438,7 @@ class _FlowReader:
     # ---- moves ----
 
     def _joint(self, move: syntax_tree.ScriptJointMove) -> None:
-        """Append a movej, whose speed is stated as a fraction of each axis' maximum speed."""
+        """Append the step of a movej. Its speed becomes a fraction of each axis' maximum speed."""
         target = steps.JointTarget(np.array(self.program.data[move.name].value), _NO_AXES)
         fractions = tuple(float(move.speed / axis_speed) for axis_speed in self.velocity)
         speed = steps.MoveSpeed(math.inf, math.inf, 0.0, 0.0, fractions)
@@ -431,7 +449,7 @@ class _FlowReader:
         self._move(move, motion)
 
     def _straight(self, move: syntax_tree.ScriptLinearMove) -> None:
-        """Append a movel, whose time and blend radius are stated."""
+        """Append the step of a movel, with the time and the blend radius that it states."""
         if not self.moved:
             self._fail(move, "movel has no known start; use movej to joints first")
         quaternion = to_quaternion(exp_rotation(np.array(move.target[3:])))
@@ -443,7 +461,10 @@ class _FlowReader:
         self._move(move, _ScriptMotion(target, speed, zone, work_object, move.frame, time=move.seconds))
 
     def _standing_move(self, stand: syntax_tree.DwellMove) -> None:
-        """Append the step of an arm that waits at its last target while only the other arm moves."""
+        """Append the step of an arm that waits at its last target while only the other arm moves.
+
+        The step is a move to that target, so that both arms have equal numbers of moves.
+        """
         previous_move = next(
             (step for step in reversed(self.steps) if isinstance(step, steps.MoveStep)), None
         )
@@ -482,7 +503,11 @@ class _FlowReader:
         move: syntax_tree.ScriptJointMove | syntax_tree.ScriptLinearMove | syntax_tree.DwellMove,
         motion: _ScriptMotion,
     ) -> None:
-        """Append the step of a move with the tool in force."""
+        """Append the step of a move with the tool in force.
+
+        Raises:
+            FlowError: The program has not checked the arm or not set its tool before.
+        """
         if not self.arm_checked:
             self._fail(move, "an arm moves before the program has checked whether it is the planned one")
         tool = self._tool(move)

@@ -32,7 +32,7 @@ _WAIT_LOOP_END: Final = (f"sleep({WAIT_STEP})", f"passed=passed+{WAIT_STEP}", "e
 """Lines that continue the loop of a wait and end its function."""
 MAX_READ_TRAVEL_M: Final = 0.01
 """Maximum distance [m] that a program may require a torch to move so that it does not count as standing."""
-MAX_READ_STANDING_S: Final = 600.0
+MAX_READ_DWELL_S: Final = 600.0
 """Maximum time [s] for which a program may let a torch stand."""
 
 
@@ -67,7 +67,10 @@ def read_function(
 
 
 def _read_check(line: int, words: ScriptLine, rows: Rows) -> syntax_tree.EndingFunction:
-    """Read the function that checks the other program's line and running wire, and the own running wire."""
+    """Read the function that checks the other program's line and running wire, and the own running wire.
+
+    ``line`` is the line of its head, ``words`` are the rest of the head, and ``rows`` the lines after it.
+    """
     words.rest("(level,own):")
     *numbers, running = next_line(rows).rest(
         "if", input_read, "!=level or", input_read, "==False or", output_read, "!=own:"
@@ -77,7 +80,7 @@ def _read_check(line: int, words: ScriptLine, rows: Rows) -> syntax_tree.EndingF
             f"{syntax_tree.CHECK} compares input {numbers[0]} twice; line and running wire need one each"
         )
         raise ScriptError("syntax", message)
-    switched_outputs, text = read_switched_off(rows, blocking=True)
+    switched_outputs, text = read_switched_off_outputs(rows, blocking=True)
     expect_lines(rows, "end", "end")
     return syntax_tree.EndingFunction(line, tuple(numbers), running, switched_outputs, text)
 
@@ -91,7 +94,7 @@ def _read_wait(line: int, word: str, words: ScriptLine, rows: Rows) -> syntax_tr
     if repeated_check.values("if passed>limit or", output_read) != [running]:
         raise ScriptError("syntax", f"{word} reads two outputs; allowed: one")
     repeated_check.rest("==False:")
-    switched_outputs, text = read_switched_off(rows, blocking=True)
+    switched_outputs, text = read_switched_off_outputs(rows, blocking=True)
     expect_lines(rows, "end", *_WAIT_LOOP_END)
     return syntax_tree.EndingFunction(line, (number,), running, switched_outputs, text)
 
@@ -101,7 +104,7 @@ def _read_watch(line: int, words: ScriptLine, rows: Rows) -> syntax_tree.EndingF
     words.rest("():")
     number, running = next_line(rows).rest("while", input_read, "and", output_read, ":")
     expect_lines(rows, "sync()", "end")
-    switched_outputs, text = read_switched_off(rows, blocking=False)
+    switched_outputs, text = read_switched_off_outputs(rows, blocking=False)
     expect_lines(rows, "end")
     return syntax_tree.EndingFunction(line, (number,), running, switched_outputs, text)
 
@@ -112,7 +115,7 @@ def _read_arc_wait(line: int, words: ScriptLine, rows: Rows) -> syntax_tree.ArcF
     expect_lines(rows, "local passed=0.0")
     (input_number,) = next_line(rows).rest("while", input_read, "==False:")
     expect_lines(rows, "if passed>limit:")
-    switched_outputs, text = read_switched_off(rows, blocking=True)
+    switched_outputs, text = read_switched_off_outputs(rows, blocking=True)
     expect_lines(rows, "end", *_WAIT_LOOP_END)
     return syntax_tree.ArcFunction(line, input_number, None, switched_outputs, text)
 
@@ -132,7 +135,7 @@ def _read_arc_watch(line: int, words: ScriptLine, rows: Rows) -> syntax_tree.Arc
         raise ScriptError("syntax", f"{code!r}: expected local arc_stood=0.0")
     expect_lines(rows, "local arc_place=get_actual_tcp_pose()", f"sleep({SETTLING_TIME})")
     burning = f"and arc_lost<={ARC_LOST_TIME}" if has_input else ""
-    standing_time = positive_number(MAX_READ_STANDING_S, "the standing time")
+    standing_time = positive_number(MAX_READ_DWELL_S, "the standing time")
     torch_output, max_standing_time = next_line(rows).rest(
         "while", output_read, burning, "and arc_stood<=", standing_time, ":"
     )
@@ -148,7 +151,7 @@ def _read_arc_watch(line: int, words: ScriptLine, rows: Rows) -> syntax_tree.Arc
         condition, positive_number(MAX_READ_TRAVEL_M, "the distance to move"), ":"
     )
     expect_lines(rows, "arc_place=get_actual_tcp_pose()", "arc_stood=0.0", "end", "end")
-    switched_outputs, text = read_switched_off(rows, blocking=False)
+    switched_outputs, text = read_switched_off_outputs(rows, blocking=False)
     expect_lines(rows, "end")
     return syntax_tree.ArcFunction(
         line, input_number, torch_output, switched_outputs, text, max_standing_time, min_travel
@@ -161,7 +164,7 @@ def awaits_arc(word: str) -> bool:
     return match is not None and match[1] == syntax_tree.AWAIT_ARC
 
 
-def read_switched_off(rows: Rows, blocking: bool) -> tuple[tuple[int, ...], str]:
+def read_switched_off_outputs(rows: Rows, blocking: bool) -> tuple[tuple[int, ...], str]:
     """Read statements that switch outputs off, and the popup and halt after them.
 
     Args:

@@ -14,7 +14,7 @@ from planner.languages.urscript.reader.functions import (
     awaits_arc,
     read_ending,
     read_function,
-    read_switched_off,
+    read_switched_off_outputs,
 )
 from planner.languages.urscript.reader.words import (
     OUTPUT_WORDS,
@@ -141,7 +141,11 @@ class ScriptReader:
         self.faults.append(TextFault(line, 1, f"urscript.{kind}", message, self.file))
 
     def program(self) -> syntax_tree.ScriptProgram | None:
-        """Return the file's program with all that could be read, None if it has no valid head."""
+        """Return the file's program with all that could be read, None if it has no valid head.
+
+        The order is: head, variables and functions, statements, end. After a fault, reading continues in the
+        next line.
+        """
         name = ""
         data: dict[str, syntax_tree.ScriptVariable] = {}
         body: list[syntax_tree.Statement] = []
@@ -209,7 +213,13 @@ class ScriptReader:
         data: dict[str, syntax_tree.ScriptVariable],
         body: list[syntax_tree.Statement],
     ) -> None:
-        """Read a variable with its value, and add it to ``data``; ``body`` are the statements so far."""
+        """Read a variable with its value, and add it to ``data``.
+
+        ``body`` has the statements so far: variables must precede all of them.
+
+        Raises:
+            ScriptError: The line has another form, or the variable has a value already or comes too late.
+        """
         (name,) = words.values(ScriptLine.name, "=")
         _check_name(name)
         if name in data:
@@ -232,7 +242,7 @@ class ScriptReader:
         words.values("if")
         if words.next_word.text in OUTPUTS_READ:
             (number,) = words.rest(output_read, ":")
-            switched_outputs, text = read_switched_off(rows, blocking=True)
+            switched_outputs, text = read_switched_off_outputs(rows, blocking=True)
             expect_lines(rows, "end")
             return syntax_tree.OutputLowCheck(line, number, switched_outputs, text)
         arm_check: tuple[Part, ...] = (ScriptLine.name, ",", ScriptLine.pose, "),", ScriptLine.pose)

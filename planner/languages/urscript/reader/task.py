@@ -18,7 +18,10 @@ _MOVE_PATTERN: Final = re.compile(r"\b((?:move[jlpc]|servo[jc]|speed[jl]|optimov
 
 
 def _read(problem: Problem, arms: Arms, files: Files) -> ReadTasks:
-    """Read the files of the one task that ``arms`` names, and follow its program if it has no faults."""
+    """Read the files of the one task that ``arms`` names, and follow its program if it has no faults.
+
+    The base that the program states is used for its moves. Without one it is that of the arm in the cell.
+    """
     controller = problem.cell.controller
     ((name, arm),) = arms.items()
     text = reader.read(files, controller.max_bytes)

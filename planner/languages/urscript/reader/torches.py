@@ -59,7 +59,11 @@ class TorchChecks:
         return number in self.torch_outputs
 
     def check_functions(self) -> None:
-        """Check that functions and threads of torches switch all outputs off and show the expected text."""
+        """Check that functions and threads of torches switch all outputs off and show the expected text.
+
+        "All outputs" are those that the program switches on. The text of the waiting function is checked at
+        its calls, because it names their time limit.
+        """
         switched_on = {
             statement.number
             for statement in self.program.body
@@ -114,7 +118,10 @@ class TorchChecks:
         return function
 
     def _check_low(self, check: syntax_tree.OutputLowCheck) -> None:
-        """Process the check that the output of a torch is off at the start of the program."""
+        """Process the check that the output of a torch is off at the start of the program.
+
+        There may be one check for each torch. It must show the expected text and switch only this output off.
+        """
         expected_text = urscript_sentences.STAYS_ON.format(signal=self.output(check.number))
         if check.text != expected_text:
             self.fail(check, f"the check of a torch shows {check.text!r}; expected: {expected_text!r}")
@@ -126,7 +133,10 @@ class TorchChecks:
         self.checked.add(check.number)
 
     def _await(self, wait: syntax_tree.AwaitArc) -> None:
-        """Process the wait for the input of a torch, which directly follows the rise of its output."""
+        """Process the wait for the input of a torch, which must follow the rise of the torch's output.
+
+        Only pauses may come between them. The waiting function must show the expected text.
+        """
         function = self._function(wait)
         if self.state is not _TorchState.LIT:
             self.fail(wait, "a wait for an arc must directly follow its output's rise")
@@ -138,7 +148,11 @@ class TorchChecks:
         self.state = _TorchState.BURNS
 
     def _guard(self, guard: syntax_tree.ArcWatchdog) -> None:
-        """Process the start or the end of the thread that monitors the torch."""
+        """Process the start or the end of the thread that monitors the torch.
+
+        The thread starts after its torch has been lit and, if the torch has an input, after the wait for it.
+        It ends only while it runs.
+        """
         thread = self._function(guard)
         if not guard.on:
             if self.state is not _TorchState.GUARDED or thread.torch_output != self.number:
@@ -152,7 +166,11 @@ class TorchChecks:
         self.state = _TorchState.GUARDED
 
     def _switch(self, statement: syntax_tree.SetOutput) -> None:
-        """Process a rise or fall of the output of a torch."""
+        """Process a rise or fall of the output of a torch.
+
+        It may rise if no torch is on and the program has checked at its start that the output is off. It may
+        fall after its thread has ended, or if no torch is on.
+        """
         if statement.value:
             if self.state is not _TorchState.NOT_BURNING:
                 self.fail(statement, f"{self.output(statement.number)} is set while {self._lit} is on")

@@ -62,7 +62,10 @@ def _words(code: str) -> tuple[ScriptWord, ...]:
 
 @functools.cache
 def _fixed_words(code: str) -> tuple[tuple[ScriptWord, str], ...]:
-    """Return the words of a fixed part of a line, each with a description for faults, "" for its own text."""
+    """Return the words of a fixed part of a line, each with a description for faults.
+
+    A description of "" stands for the word itself.
+    """
     out: list[tuple[ScriptWord, str]] = []
     words = _words(code)
     for index, word in enumerate(words):
@@ -108,7 +111,11 @@ class ScriptLine:
         return word.text
 
     def values(self, *parts: "Part") -> list[Any]:
-        """Take the next words, which must be of this form, and return the values that its readers read."""
+        """Take the next words, which must match ``parts``; return the values that functions among them read.
+
+        Raises:
+            ScriptError: A word is not the expected one.
+        """
         out = []
         for part in parts:
             if isinstance(part, str):
@@ -119,7 +126,7 @@ class ScriptLine:
         return out
 
     def rest(self, *parts: "Part") -> list[Any]:
-        """Take the rest of the line, which must be of this form, and return its values."""
+        """Take the rest of the line, which must match ``parts``, and return its values as `values` does."""
         out = self.values(*parts)
         if self.next_word.kind != "end":
             self.fail("nothing more")
@@ -206,7 +213,7 @@ def next_line(rows: Rows) -> ScriptLine:
 
 
 def expect_lines(rows: Rows, *expected: str) -> None:
-    """Take the next lines, which must be exactly these, except for spaces."""
+    """Take the next lines with code, which must be exactly these, except for spaces and comments."""
     for line in expected:
         code = next_code(rows)
         if ScriptLine(code).words != ScriptLine(line).words:

@@ -35,8 +35,14 @@ def handshake_issues(context: Context) -> list[Issue]:
 def _watchdog_issues(context: Context, task: TaskText) -> list[Issue]:
     """Return the issues of the thread that ends a program when the other one stops.
 
-    The thread must run while the arm moves or power is on. UR controllers have no input for this purpose that
-    is configured outside of the program.
+    UR controllers have no input for this purpose that is configured outside of the program. Therefore:
+
+    - The thread runs while the arm moves or power is on.
+    - It watches the input at which a running wire ends.
+    - Before it starts, and after each question, the program has seen that the other program runs.
+    - It does not run while the program's own running wire is low for a question.
+
+    At most :data:`MAX_FAULTS` issues are returned.
     """
     wiring = stages.controller_wiring(context.problem)
     other = next(candidate for candidate in context.job.tasks if candidate is not task)
@@ -86,7 +92,8 @@ def _watchdog_issues(context: Context, task: TaskText) -> list[Issue]:
 def _exchangeable_programs(context: Context) -> list[Issue]:
     """Return issues if the program of one controller would also run on the other one.
 
-    Only signal numbers prevent that: the running wire of one must not be an output of the other.
+    Only signal numbers prevent that: the running wire of one must not be an output of the other. Nothing is
+    checked unless both programs are URScript.
     """
     tasks = context.job.tasks
     controller = context.problem.cell.controller
@@ -124,7 +131,10 @@ _RESTART_FAULTS: Final = {
 
 
 def restarts(context: Context, wiring: Wiring) -> tuple[list[Issue], int]:
-    """Check two programs that start from the beginning after each stop.
+    """Check that two programs stay together, although each starts from its beginning after a stop.
+
+    A model of both programs is searched for states in which one works without the other, first without any
+    stop and then with stops and pauses at any step. Both programs must be URScript.
 
     Args:
         context: The proof.
@@ -159,7 +169,7 @@ def restarts(context: Context, wiring: Wiring) -> tuple[list[Issue], int]:
         strict=True,
     )
     states = 0
-    for disturbed in (False, True):
+    for disturbed in (False, True):  # whether a program may be stopped or paused at any step
         try:
             result = restart_model.check_restarts(operations, intervals, disturbed=disturbed)
         except OverflowError as error:
@@ -172,7 +182,7 @@ def restarts(context: Context, wiring: Wiring) -> tuple[list[Issue], int]:
 
 
 def _restart_issue(context: Context, result: restart_model.RestartResult) -> Issue:
-    """Return the issue of a fault that the model found, with the last events before it."""
+    """Return the issue of a fault that the model found, with the last events of the shortest path to it."""
     tasks = context.job.tasks
 
     def step_position(program: int, index: int) -> str:

@@ -23,7 +23,11 @@ def robot_check(context: Context, task: TaskText) -> RuleOutcome:
 
 
 def _check_faults(task: TaskText) -> list[tuple[ProgramStep | None, str]]:
-    """Return the faults of a program's check of its arm, each with its step; None for a missing check."""
+    """Return the faults of a program's check of its arm, each with its step.
+
+    There must be one check. It computes the position of a fixed point of the flange at the home joints, which
+    must be that of the planned arm within a tolerance. The step is None if there is not exactly one check.
+    """
     steps = [step for step in task.steps if isinstance(step, SettingStep) and step.kind == ARM_CHECK_KIND]
     if len(steps) != 1:
         return [
@@ -32,6 +36,7 @@ def _check_faults(task: TaskText) -> list[tuple[ProgramStep | None, str]]:
     (step,) = steps
     machine = arm_model.robot_machine(task.arm.data)
     faults: list[tuple[ProgramStep | None, str]] = []
+    # joints (6,) [rad], point of the flange and expected position as poses (6,), and the tolerance [m]
     q, tip, position, tolerance = (
         np.array(step.values[first:end]) for first, end in ((0, 6), (6, 12), (12, 18), (18, 19))
     )

@@ -18,7 +18,10 @@ from planner.languages.writing.layout import ActionStep, Meeting, SegmentRun, Ta
 
 @dataclasses.dataclass(frozen=True)
 class StartWatching:
-    """From here on, a thread of the program watches the other one's running wire; the controller does not."""
+    """From here on, a thread of the program watches the other program's running wire.
+
+    A UR controller has no input for this purpose that works without the program.
+    """
 
 
 WatchedStep = PartnerStep | StartWatching
@@ -26,9 +29,12 @@ WatchedStep = PartnerStep | StartWatching
 
 
 def question_meetings_of(task: TaskProgram) -> frozenset[int]:
-    """Return the numbers of the meetings between which and the next one a task's program asks a question."""
+    """Return the numbers of the meetings after which a task's program asks a question.
+
+    The question is asked before the next meeting. Questions before the first meeting do not count.
+    """
     out: set[int] = set()
-    number = 1
+    number = 1  # the first meeting is part of the start, not of an operation
     for operation in task.operations:
         for step in operation.steps:
             if isinstance(step, Meeting):
@@ -44,6 +50,8 @@ def held_meetings(partner: HandshakeSide, question_meetings: frozenset[int]) -> 
     """Return the numbers of the meetings during which the other program asks a question.
 
     Meanwhile this program's line is 1: it waits after the rise of its own line until the other one continues.
+    The lead asks in the middle of the meeting before its question, the follower in the middle of the next
+    one.
 
     Args:
         partner: This program's side.
@@ -63,7 +71,8 @@ def watched_meeting(
     Args:
         partner: This program's side.
         wait: Maximum wait [s].
-        longest: Maximum wait [s] for the other program's line if it asks in the middle, if that is longer.
+        longest: Maximum wait [s] for the other program's line while it asks in the middle of the meeting. It
+            applies if it is longer than ``wait``.
     """
     first: list[WatchedStep] = [AwaitRunning(1, wait)]
     longest = max(wait, longest)

@@ -40,7 +40,7 @@ from planner.languages.urscript.writer.meetings import (
     watched_meeting,
     watched_start,
 )
-from planner.languages.urscript.writer.syntax import comment, name
+from planner.languages.urscript.writer.syntax import comment, identifier
 from planner.languages.urscript.writer.torches import ScriptTorch, task_torches
 from planner.languages.urscript.writer.torches import torch_functions as torch_functions
 from planner.languages.writing import handshake, layout
@@ -104,8 +104,9 @@ def joint_speed(
 ) -> float:
     """Return the highest speed [rad/s] of the leading axis of a joint move at which all limits hold.
 
-    Between two of N + 1 samples, the leading axis moves by change / N and the TCP by at most a distance d.
-    The speed of the leading axis is at most limit * change / (d N), rounded down to 1e-4 rad/s.
+    The leading axis is the one that moves by the largest angle. Between two of N + 1 samples it moves by
+    change / N and the TCP by at most a distance d. Its speed is therefore at most limit * change / (d N),
+    rounded down to 1e-4 rad/s. It is ``MIN_JOINT_SPEED_RAD_S`` if even that is too fast.
 
     Args:
         robot: The robot.
@@ -132,14 +133,21 @@ class _ProgramWriter:
     Attributes:
         controller_base: Base frame of the controller in that of the arm, (4, 4) [m].
         base: Base frame of the controller in the world, (4, 4) [m].
-        asks: Meetings after which this program asks a question.
-        held: Meetings in which the other program asks a question.
+        data: Values of the declared variables as text, by name.
+        tools: Variable of the TCP of each tool, by the tool's name and TCP as text.
+        joint_names: Variable of each joint target, by its text.
+        moves: Number of straight moves so far.
+        asks: Numbers of the meetings after which this program asks a question.
+        held: Numbers of the meetings in which the other program asks a question.
+        watching: Whether the thread that watches the other program runs.
         last_meeting: Number of the last meeting so far.
-        question_meeting: Meeting whose first part is already written because a question precedes it.
+        question_meeting: Number of the meeting whose first part is already written because a question
+            precedes it.
         pending_steps: Steps of the last meeting that follow a question.
-        torch: Torch of the current operation.
-        lit: Whether it is on.
-        guarded: Whether its thread runs.
+        powered: Outputs that actions have switched on.
+        torch: Torch of the current operation, None for none.
+        lit: Whether the output of the torch is on.
+        guarded: Whether the thread of the torch runs.
         joints_before: Joints [rad] at which the next move starts, None at the start of the program.
     """
 
@@ -172,7 +180,11 @@ class _ProgramWriter:
         self._acceleration = float(np.min(task.robot.acceleration)) * problem.settings.acceleration_fraction
 
     def lines(self) -> tuple[list[str], list[str]]:
-        """Return the lines of declarations with functions, and the statements after them."""
+        """Return the lines of declarations with functions, and the statements after them.
+
+        The statements start with checks: outputs of torches and the running wire are low, and the controller
+        moves the planned arm. The question to the operator follows, then all operations.
+        """
         self._declare("base_frame", syntax.pose(self.base))
         home = self._joints(layout.JointMove(self.task.arm.home, "home"), 0)
         check_pose = (
@@ -221,7 +233,7 @@ class _ProgramWriter:
         return out
 
     def _switch_output(self, signal: str, on: bool) -> list[str]:
-        """Return statements that switch an output. The thread of a torch ends before its output falls."""
+        """Return statements that switch an output; the thread of a torch ends before its output switches."""
         torch = self.torch
         out = [self._switch(signal, on)]
         if torch is None or signal != torch.signal:
@@ -294,11 +306,11 @@ class _ProgramWriter:
         return [self._set_running(True), f"sleep({syntax.format_real(syntax.SETTLING_TIME_S, 1)})"]
 
     def _meeting(self, partner: handshake.HandshakeSide, meeting: int, wait: float) -> list[str]:
-        """Return the statements of a meeting with a maximum wait [s].
+        """Return the statements of the meeting with the number ``meeting`` and a maximum ``wait`` [s].
 
         The program stops watching before a meeting in which the other program asks, or after which both
-        end. A question of this program is between the two parts of a meeting: the lead postpones the second
-        part, and the follower has already written the first part with its question.
+        end. A question of this program is between the two parts of a meeting. The lead postpones the second
+        part until after its question. The follower has already written the first part before its question.
         """
         unwatched = meeting in self.held or meeting == partner.meets
         longest = partner.handshake.patience if meeting in self.held else 0.0
@@ -312,7 +324,11 @@ class _ProgramWriter:
         return out + self._steps(rest)
 
     def _steps(self, steps: Sequence[WatchedStep]) -> list[str]:
-        """Return the statements of handshake steps; nothing is watched after the last meeting."""
+        """Return the statements of handshake steps.
+
+        The thread that watches the other program is not started after the last meeting, because both
+        programs then end.
+        """
         out: list[str] = []
         for step in steps:
             match step:
@@ -374,7 +390,10 @@ class _ProgramWriter:
         return word
 
     def _operation(self, index: int, operation: layout.OperationProgram) -> list[str]:
-        """Return the statements of an operation; ``index`` counts from 1."""
+        """Return the statements of an operation; ``index`` counts from 1.
+
+        Messages right before a question are shown together with it.
+        """
         out = comment(f"Operation {operation.name}.")
         tool_set = False
         self.torch = self.torches.get(index)
@@ -399,7 +418,13 @@ class _ProgramWriter:
         return out
 
     def _step(self, step: layout.TaskStep, index: int, operation: layout.OperationProgram) -> list[str]:
-        """Return the statements of a step that shows no text."""
+        """Return the statements of a step that shows no text; ``index`` is that of the operation, from 1.
+
+        Steps that URScript does not need give no statements.
+
+        Raises:
+            TandemError: The arm holds the block (``post.load``).
+        """
         match step:
             case layout.JointMove():
                 return self._movej(step, index, operation)
@@ -415,7 +440,11 @@ class _ProgramWriter:
         return []
 
     def _movej(self, step: layout.JointMove, index: int, operation: layout.OperationProgram) -> list[str]:
-        """Return a joint move, which is slow if it is the first one, because its start is unknown."""
+        """Return a joint move in ``operation``, whose number ``index`` counts from 1.
+
+        The first move of the program is slow, because its start is unknown. Speeds and accelerations are
+        rounded down to four decimals.
+        """
         limits = self.problem.settings
         robot = self.task.robot
         tcp = operation.arm.tool.tcp
@@ -430,7 +459,10 @@ class _ProgramWriter:
         return [syntax.movej(self._joints(step, index), acceleration, speed)]
 
     def _joints(self, step: layout.JointMove, operation: int) -> str:
-        """Return the variable of a joint target; targets with equal text share one."""
+        """Return the variable of a joint target; targets with equal text share one.
+
+        ``operation`` is the number of the operation, from 1, for the name of a new variable.
+        """
         text = syntax.format_joints(self.task.robot.to_controller(step.q))
         if text not in self.joint_names:
             stem = "x_home" if step.role == "home" else f"x_{operation}_{step.role}"
@@ -444,14 +476,18 @@ class _ProgramWriter:
         value = syntax.pose(tool.tcp)
         key = f"{tool.name} {value}"
         if key not in self.tools:
-            stem = name(f"t_{tool.name}")
+            stem = identifier(f"t_{tool.name}")
             names = itertools.chain([stem], (f"{stem}_{n}" for n in itertools.count(2)))
             variable = next(word for word in names if word not in self.tools.values())
             self.tools[key] = self._declare(variable, value)
         return self.tools[key]
 
     def _frame(self, operation: layout.OperationProgram) -> str:
-        """Return the variable with the frame of an operation's moves in the controller's base frame."""
+        """Return the variable with the frame of an operation's moves in the controller's base frame.
+
+        Raises:
+            TandemError: The targets are on a block that an arm holds (``post.frame``).
+        """
         kind = "world" if operation.moves is None else operation.moves.frame
         world_in_base = inverse(self.base)
         if kind == "world":
@@ -464,7 +500,11 @@ class _ProgramWriter:
         raise issue_error("post.frame", message, hint="allowed: stock, world")
 
     def _action(self, action: TargetAction, asks: bool) -> list[str]:
-        """Return the statements of an action of the process; ``asks`` if a question follows."""
+        """Return the statements of an action of the process; ``asks`` says whether a question follows.
+
+        Raises:
+            TandemError: The action waits for an input that is not that of a torch (``post.controller``).
+        """
         match action.kind:
             case "message":
                 return syntax.message(action.text, before_question=asks)
@@ -492,7 +532,15 @@ class _ProgramWriter:
         return number
 
     def _run(self, run: layout.SegmentRun, operation: layout.OperationProgram) -> list[str]:
-        """Return the moves of a segment, with the start of a torch's thread and meetings."""
+        """Return the statements of a run of moves: a comment, the moves, and the meetings after moves.
+
+        The thread of a torch that is on starts before them. With a partner program, a pause replaces a move
+        of zero length, in which only the other arm moves.
+
+        Raises:
+            TandemError: A move passes its target without length for a blend, or the first move of the
+                operation has zero length (``post.blend``).
+        """
         track = operation.moves
         run_slice = slice(run.first, run.last)
         if track is None:
@@ -571,7 +619,7 @@ def _payload(tool: Tool) -> str:
 
 
 def _asks_again(steps: Sequence[layout.TaskStep]) -> bool:
-    """Return whether another question comes before the next meeting."""
+    """Return whether another question comes among ``steps`` before the next meeting or the next moves."""
     questions_and_meetings = (
         step
         for step in steps
@@ -587,24 +635,31 @@ def write(
     problem: Problem,
     margins: Margins,
 ) -> WrittenPrograms:
-    """Write the programs of UR arms.
+    """Write the programs of UR arms, one file for each task.
+
+    Args:
+        tasks: Tasks to write.
+        job: All tasks of the job.
+        plan: The plan.
+        problem: Problem of the plan.
+        margins: Smallest margins of the plan, for the header.
 
     Raises:
         TandemError: A program cannot be written (``post.*``).
     """
-    limits = problem.cell.controller
+    controller = problem.cell.controller
     out: dict[str, str] = {}
     for task in tasks:
-        stem = name(problem.name, _STEM_LENGTH)
+        stem = identifier(problem.name, _STEM_LENGTH)
         writer = _ProgramWriter(task, job, plan, problem)
-        data, body = writer.lines()
+        declarations, body = writer.lines()
         header_sentences = header(task, job, plan, margins, untested=[_UNTESTED])
         head = [line for sentence in header_sentences for line in comment(sentence)]
-        comment_on_data = "# what this program was planned for; the proof starts from these"
+        digest_comment = "# what this program was planned for; the proof starts from these"
         digest = f'problem_digest = "{plan.digest}"'
-        lines = [f"def {stem}():", *head, comment_on_data, digest, *data, *body, "end"]
+        lines = [f"def {stem}():", *head, digest_comment, digest, *declarations, *body, "end"]
         path = f"{task.arm.name}/{stem}.script"
         text = "".join(f"{line}{layout.LINE_END}" for line in lines)
-        layout.require_one_file(path, text, limits, writer.moves, "moves")
+        layout.require_one_file(path, text, controller, writer.moves, "moves")
         out[path] = text
     return WrittenPrograms(out)

@@ -13,9 +13,19 @@ from planner.targets import Targets
 def refuse(problem: Problem, targets_of_operations: Sequence[Targets], arms: Sequence[Arm]) -> list[Issue]:
     """Return the issues that prevent UR arms from doing a job.
 
-    These are torches, inputs or handshakes that Tandem does not write in URScript (``post.controller``),
-    signals without a number or with one that both controllers use (``post.signal``), arms that hold the block
-    (``post.load``), and arms that are not UR's (``post.ur_arm``).
+    They are:
+
+    - ``post.controller``: two arms that meet by another handshake than four-phase, a torch beside another
+      arm, and a wait for an input that is not that of a torch
+    - ``post.signal``: a signal without a number, and a running wire whose number is also that of an output of
+      the other arm
+    - ``post.load``: an arm that holds the block
+    - ``post.ur_arm``: an arm whose joints or flange are not those of UR
+
+    Args:
+        problem: The problem.
+        targets_of_operations: Targets of each operation.
+        arms: The UR arms.
     """
     several_arms = len(arms) > 1
     if several_arms and problem.cell.controller.handshake.kind != "four_phase":

@@ -68,8 +68,8 @@ ARC_NAMES: Final = r"(await|watch|watching)_arc(_\d+)?"
 """Pattern of the names of functions, threads and variables of torches, which no other name may be."""
 
 
-def name(text: str, length: int = NAME_LENGTH) -> str:
-    """Return a name made from text: lower-case letters, digits and single underscores.
+def identifier(text: str, length: int = NAME_LENGTH) -> str:
+    """Return an identifier made from text: lower-case letters, digits and single underscores.
 
     It starts with a letter and is cut to ``length``.
 
@@ -161,7 +161,7 @@ def wait_function(
         f"while {input_call(number)}!=level or {running_level}==False:",
         f"if passed>limit or {running_level}==False:",
         *off_statements,
-        *ending(text),
+        *end_program(text),
         "end",
         f"sleep({WAIT_STEP})",
         f"passed=passed+{WAIT_STEP}",
@@ -177,7 +177,14 @@ def check_function(line: int, runs: int, running: int, off_statements: Sequence[
     call states, the input ``runs`` is high, and the output ``running`` has the level ``own`` of the call.
     """
     unexpected = f"{input_call(line)}!=level or {input_call(runs)}==False or {output_call(running)}!=own"
-    return [f"def {CHECK}(level,own):", f"if {unexpected}:", *off_statements, *ending(text), "end", "end"]
+    return [
+        f"def {CHECK}(level,own):",
+        f"if {unexpected}:",
+        *off_statements,
+        *end_program(text),
+        "end",
+        "end",
+    ]
 
 
 def watch_thread(number: int, running: int, off_statements: Sequence[str], text: str) -> list[str]:
@@ -191,7 +198,7 @@ def watch_thread(number: int, running: int, off_statements: Sequence[str], text:
         "sync()",
         "end",
         *off_statements,
-        *ending(text, blocking=False),
+        *end_program(text, blocking=False),
         "end",
     ]
 
@@ -206,6 +213,9 @@ def stand_function() -> list[str]:
 
 def stationary_moves(track: MoveTable, start_joints: FloatArray) -> BoolArray:
     """Return which moves (M,) of an operation have zero length as they are written.
+
+    In such a move only the other arm moves. The first move is compared by joints, because the pose before it
+    is not among the moves.
 
     Args:
         track: The moves.
@@ -222,7 +232,7 @@ def low_check(number: int, off_statement: str, text: str) -> list[str]:
     They run before the program has switched anything. The output is switched off before the text is shown: a
     running wire that is high would tell the other program that this one runs.
     """
-    return [f"if {output_call(number)}:", off_statement, *ending(text), "end"]
+    return [f"if {output_call(number)}:", off_statement, *end_program(text), "end"]
 
 
 def wait_call(word: str, value: int, seconds: float) -> str:
@@ -250,7 +260,7 @@ def _text(text: str) -> str:
     return f'"{flat}"'
 
 
-def ending(text: str, blocking: bool = True) -> list[str]:
+def end_program(text: str, blocking: bool = True) -> list[str]:
     """Return statements that show a text, holding the program if ``blocking``, and end the program."""
     return [f'popup({_text(text)},"{TITLE}",False,True,blocking={blocking})', "halt"]
 
@@ -284,7 +294,7 @@ def kinematics_check(
     """
     return [
         f"if point_dist(get_forward_kin({home},{pose(tip)}),{pose(expected)})>{format_real(tolerance, 6)}:",
-        *ending(text),
+        *end_program(text),
         "end",
     ]
 
@@ -309,8 +319,9 @@ def blends(track: MoveTable, stop: BoolArray) -> FloatArray:
         of UR is a length on the path, so that a tool that rotates about its TCP leaves none.
     """
     distance = track.distance
-    shorter = np.minimum(distance, np.append(distance[1:], np.inf))
+    shorter = np.minimum(distance, np.append(distance[1:], np.inf))  # of the moves before and after a target
     max_radius = 1e-3 * np.minimum(track.max_zone, MAX_BLEND_FRACTION * shorter)
+    # 1e-6 micrometres keep a whole number that rounding has lowered slightly
     radius = np.floor(max_radius * 1e6 + 1e-6) * 1e-6
     return np.where(stop, 0.0, np.where(radius < MIN_BLEND_M, np.nan, radius))
 

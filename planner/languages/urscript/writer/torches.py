@@ -77,8 +77,10 @@ class ScriptTorch:
 def task_torches(task: TaskProgram) -> dict[int, ScriptTorch]:
     """Return the torches of a task by the number of their operation, from 1.
 
-    A torch is an output that an action switches on with a limit for the time at one point (``max_dwell``).
-    Operations with equal data share a torch, so that its functions are written once.
+    A torch is the first output that an action of the operation switches on with a limit for the time at one
+    point (``max_dwell``). If the next action waits for an input, this is the torch's input. Operations with
+    equal data share a torch, so that its functions are written once. The wait is rounded up to ms and the
+    standing time down to 10 ms.
     """
     torches: dict[int, ScriptTorch] = {}
     named: dict[ScriptTorch, ScriptTorch] = {}  # torches without suffix -> with suffix
@@ -111,7 +113,9 @@ def task_torches(task: TaskProgram) -> dict[int, ScriptTorch]:
 def longest_stay(program: OperationProgram, distance: float) -> float:
     """Return the longest time [s] in which a tool moves at most ``distance`` [m] in its slots.
 
-    A stay starts at a target and ends at the first target that is farther away, where the next stay starts.
+    The distance that a torch must move is chosen by it, so that the planned motion does not count as
+    standing. A stay starts at a target and ends at the first target that is farther away, where the next stay
+    starts. A slot is a run of consecutive moves that cut. Lead-in and lead-out do not count.
     """
     track = program.moves
     longest = 0.0
@@ -121,7 +125,7 @@ def longest_stay(program: OperationProgram, distance: float) -> float:
     # a slot is a run of consecutive moves: index minus place in the list is constant
     for _, run in itertools.groupby(enumerate(cuts), lambda item: item[1] - item[0]):
         slot = [move for _, move in run]
-        # the target before the slot is its start, if there is one
+        # the target before the slot is its start, if there is one; otherwise the first time is dropped, too
         positions = 1e-3 * track.position[max(slot[0] - 1, 0) : slot[-1] + 1]
         time = np.append(0.0, np.cumsum(track.duration[slot]))[-len(positions) :]
         start = 0
@@ -152,7 +156,7 @@ def torch_functions(
             f"while {syntax.input_call(given)}==False:",
             "if passed>limit:",
             *off_statements,
-            *syntax.ending(text),
+            *syntax.end_program(text),
             "end",
             f"sleep({syntax.WAIT_STEP})",
             f"passed=passed+{syntax.WAIT_STEP}",
@@ -188,6 +192,6 @@ def torch_functions(
         "end",
         "end",
         *off_statements,
-        *syntax.ending(text, blocking=False),
+        *syntax.end_program(text, blocking=False),
         "end",
     )

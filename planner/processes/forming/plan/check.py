@@ -106,8 +106,10 @@ def step_issues(work: FormingWork) -> Iterator[Issue]:
 def flat_issues(work: FormingWork, paths: Sequence[tuple[FormingPass, FormingToolPath]]) -> Iterator[Issue]:
     """Report walls that are too flat for a constant step-down (forming.path_options).
 
-    Between loops at a constant step in height, a larger fraction of such a pass stays unformed than the
-    operation's ``share`` allows.
+    Loops at a constant step in height are far apart where a wall is flat. A pass is reported if the area of
+    its flat walls that lies farther from the ball than the allowed ridge is a larger fraction of all its
+    walls than the operation's ``share`` permits. Operations with a scallop height and mode adsif are not
+    checked.
     """
     op = work.operation
     max_fraction = 1.0 - op.share
@@ -229,7 +231,11 @@ def _metal_issues(work: FormingWork) -> Iterator[Issue]:
 def _force_issues(
     work: FormingWork, setup: Setup, paths: Sequence[tuple[FormingPass, FormingToolPath]]
 ) -> Iterator[Issue]:
-    """Compare the largest force on each arm with its payload."""
+    """Compare the largest force on each arm with its payload.
+
+    The support has the same force as the forming tool, unless the operation states ``support_force_n``. A
+    heat source has none and is not checked.
+    """
     largest: dict[str, ForceEstimate] = {}
     for forming_pass, path in paths:
         force_estimate = forming_force(work, forming_pass, path)
@@ -291,8 +297,11 @@ class UnreachedRegion:
     wall_fraction: float
 
 
-def find_unreached(forming_pass: FormingPass, radius: float) -> UnreachedRegion | None:
+def find_unreached_region(forming_pass: FormingPass, radius: float) -> UnreachedRegion | None:
     """Return what a ball does not reach of the face of a pass, or None if it reaches all of it.
+
+    The result is reported to the user, who decides whether a smaller ball is needed. Coarsely spaced points
+    are tested first. Only the surroundings of those that the ball does not reach are then refined.
 
     Args:
         forming_pass: Pass whose face is checked.
@@ -345,7 +354,7 @@ def find_unreached(forming_pass: FormingPass, radius: float) -> UnreachedRegion 
     nearby = np.unique(
         np.concatenate(cKDTree(points).query_ball_point(worst_points, 2.0 * FINE_SPACING_FRACTION * radius))
     )
-    nearby = nearby[:: -(-len(nearby) // _MAX_NEIGHBOURS)].astype(np.int64)
+    nearby = nearby[:: -(-len(nearby) // _MAX_NEIGHBOURS)].astype(np.int64)  # step: the quotient rounded up
     corner, corner_normal = pieces[nearby].reshape(-1, 3), np.repeat(normal[nearby], 3, axis=0)
     corner_distance = np.linalg.norm(nearest_centres(face, corner, corner_normal) - corner, axis=1)
     max_distance = max(float(corner_distance.max()), float(distance[worst_index]))
@@ -355,10 +364,12 @@ def find_unreached(forming_pass: FormingPass, radius: float) -> UnreachedRegion 
 
 
 def _decimate(points: FloatArray, wall: BoolArray, size: float) -> tuple[IntArray, IntArray]:
-    """Select one of the points (N, 3) in each cell of a cubic grid with cells of ``size`` [m].
+    """Select one of the points (N, 3) [m] in each cell of a cubic grid with cells of ``size`` [m].
 
-    Points on a ``wall`` (N,) and others are selected separately. Returns the index of the first point in each
-    cell (C,), and the cell of each point (N,).
+    Points on walls, where ``wall`` (N,) is true, and other points have separate cells.
+
+    Returns:
+        Index (C,) of the first point in each cell, and index (N,) of the cell of each point.
     """
     key = np.column_stack([np.floor(points / size).astype(np.int64), wall])
     _, first, cell = unique_rows(key)
@@ -428,7 +439,7 @@ def unreached_issues(work: FormingWork) -> Iterator[Issue]:
     last_passes = {forming_pass.feature: forming_pass for forming_pass in work.passes}
     for forming_pass in last_passes.values():
         radius = work.heads[work.forming_arm(forming_pass)].radius
-        region = find_unreached(forming_pass, radius)
+        region = find_unreached_region(forming_pass, radius)
         if region is None:
             continue
         limit = op.unreached_mm

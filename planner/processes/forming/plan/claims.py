@@ -50,7 +50,11 @@ the normal and the vertical. The nozzle follows the smooth face, not its facets.
 
 
 def claims(work: FormingWork) -> tuple[Claim, ...]:
-    """Return the claims of all passes, and those on their order, springback, level and holder."""
+    """Return the claims of all passes, and those on their order, springback, level and holder.
+
+    The proof checks the programs against them. They follow from the problem, without the paths of the tools.
+    Each pass has claims on the sheet around it, the feed and the tilt, and on its face or response table.
+    """
     pass_states = sheet_states(work.tree, work.mesh, work.passes, work.thickness, work.previous_features)
     out: list[Claim] = [
         forming_claims.FormsInOrder(tuple(forming_segment(forming_pass) for forming_pass in work.passes))
@@ -178,7 +182,12 @@ def _sheet_state_claim(
 
 
 def _surface_claims(work: FormingWork, forming_pass: FormingPass) -> list[Claim]:
-    """Return the claims on the face of a pass and on the other tool, in all modes except adsif."""
+    """Return the claims on the face of a pass and on the other tool, in all modes except adsif.
+
+    The first claim is on the face and the forming ball. If there is another tool, a second one follows: on
+    the gap in modes with two tools opposite each other, on the border in dpif_p, and on the position opposite
+    the ball in heat.
+    """
     op = work.operation
     arm = work.forming_arm(forming_pass)
     support_arm = work.support_arm(forming_pass)

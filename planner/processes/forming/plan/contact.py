@@ -101,6 +101,7 @@ class ContactFace:
         # separate trees of face pieces for small and large faces, so that large ones do not widen the search
         # for small ones
         self._trees: list[tuple[cKDTree, IntArray, FloatArray]] = []
+        # size classes 0 to 4: the longest edge is up to 0.05, 0.1, 0.2, 0.4 radii, or longer
         rank = np.clip(np.ceil(np.log2(np.maximum(edge / (0.05 * radius), 1e-9))), 0, 4).astype(np.int64)
         for size_class in np.unique(rank):
             members = np.flatnonzero(rank == size_class)
@@ -223,10 +224,16 @@ class ContactFace:
     def clear(self, required: FloatArray, normal: FloatArray, rounds: int = _MAX_CLEARING_ROUNDS) -> Contact:
         """Place the ball at required points and push it aside until it does not cut into the face.
 
+        In each round every ball that cuts in moves away from its deepest point until it only touches there.
+
         Args:
             required: Required contact points (N, 3) [m].
             normal: Unit normals (N, 3) along which the ball is placed.
-            rounds: Maximum number of rounds. ``clear`` is False for balls that still cut in after the last.
+            rounds: Maximum number of rounds.
+
+        Returns:
+            Ball positions. ``clear`` is False for balls that still cut in after the last round, were pushed
+            farther than their diameter, or ended up on the wrong side of the required point.
         """
         radius = self.radius
         initial = required + radius * normal
@@ -274,10 +281,11 @@ class ContactFace:
     def _deepest(
         self, centres: FloatArray, reference: FloatArray | None
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return signed distances, nearest points and directions as `deepest` does.
+        """Return signed distances, nearest points and directions for ball centres as `deepest` does.
 
-        Of points that are equally near, the one whose direction is closest to ``reference`` (N, 3) is taken,
-        or any of them if that is None.
+        A distance is negative if the centre is below the inside of the nearest triangle. If several points
+        are equally near, the one whose direction is closest to ``reference`` (N, 3) is taken, or any of them
+        if ``reference`` is None.
         """
         reach = self.radius + 20.0 * CONTACT_TOLERANCE_M
         best = np.full(len(centres), np.inf)

@@ -70,6 +70,8 @@ def tool_poses(centre: FloatArray, axis: FloatArray) -> FloatArray:
     """Return the poses of tools in the sheet's frame.
 
     The x axis is as close to the sheet's x axis as possible, so that the tool rotates no more than necessary.
+    If the tool's axis is nearly parallel to the sheet's x axis at any target, the sheet's y axis replaces it
+    at all targets.
 
     Args:
         centre: TCPs (N, 3) [m].
@@ -89,8 +91,8 @@ def tool_poses(centre: FloatArray, axis: FloatArray) -> FloatArray:
 def tool_freedoms(arms: tuple[str, ...], cone: float, count: int) -> tuple[ScrewFreedom, ...]:
     """Return the freedoms of the tools: spin about the axis, and tilts about x and y within a cone.
 
-    Each tilt is limited to cone / sqrt(2), the square inscribed in the circle. All rotations are about the
-    ball's centre, which never moves.
+    Each tilt is limited to cone / sqrt(2), so that both together stay within the cone. All rotations are
+    about the ball's centre, which they do not move. Without a cone a tool has only its spin.
 
     Args:
         arms: Arms.
@@ -445,7 +447,12 @@ def _targets(
     issues: list[Issue],
     claims: tuple[Claim, ...],
 ) -> Targets:
-    """Return the targets of tool paths, as computed or with springback compensation, without exhibits."""
+    """Return the targets of an operation along its tool paths, without exhibits.
+
+    ``paths`` are those of the nominal part, or those with springback compensation. Moves that form get the
+    stated feed, and half of it from and to stops. Other moves get MAX_AIR_SPEED_M_S. Short moves are slowed
+    down, so that none is shorter than MIN_MOVE_TIME_S.
+    """
     op, route = work.operation, _route(work, setup, paths)
     count = len(route.segment)
     is_forming = np.array([segment.works for segment in route.segment])
@@ -455,7 +462,7 @@ def _targets(
     travel = np.concatenate([[0.0], np.max(steps, axis=0)])
     stop = _stops(route, actions)
     # moves from or to a stop, whose mean speed is lower
-    is_at_stop = np.append(False, stop[:-1]) | stop
+    is_at_stop = np.append(False, stop[:-1]) | stop  # index i: the move to target i
     feed = np.where(
         is_forming,
         np.where(is_at_stop, MEAN_FEED_FRACTION_FROM_REST, 1.0) * op.feed_mm_s * MM,
@@ -536,7 +543,8 @@ def _max_lead_change(work: FormingWork) -> float:
 def _stops(route: ToolRoute, actions: Sequence[TargetAction]) -> BoolArray:
     """Return whether (N,) tools stop at each target: at stops of the route and at actions.
 
-    While a holder sinks, programs are split at its pulses, so stops of the route between pulses are removed.
+    While a holder sinks, programs are split at its pulses. Stops of the route between the first and the last
+    pulse are therefore removed, unless two pulses are more than a quarter of MAX_MOVES_TO_STOP apart.
     """
     stop = route.stop.copy()
     pulses = np.unique([action.target for action in actions if action.kind == "on"]).astype(np.int64)

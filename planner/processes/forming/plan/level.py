@@ -65,7 +65,9 @@ def level_pass(work: FormingWork, level: Level) -> FormingPass:
 
 
 def make_level_path(work: FormingWork, forming_pass: FormingPass, level: Level) -> FormingToolPath:
-    """Compute the path of one level.
+    """Compute the path of one level, if the job forms a single level of a pass.
+
+    The path of the whole pass is computed, and the loops of the level are selected from it.
 
     Raises:
         TandemError: forming.path_options if the level is beyond the last one or is not at the depth that its
@@ -100,7 +102,7 @@ def make_level_path(work: FormingWork, forming_pass: FormingPass, level: Level) 
 
 
 def _allowed_standoff(work: FormingWork) -> float:
-    """Distance [m] that balls may stay off the part where they do not fit."""
+    """Return the distance [m] that balls may stay off the part where they do not fit."""
     return (work.operation.unreached_mm or 0.0) * MM
 
 

@@ -333,6 +333,7 @@ class Forming(Strict):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        """Require that the fields do not contradict one another."""
         if len(set(self.arms)) != len(self.arms):
             raise ValueError("arms: name each arm once")
         is_single_arm = self.mode in ("spif", "tpif")

@@ -63,7 +63,9 @@ ANGLE_SLACK_RAD: Final = 5.0 * DEG
 DEPTH_SLACK_FRACTION: Final = 0.9
 """A part is similar to a trial if its depth is at least this fraction of the trial's."""
 THICKNESS_SLACK_FACTOR: Final = 1.25
-"""A part is similar to a trial if its thickness is at most this factor better than the trial's."""
+"""A sheet that is thinner than that of a trial with too much force, or thicker than one that tore, by up to
+this factor is still similar.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,8 +128,12 @@ def nearest_failed_trial(
 ) -> FormingTrial | None:
     """Return the failed trial that is most similar to a part, or None.
 
-    A trial is similar if the metal is of the same family, the part at least as steep and deep, and its sheet
-    no thinner than one that met too much force, or no thicker than one that tore.
+    A trial is similar if all of these conditions hold:
+
+    - The metal is of the same family, and the mode is the one that is most similar to ``mode``.
+    - The part is nearly as steep and as deep as the part of the trial, or more so.
+    - If the trial stopped because of the forming force, the sheet of the part is hardly thinner. If the sheet
+      tore, the sheet of the part is hardly thicker.
 
     Args:
         family: Family of the sheet metal.
@@ -242,8 +248,9 @@ def make_passes(
 ) -> tuple[FormingPass, ...]:
     """Return all passes in the order of forming, in the sheet's frame.
 
-    The sheet is equally thick along z everywhere, so the face that the tool touches is, for features that go
-    down, the mesh moved up by the thickness.
+    A feature that is too steep for one pass is formed through intermediate shapes, one pass each, and all of
+    them are repeated as often as the operation states. The sheet is equally thick along z everywhere. The
+    face that a tool above the sheet touches is therefore the mesh moved up by the thickness.
 
     Args:
         tree: Features of the part.
@@ -278,9 +285,10 @@ def make_passes(
 def pass_angles(angle: float, operation: Forming, metal: SheetMetal) -> tuple[float, ...]:
     """Return the wall angles [rad] of the passes over a feature; the last one is its own wall angle.
 
-    If the user states none, angles increase by the operation's step from an angle that one pass may have. In
-    ADSIF the sheet is formed once, and over a male die nothing holds an intermediate shape, so there is one
-    pass.
+    The user's own angles are used as far as they are below that of the feature. If the user states none, the
+    angles decrease from that of the feature by the operation's step, until one is within the metal's limit
+    for a single pass. In ADSIF the sheet is formed once, and over a male die nothing holds an intermediate
+    shape, so there is one pass.
 
     Args:
         angle: Wall angle [rad] of the feature.
@@ -300,7 +308,11 @@ def pass_angles(angle: float, operation: Forming, metal: SheetMetal) -> tuple[fl
 def pass_issues(
     passes: Sequence[FormingPass], thickness: float, operation: Forming, metal: SheetMetal
 ) -> tuple[Issue, ...]:
-    """Return warnings about passes: walls that may tear in one pass, and similar trials that failed."""
+    """Return warnings about passes: walls that may tear in one pass, and similar trials that failed.
+
+    A wall may tear if it is steeper than `max_wall_angle` after the steepest previous pass over the feature.
+    For each feature the most similar failed trial is reported, if there is one.
+    """
     issues: list[Issue] = []
     limit = metal.wall_angle_limit(operation.mode in SUPPORTED_MODES)
     for feature in dict.fromkeys(forming_pass.feature for forming_pass in passes):
@@ -322,7 +334,10 @@ def pass_issues(
 
 
 def max_wall_angle(previous: float, operation: Forming, metal: SheetMetal) -> float:
-    """Return the steepest wall [rad] that a pass may form over a shape.
+    """Return the steepest wall [rad] that a pass may form over a shape without a warning.
+
+    It is the metal's limit for a single pass, or one angle step and 1 deg of tolerance more than the shape,
+    whichever is larger.
 
     Args:
         previous: Wall angle [rad] of the shape; 0 for the flat sheet.
@@ -399,6 +414,7 @@ def _min_thickness(
 
 
 def _upright_issue(feature: int, angle: float) -> Issue:
+    """Return the error that a feature has a wall of ``angle`` [rad], for which no sheet would be left."""
     return Issue(
         "forming.wall_angle",
         f"feature {feature}: a wall of {angle / DEG:.1f} deg, allowed below "
@@ -413,6 +429,15 @@ def _upright_issue(feature: int, angle: float) -> Issue:
 def _tear_issue(
     forming_pass: FormingPass, angle: float, previous: float, limit: float, automatic_angles: Sequence[float]
 ) -> Issue:
+    """Return the warning that the sheet may tear in a pass because its wall is too steep.
+
+    Args:
+        forming_pass: The pass.
+        angle: Wall angle [rad] of the pass.
+        previous: Wall angle [rad] of the shape from which it starts, 0 for the flat sheet.
+        limit: Wall angle [rad] that the metal allows in one pass.
+        automatic_angles: Wall angles [rad] that ``passes: auto`` would form one after the other.
+    """
     shapes = " and ".join(f"{pass_angle / DEG:.1f}" for pass_angle in automatic_angles)
     hint = f"use passes: auto, which forms walls of {shapes} deg one after the other, or give such angles"
     if len(automatic_angles) == 1:

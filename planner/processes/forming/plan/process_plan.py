@@ -380,13 +380,14 @@ def make_tool_path(
 
 
 def _spare_radius(work: FormingWork, forming_pass: FormingPass) -> float:
-    """Return how much larger [m] than the ball fillets have to be so that the ball passes through them.
+    """Return by how much [m] a fillet's radius has to exceed the ball's for the ball to pass through it.
 
-    In a fillet that is hardly larger than the ball, the ball touches the floor instead of the wall beside it.
-    The gap between the tools then differs, and so does the place to heat.
+    Smaller fillets count as creases, from which the path stays away. In a fillet that is hardly larger than
+    the ball, the ball may touch the floor instead of the wall beside it. The gap between the tools then
+    differs, and so does the place to heat.
 
-    The second bound: in a fillet whose radius exceeds the ball's by e, at the wall angle a, the ball stays up
-    to e (1 - cos a) off the floor.
+    The result is bounded: in a fillet whose radius exceeds the ball's by e, at the wall angle a, the ball
+    stays up to e (1 - cos a) off the floor, which must not exceed MAX_FLOOR_GAP_M.
     """
     required = (
         SPARE_RADIUS_TOLERANCE_M * work.operation.squeeze * work.thickness / (work.operation.gap_tol_mm * MM)
@@ -401,8 +402,9 @@ def _spare_radius(work: FormingWork, forming_pass: FormingPass) -> float:
 def _trim_die_top(path: ContactPath, min_length: float) -> ContactPath:
     """Return a path over a male die without the tiny loops at its beginning.
 
-    They go around the die's top, on which the sheet already lies flat. The path is cut after the last move
-    there that is shorter than ``min_length`` [m].
+    These loops go around the die's top, on which the sheet already lies flat. The start of the path is
+    dropped up to the end of the last move that is shorter than ``min_length`` [m], as long as the path has
+    not gone farther than MAX_DIE_TOP_WIDTH_M from its start.
     """
     distance = np.linalg.norm(path.centre - path.centre[0], axis=1)
     is_short = np.linalg.norm(np.diff(path.centre, axis=0), axis=1) < min_length
@@ -451,17 +453,18 @@ def join_paths(
     clearance: float,
     max_targets: int,
 ) -> ToolRoute:
-    """Join the paths of all passes into one route.
+    """Join the paths of all passes into one route, from which the targets of the operation are made.
 
-    Between passes tools cross above the highest point of the part, at ``clearance`` plus AIR_CLEARANCE_M.
-    They stop at sharp corners, and at least every ``max_targets`` targets of a pass at the end of a loop, so
-    that programs can be split there.
+    Between passes each tool crosses at a height clear of the whole sheet, by ``clearance`` plus
+    AIR_CLEARANCE_M, on its own side. The tools stop at these crossings, at the first and the last target of
+    each pass, and at sharp corners. Within a pass they also stop after at most ``max_targets`` moves,
+    preferably at the end of a loop, so that programs can be split there.
 
     Args:
         work: Work of the operation.
         paths: Passes with their tool paths.
         clearance: Distance [m] from the sheet between passes.
-        max_targets: Maximum number of targets between two stops.
+        max_targets: Maximum number of moves of a pass between two stops.
     """
     arms = work.operation.arms
     safe_height = {arm: _safe_height(work, arm, clearance) for arm in arms}
@@ -496,12 +499,13 @@ def join_paths(
         segments += [Segment("approach"), Segment("approach")] if is_first else [Segment("link")]
         segments += [forming.at("in"), *[forming] * (count - 1), forming.at("out")]
         segments += [Segment("retreat")] if is_last else []
+        # numbers of targets of this pass's route before and after those of the pass itself
         head = 2 if is_first else 1
         tail = 2 if is_last else 1
-        stop_in_pass = _loop_ends(path.contact.loop, max_targets)
+        stop_in_pass = _loop_stops(path.contact.loop, max_targets)
         for points, _ in arm_paths.values():
             stop_in_pass |= _corners(points, sharp_angle)
-        stop_in_pass[[0, -1]] = True
+        stop_in_pass[[0, -1]] = True  # first and last target of the pass
         stops.append(np.concatenate([np.ones(head, bool), stop_in_pass, np.ones(tail, bool)]))
     return ToolRoute(
         {arm: np.concatenate(centre[arm]) for arm in arms},
@@ -548,10 +552,16 @@ def _corners(points: FloatArray, angle: float) -> BoolArray:
     return out
 
 
-def _loop_ends(loop: IntArray, max_targets: int) -> BoolArray:
-    """Return whether (N,) tools stop at each target so that at most ``max_targets`` lie between two stops.
+def _loop_stops(loop: IntArray, max_targets: int) -> BoolArray:
+    """Return for each target whether the tools stop there, (N,), preferably at the ends of loops.
 
-    The stop is at the last end of a ``loop`` (N,) within that number, or at that number if no loop ends.
+    There are at most ``max_targets`` moves from one stop to the next, where the first and the last target
+    count as stops, too, but are not marked. The next stop is at the last end of a loop within that number of
+    moves. If no loop ends there, it is exactly ``max_targets`` moves after the previous one.
+
+    Args:
+        loop: Number of the loop to which each target belongs, (N,), ascending.
+        max_targets: Maximum number of moves from stop to stop.
     """
     ends = np.flatnonzero(np.diff(loop) != 0)
     out = np.zeros(len(loop), dtype=bool)

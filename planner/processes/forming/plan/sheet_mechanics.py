@@ -103,7 +103,7 @@ def face_by_corner(surface: FormingPass, thickness: float) -> tuple[FloatArray, 
 
 
 def _min_normal_z(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Minimum z (V,) of the unit normals about each vertex, within [0, 1].
+    """Return the minimum z (V,) of the unit normals about each vertex, within [0, 1].
 
     Normals are smooth except over creases.
     """
@@ -112,7 +112,10 @@ def _min_normal_z(vertices: FloatArray, faces: IntArray) -> FloatArray:
 
 
 def _vertex_minimum(vertices: FloatArray, faces: IntArray, up: FloatArray) -> FloatArray:
-    """Minimum (V,) about each vertex of the corner values ``up`` (F, 3); 1 for vertices without a face."""
+    """Return the minimum (V,) of the corner values ``up`` (F, 3) about each vertex.
+
+    It is 1 for vertices without a face.
+    """
     minimum = np.ones(len(vertices))
     np.minimum.at(minimum, faces.reshape(-1), up.reshape(-1))
     return minimum

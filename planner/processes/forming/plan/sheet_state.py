@@ -102,7 +102,10 @@ def _sheet_state(
 ) -> PassSheetState:
     """Return the state of the sheet at the start of a pass, once the features ``done`` are formed.
 
-    Earlier passes over the same feature have moved its floor by ``floor_shift`` [m] along z.
+    Fixed is the flat around the feature, and sheet that other features have formed. Carried are the features
+    inside this one that are formed already, because they sink with its floor. Earlier passes over the same
+    feature have moved its floor by ``floor_shift`` [m] along z; what was carried is then fixed there. Over a
+    male die the surrounding flat is carried in the same way.
     """
     inside = shapely.Polygon(forming_pass.region[:, :2]).buffer(0.0)
     # over a male die the surrounding flat sinks with the tool
@@ -289,6 +292,8 @@ def deepest_penetration(
 ) -> ToolPenetration | None:
     """Return the deepest of some points in a tool of revolution that moves in straight lines.
 
+    The tool is sampled so densely that a point is missed by at most SAMPLING_DEPTH_TOLERANCE_M of depth.
+
     Args:
         centres: Positions (N, 3) [m] of its TCP.
         axis: Unit vectors (N, 3) along its axis, from the tool to the sheet.
@@ -332,7 +337,7 @@ def deepest_penetration(
         owner = np.repeat(np.arange(len(centre_chunk)), len(along))[is_near]
         pairs = cKDTree(spheres[is_near]).sparse_distance_matrix(tree, reach, output_type="ndarray")
         i, j = owner[pairs["i"]], pairs["j"]
-        depth = _tool_depth(points[j] - centre_chunk[i], axis_chunk[i], profile)
+        depth = _penetration_depth(points[j] - centre_chunk[i], axis_chunk[i], profile)
         if len(depth) and depth.max() > (0.0 if best is None else best.depth):
             k = int(np.argmax(depth))
             best = ToolPenetration(float(depth[k]), points[j[k]], int(target[start + i[k]]))
@@ -344,8 +349,9 @@ def _indices_near_points(
 ) -> IntArray:
     """Return the indices of the tool positions that may be near a point of ``tree``.
 
-    Runs of consecutive positions are tested as one: spheres of radius ``reach`` [m], ``along`` (S,) [m]
-    behind the positions ``centre`` (N, 3), are grown so that they contain those of their whole run.
+    A tool is contained in spheres of radius ``reach`` [m], whose centres are ``along`` (S,) [m] behind its
+    position. Runs of consecutive positions are tested as one, by spheres that contain those of the whole run.
+    ``centre`` (N, 3) [m] and ``axis`` (N, 3) are the positions and axes of the tool.
     """
     first = np.arange(0, len(centre), _RUN_LENGTH)
     count = np.diff(np.append(first, len(centre)))
@@ -373,8 +379,10 @@ def _sample_moves(
     """Sample the tool at targets and on the straight moves between them, at most ``spacing`` [m] apart.
 
     Moves are sampled twice as densely. Then samples are left out until the tool has moved by half the spacing
-    or rotated by 0.02 rad. Returns the index of the target at or before each sample (M,), positions (M, 3)
-    [m] and axes (M, 3).
+    or rotated by 0.02 rad.
+
+    Returns:
+        Index (M,) of the target at or before each of M samples, positions (M, 3) [m] and unit axes (M, 3).
     """
     length = np.linalg.norm(np.diff(centres, axis=0), axis=1)
     count = np.maximum(np.ceil(2.0 * length / spacing), 1).astype(np.int64)
@@ -392,7 +400,7 @@ def _sample_moves(
     return target[kept], centre[kept], direction[kept]
 
 
-def _tool_depth(offset: FloatArray, axis: FloatArray, profile: FloatArray) -> FloatArray:
+def _penetration_depth(offset: FloatArray, axis: FloatArray, profile: FloatArray) -> FloatArray:
     """Return the depths (M,) [m] of points in the tool, 0 or less outside of it.
 
     The points are at ``offset`` (M, 3) [m] from the TCP. Inside, the depth is the distance to the outline.

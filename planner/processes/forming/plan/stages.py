@@ -142,11 +142,11 @@ def forming_order(
 def with_states(
     stock: Stock, mesh: Mesh, tree: FeatureTree, order: Sequence[OrderStep], previous: Sequence[int]
 ) -> Stock:
-    """Return the stock with solids added for what protrudes from the sheet before the part is finished.
+    """Return the stock with solids added for sheet that protrudes before the part is finished.
 
-    There is one state after each step of the order. What is formed on the virgin sheet stands higher, or
-    lower, than in the part until the feature around it takes it along, straight along z, through the solids
-    of both states.
+    The arms keep clear of these solids. The state of the sheet after each step of the order is considered. A
+    feature that is formed on the virgin sheet stands higher or lower than in the part, until the feature
+    around it moves it along z to its final place. The solids of both states together contain this motion.
 
     Args:
         stock: Stock with the sheet.
@@ -283,14 +283,14 @@ def hole_issues(
 ) -> Iterator[Issue]:
     """Report holes that are too near to what passes form or to their tools (forming.holes).
 
-    Also reports curves along which the sheet was cut off its clamp.
+    A curve along which the sheet was cut off its clamp is reported, too. Each hole gets at most one issue.
 
     Args:
         holes: Curves along which the sheet was cut before.
         margin: Minimum distance [m], seen along z.
         paths: Passes with their tool paths.
         radii: Radii [m] of the forming and the other tool of each pass.
-        slack: Deviation [m] that tools may have from their paths.
+        slack: Deviation [m] in plan that tools may have from their paths.
     """
     for hole in holes:
         ring = shapely.Polygon(hole.ring).buffer(0.0)

@@ -110,6 +110,9 @@ def stated_forces(
 ) -> StatedForces | None:
     """Return the forces that an operation states, or None if the formula is used.
 
+    The forces that bend the sheet are the stated ones minus the force of the support, if that is stated,
+    except that a file has the forces of both tools together.
+
     Args:
         op: Operation.
         passes: Its passes.

@@ -79,7 +79,11 @@ def die_issues(
 def _gouge_issues(
     forming_pass: FormingPass, far_face: TriangleMesh, points: FloatArray, tolerance: float
 ) -> Iterator[Issue]:
-    """Report where the die (``points`` (P, 3) [m]) protrudes most into the far face of a pass."""
+    """Report where the die protrudes most into the far face of a pass, if by more than ``tolerance`` [m].
+
+    ``points`` (P, 3) [m] represent the die. A die that protrudes above the whole part by more than
+    MAX_DIE_PROTRUSION_M is reported with that height, because its unit or position is wrong.
+    """
     inside = shapely.Polygon(forming_pass.region[:, :2]).buffer(DIE_SPACING_M)
     points = points[shapely.contains_xy(inside, points[:, 0], points[:, 1])]
     if not len(points):
@@ -110,7 +114,11 @@ def _gouge_issues(
 def _distance_issues(
     forming_pass: FormingPass, far_face: TriangleMesh, mesh: TriangleMesh
 ) -> Iterator[Issue]:
-    """Warn of walls that a full die does not support, by their fraction of the area of all walls."""
+    """Warn if a full die does not support a larger fraction of the walls than MAX_UNSUPPORTED_FRACTION.
+
+    A wall is supported if the die is within MAX_SUPPORT_DISTANCE_M of it. ``far_face`` is the face of the
+    sheet on the side of the die, and ``mesh`` is the die.
+    """
     normals = face_normals(far_face)
     is_wall = np.arccos(np.clip(normals[:, 2], -1.0, 1.0)) > _MIN_WALL_ANGLE_RAD
     pieces, _ = bisect_triangles(far_face.vertices[far_face.faces[is_wall]], DIE_SPACING_M, _MAX_PIECES)
@@ -181,10 +189,11 @@ def holder_claim(work: FormingWork) -> SinksHolder | None:
 
 
 def pulse_counts(forming_pass: FormingPass, path: FormingToolPath, radius: float, step: float) -> IntArray:
-    """Return the number of pulses (N,) at each target of a pass.
+    """Return the number of pulses (N,) at each target of a pass, each of which lowers the clamp by a step.
 
-    In total there are as many whole steps as the pass is deep. The clamp is within one step of the tip's
-    lowest level wherever moves go down by at most a step; `step_issues` reports the others.
+    In total there are as many pulses as whole steps fit into the depth of the pass. The clamp stays within
+    one step of the lowest level that the tip has reached, if moves go down by at most one step; `step_issues`
+    reports other moves.
 
     Args:
         forming_pass: Pass.
@@ -193,7 +202,7 @@ def pulse_counts(forming_pass: FormingPass, path: FormingToolPath, radius: float
         step: Distance [m] by which a pulse lowers the clamp.
     """
     depth = _depth_reached(forming_pass, path, radius)
-    next_depth = np.append(depth[1:], depth[-1])
+    next_depth = np.append(depth[1:], depth[-1])  # at the end of the move that follows each target
     ideal = np.floor(0.5 * (depth + next_depth) / step + 0.5)
     # the clamp is at most a step above the tip after the move, and at most a step below it before the move
     minimum = np.ceil((next_depth - LEVEL_TOLERANCE_M) / step - 1.0)
@@ -204,7 +213,10 @@ def pulse_counts(forming_pass: FormingPass, path: FormingToolPath, radius: float
 
 
 def holder_issues(work: FormingWork) -> Iterator[Issue]:
-    """Report dies and holders that do not go together (before paths are computed)."""
+    """Report dies and holders that do not go together, before paths are computed (forming.holder).
+
+    A male die needs a holder that sinks, and a part with a single feature. A female die needs a fixed holder.
+    """
     die = work.operation.die
     if die is None:
         return
@@ -226,7 +238,11 @@ def holder_issues(work: FormingWork) -> Iterator[Issue]:
 
 
 def step_issues(work: FormingWork, paths: Sequence[tuple[FormingPass, FormingToolPath]]) -> Iterator[Issue]:
-    """Report where the clamp cannot stay within a step of the tool, or does not reach the rim's level."""
+    """Report where the clamp cannot stay within a step of the tool, or does not reach the rim's level.
+
+    The first is an error at the worst target. The second is a warning if the depth of the pass is not a whole
+    number of steps. Without a holder that sinks there is nothing to report.
+    """
     if not holder_sinks(work):
         return
     forming_pass, path = paths[0]

@@ -130,7 +130,7 @@ def solve_table(text: str, prefer: str) -> TableSolution:
 
 
 def _stable_edges(cells: FloatArray) -> FloatArray:
-    """Pairs (E, 2, 3) of stable cells (gap, position, wall) that are neighbours in the grid.
+    """Return the pairs (E, 2, 3) of stable cells (gap, position, wall) that are neighbours in the grid.
 
     The grid is that of all gaps and positions. Along the edges the wall changes linearly, and no solution
     with the smallest angle or the largest gap is off them.
@@ -349,9 +349,10 @@ class AccumulativePath:
         return np.asarray(self.claim.pitch * steepest[band])
 
     def _wall_points(self) -> tuple[FloatArray, FloatArray]:
-        """Points (P, 3) [m] on the walls, and the distance (P,) [m] between loops along the wall there.
+        """Return points (P, 3) [m] on the walls, and the loop distance there.
 
-        The points are spread evenly by area and always the same.
+        The loop distance (P,) [m] is that between adjacent loops along the wall. The points are spread evenly
+        by area and always the same.
         """
         points, owner = spread_points(self.face.corners[self.walls], _WALL_POINTS)
         sine = np.sqrt(1.0 - self.face.normal[self.walls, 2] ** 2)

@@ -141,16 +141,24 @@ class PartlyFormedSheet:
 
 
 def _normal_cosine(corners: FloatArray) -> FloatArray:
-    """Cosines (M,) of the angles of triangles (M, 3, 3) to the flat."""
+    """Return the cosines (M,) of the angles of triangles (M, 3, 3) to the flat."""
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(np.abs(cross[:, 2]) / np.maximum(np.linalg.norm(cross, axis=1), 1e-300))
 
 
 def _wall_contours(shape: FormedShape, start: float, end: float) -> list[tuple[FloatArray, float]]:
-    """Contours of a wall between two depths [m] below (above) its starting level.
+    """Return contours of a wall between two depths [m] from its starting level, on which the mesh has points.
 
-    Of `PROFILE_CONTOURS` contours those are kept between which the profile turns or advances enough. Each
-    comes with its distance [m] in plan from the adjacent ones. The result is empty if any contour is.
+    `PROFILE_CONTOURS` contours are evaluated. As many are kept as the turns of the profile and its length in
+    plan require. The result is empty if any contour is empty.
+
+    Args:
+        shape: Shape with the wall.
+        start: Depth [m] at which the contours start, downward or upward as the shape goes.
+        end: Depth [m] at which they end.
+
+    Returns:
+        For each contour its edges (M, 2, 2) [m] in plan, and its distance [m] in plan from adjacent contours.
     """
     sign = -1.0 if shape.end_level < shape.base else 1.0
     edge = min(EDGE_OFFSET_M, 0.05 * (end - start))
@@ -174,7 +182,10 @@ def _wall_contours(shape: FormedShape, start: float, end: float) -> list[tuple[F
 
 
 def _contour_edges(shape: FormedShape, depth: float) -> FloatArray:
-    """Edges (M, 2, 2) [m] in plan of the contour of a face at the height ``depth`` [m] above its base."""
+    """Return the edges (M, 2, 2) [m] in plan of the contour of a face.
+
+    The contour is at the height ``depth`` [m] above the base of the face.
+    """
     corners = shape.corners[shape.moved]
     height = corners[:, :, 2] - shape.base - depth
     crossed = (height > 0.0).any(axis=1) & (height <= 0.0).any(axis=1)
@@ -195,7 +206,10 @@ def _contour_edges(shape: FormedShape, depth: float) -> FloatArray:
 
 
 def _point_spacing(plan: FloatArray, tool_point: FloatArray, fine: float) -> FloatArray:
-    """Required spacing (N,) [m] of mesh points at positions in plan (N, 2), ``fine`` [m] at the tool."""
+    """Return the required spacing (N,) [m] of mesh points at positions in plan (N, 2).
+
+    It is ``fine`` [m] around the tool and grows with the distance from it.
+    """
     away = np.linalg.norm(plan - tool_point, axis=1) - FINE_REACH_M
     return np.asarray(np.clip(fine + SPACING_GROWTH * away, fine, COARSE_SPACING_M / FINE_SPACING_M * fine))
 
@@ -203,7 +217,7 @@ def _point_spacing(plan: FloatArray, tool_point: FloatArray, fine: float) -> Flo
 def _mesh_points(
     formed: PartlyFormedSheet, opening: FloatArray, tool_point: FloatArray, fine: float = FINE_SPACING_M
 ) -> FloatArray:
-    """Points (N, 2) [m] in plan of a mesh, with spacing ``fine`` [m] at the tool.
+    """Return the points (N, 2) [m] in plan of a mesh, with spacing ``fine`` [m] at the tool.
 
     They are on the edge of the opening, at the tool, on contours of the walls, and on square grids whose
     spacing doubles with the distance from the tool.
@@ -250,7 +264,10 @@ def _polylines(edges: FloatArray) -> list[FloatArray]:
 
 
 def _resample(line: FloatArray, tool_point: FloatArray, max_spacing: float, fine: float) -> FloatArray:
-    """Points (N, 2) of a polyline (K, 2) [m] with the required spacing, at most ``max_spacing`` [m]."""
+    """Return points (N, 2) [m] of a polyline (K, 2) [m] at the required spacing.
+
+    The spacing is at most ``max_spacing`` [m].
+    """
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     dense = np.linspace(0.0, arc[-1], max(2, int(np.ceil(arc[-1] / (0.3 * fine)))))
     points = np.stack([np.interp(dense, arc, line[:, k]) for k in (0, 1)], axis=1)
@@ -261,7 +278,10 @@ def _resample(line: FloatArray, tool_point: FloatArray, max_spacing: float, fine
 
 
 def _drop_duplicates(points: FloatArray, within: float) -> IntArray:
-    """Indices of the points (N, 2) that remain: those without an earlier point within a distance [m]."""
+    """Return the indices of those points (N, 2) that remain without duplicates.
+
+    A point is dropped if an earlier one is within a distance [m].
+    """
     close_pairs = cKDTree(points).query_pairs(within, output_type="ndarray")
     return np.setdiff1d(np.arange(len(points)), close_pairs.max(axis=1, initial=-1))
 
@@ -274,6 +294,9 @@ def springback_at(
     max_points: int = MAX_POINTS,
 ) -> tuple[float, int]:
     """Return the springback at a point when a force is released, from a shell model of the sheet.
+
+    The proof compares it with the springback that a file states. The mesh is coarsened until it has at most
+    ``max_points`` points.
 
     Args:
         formed: Sheet while the point is formed.

@@ -157,7 +157,10 @@ def _disk_level(corners: FloatArray, cross: FloatArray, slots: IntArray) -> Disk
 
 
 def _point_distance(level: DiskLevel, node: IntArray, points: FloatArray) -> FloatArray:
-    """Lower bound (M,) [m] of the distance of points from groups of triangles; infinite for empty groups."""
+    """Return a lower bound (M,) [m] of the distance of points from groups of triangles.
+
+    It is infinite for empty groups.
+    """
     rest = points - level.centre[node]
     height = dots(rest, level.normal[node])
     radial = np.sqrt(np.maximum(dots(rest, rest) - height * height, 0.0))
@@ -165,7 +168,7 @@ def _point_distance(level: DiskLevel, node: IntArray, points: FloatArray) -> Flo
 
 
 def _line_distance(level: DiskLevel, node: IntArray, start: FloatArray, end: FloatArray) -> FloatArray:
-    """Lower bound (M,) [m] of the distance of straight lines from groups of triangles."""
+    """Return the lower bound (M,) [m] of the distance of straight lines from groups of triangles."""
     normal, centre = level.normal[node], level.centre[node]
     start_offset, end_offset = start - centre, end - centre
     low, high = dots(start_offset, normal), dots(end_offset, normal)
@@ -180,7 +183,7 @@ def _line_distance(level: DiskLevel, node: IntArray, start: FloatArray, end: Flo
 
 
 def _disk_distance(level: DiskLevel, node: IntArray, radial: FloatArray, height: FloatArray) -> FloatArray:
-    """Distance (M,) [m] from disks of points at a radius and a height in the disk's own frame."""
+    """Return the distance (M,) [m] from disks of points at a radius and a height in the disk's own frame."""
     radius = level.radius[node]
     # d >= hypot(height - half, radial - radius), each at least 0: the contents lie in this cylinder
     lateral = np.maximum(radial - radius, 0.0)
@@ -298,13 +301,12 @@ class ProofFace:
         )
 
     def nearest(self, points: FloatArray, within: float = EQUAL_DISTANCE_TOLERANCE_M) -> NearestPoints:
-        """Return the nearest point of the face for each point, and others that are equally near.
-
-        Equally near are all that are farther by at most a tolerance.
+        """Return the nearest point of the face for each point, and all others that are equally near.
 
         Args:
             points: Points (N, 3) [m].
-            within: Tolerance [m].
+            within: Points of the face that are farther than the nearest one by at most this [m] are equally
+                near.
         """
         distance = np.full(len(points), np.inf)
         kept: list[tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray]] = []
@@ -384,16 +386,17 @@ class ProofFace:
         return self._tree.near_lines(start, end, need)
 
     def _foot(self, points: FloatArray, triangle: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Nearest points (M, 3) of triangles (M,) to points (M, 3).
+        """Return the nearest points of triangles (M,) to points (M, 3), one of each pair.
 
-        Returns their barycentric weights (M, 3), the nearest points, and the distances (M,) [m].
+        Returns:
+            Barycentric weights (M, 3) of the nearest points, these points (M, 3) [m], and distances (M,) [m].
         """
         weights = closest_weights(points, *np.moveaxis(self.corners[triangle], 1, 0))
         foot = np.einsum("nk,nkd->nd", weights, self.corners[triangle])
         return weights, foot, np.linalg.norm(points - foot, axis=1)
 
     def _is_beyond_border(self, offset: FloatArray, triangle: IntArray, weight: FloatArray) -> BoolArray:
-        """Which of N points are beyond the face's border.
+        """Return which of N points are beyond the face's border.
 
         ``offset`` (N, 3) [m] are the vectors to them from their nearest points, which have the barycentric
         weights ``weight`` (N, 3) in the triangles ``triangle`` (N,).
@@ -409,7 +412,7 @@ class ProofFace:
 
 
 def _border_edges(vertices: FloatArray, faces: IntArray) -> BoolArray:
-    """Which edges (F, 3), each from a corner to the next, belong to only one triangle.
+    """Return which edges (F, 3), each from a corner to the next, belong to only one triangle.
 
     Vertices at one position count as one.
     """
@@ -423,9 +426,9 @@ def _border_edges(vertices: FloatArray, faces: IntArray) -> BoolArray:
 def line_triangle_distance(start: FloatArray, end: FloatArray, triangle: FloatArray) -> FloatArray:
     """Return the distances (M,) [m] of straight lines (M, 3) from triangles (M, 3, 3).
 
-    They are the distances from the edges of the triangles, or 0 for lines through them. That an end may be
-    nearer to the inside of a triangle than to its edges is not included, since callers check points
-    themselves.
+    They are the distances from the edges of the triangles, or 0 for lines through them. An end of a line may
+    be nearer to the inside of a triangle than to its edges. The result does not include this case, because
+    callers check the ends themselves.
     """
     out = np.full(len(start), np.inf)
     for k in range(3):
@@ -511,7 +514,12 @@ def nearest_ball_centres(
 def _nearest_ball_centres_chunk(
     face: ProofFace, points: FloatArray, normals: FloatArray, radius: float, side: int
 ) -> FloatArray:
-    """Find the nearest centres by adding planes one by one, as the module docstring describes."""
+    """Return the result of `nearest_ball_centres` for points that are processed at once.
+
+    In each round the plane at the deepest contact is added for every ball that still cuts in. The ball then
+    moves to the nearest position beyond all planes of its point. Of more than `_MAX_PLANES` planes the one
+    that holds it back least is dropped.
+    """
     centre = points + side * radius * normals
     rows = np.arange(len(points))  # points whose ball still cuts in
     # each plane as its unit normal, and the minimum coordinate of a centre along it
@@ -545,11 +553,11 @@ def _nearest_ball_centres_chunk(
 def _project_beyond_planes(
     points: FloatArray, normal: FloatArray, level: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Points (N, 3) nearest to ``points`` beyond K planes each, and how much each plane holds them back.
+    """Return the positions (N, 3) [m] nearest to ``points`` (N, 3) that are beyond K planes each.
 
-    Where no point is beyond all planes, the largest violation is minimised instead. Active sets of up to
-    three planes are enumerated: for each, the projection solves (n n^T) push = d - n . p, and the feasible
-    one with the smallest distance is taken.
+    If no position is beyond all planes, the largest violation is minimised instead. Active sets of up to
+    three planes are enumerated. For each set, the projection solves (n n^T) push = d - n . p. The feasible
+    result with the smallest distance is taken.
 
     Args:
         points: Points (N, 3) [m].
@@ -605,7 +613,11 @@ def remaining_face(face: ProofFace, radius: float, side: int, start: float) -> P
 
 
 def _calculate_remaining_face(face: ProofFace, radius: float, side: int, start: float) -> ProofFace:
-    """Calculate the result of :func:`remaining_face`."""
+    """Calculate the result of :func:`remaining_face`.
+
+    Triangles that the ball does not reach are divided into small pieces, whose corners are moved to the
+    surface of the nearest ball. So they become fillets.
+    """
     # Triangles that the ball does not reach, found at the middles of their pieces, then at their corners.
     corners = face.corners
     moved = np.flatnonzero((side * corners[:, :, 2]).min(axis=1) < side * start - MAX_PENETRATION_M)
@@ -670,11 +682,11 @@ def _fine_pieces(face: ProofFace, rows: IntArray, radius: float, side: int) -> t
 def _spread_unreached(
     face: ProofFace, is_unreached: BoolArray, moved: IntArray, radius: float, side: int
 ) -> None:
-    """Add neighbours to the triangles that a ball does not reach, ``is_unreached`` (F,), which is changed.
+    """Add neighbours to the triangles that a ball does not reach: ``is_unreached`` (F,) is changed in place.
 
-    Added are those of the triangles ``moved`` (M,) that have an unreached corner in common with them, until
-    there are no more. The pieces of a long triangle are checked at their middles, so its far corner would be
-    missed.
+    A triangle of ``moved`` (M,) is added if it shares a corner that the ball does not reach with one of them,
+    and so on until there are no more. This is needed because a long triangle is checked only at the middles
+    of its pieces, where an unreached far corner is missed.
     """
     while True:
         rows = moved[~is_unreached[moved]]

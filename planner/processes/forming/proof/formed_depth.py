@@ -99,16 +99,20 @@ def largest_step(claim: FormsSheet, steps: tuple[float | None, float | None]) ->
 def forming_depths(formed: FormedPass, step: float) -> tuple[TrackDepths, TrackDepths]:
     """Return how deep the forming ball is beyond its permitted level while it forms.
 
-    Where it touches the wall: how far all that it touches is below the highest point that is formed later,
-    minus `MAX_STEPS_BELOW` steps. Elsewhere: how far its tip is below the lowest level it had where it
-    touched the wall, or will have where it touches it next, within its radius of that point.
+    The ball has to form the wall from the top down, level by level. Two depths [m] result:
+
+    - Where the ball touches the wall, all points that it touches may be at most `MAX_STEPS_BELOW` steps below
+      the highest point of the wall that is formed only later.
+    - Where it touches no wall, its tip may be as low as it has been in contact with the wall so far. Within a
+      radius in plan of its next contact it may also be as low as it will be there.
 
     Args:
         formed: Pass with its track.
         step: Largest height difference [m] of adjacent loops, the result of :func:`largest_step`.
 
     Returns:
-        Depths where the ball touches the wall, and depths elsewhere.
+        Depths where the ball touches the wall, and depths elsewhere, each with the rows of the track. They
+        are positive where the ball is too deep.
     """
     claim = formed.claim
     points, rows = _path_points(formed)
@@ -134,7 +138,7 @@ def forming_depths(formed: FormedPass, step: float) -> tuple[TrackDepths, TrackD
 
 
 def _path_points(formed: FormedPass) -> tuple[FloatArray, IntArray]:
-    """The ball's centres (N, 3) [m] from its first to its last forming move.
+    """Return the ball's centres (N, 3) [m] from its first to its last forming move.
 
     They are at most ``_CHECK_SPACING_M`` apart. The second result is the row (N,) of the track at or after
     each.
@@ -155,12 +159,14 @@ def _path_points(formed: FormedPass) -> tuple[FloatArray, IntArray]:
 def _wall_contacts(
     formed: FormedPass, points: FloatArray, step: float
 ) -> tuple[FloatArray, IntArray, FloatArray]:
-    """Which points (N, 3) [m] of the path form and touch which points of the wall.
+    """Return which points (N, 3) [m] of the path form and touch which points of the wall.
+
+    Heights are z times the side of the ball, so that they ascend toward it.
 
     Returns:
-        Heights (P,) [m] of points all over the wall, toward the ball; the index (P,) of the point of the path
-        that forms each of them, -1 if it was formed by previous levels; and the height (N,) [m] of the
-        highest wall point that each point of the path touches, minus infinity if none.
+        Three arrays: the height (P,) [m] of each of P points all over the wall; the index (P,) of the point
+        of the path that forms it first, -1 if previous levels formed it; and for each point of the path the
+        height (N,) [m] of the highest wall point that it touches, minus infinity if there is none.
     """
     claim = formed.claim
     rows = np.flatnonzero(is_wall(claim))

@@ -223,7 +223,10 @@ def _connected_pieces(inside: BoolArray, edge: IntArray) -> tuple[int, IntArray]
 
 
 def _extent(points: FloatArray, label: IntArray, size: int) -> FloatArray:
-    """Diagonals (``size``,) [m] of the bounding rectangles in plan of points (N, 3), by their label (N,)."""
+    """Return the diagonal (``size``,) [m] of the bounding rectangle in plan of the points of each label.
+
+    ``label`` (N,) is the label of each of the ``points`` (N, 3) [m]. The result is 0 for a label without any.
+    """
     low, high = np.full((size, 2), np.inf), np.full((size, 2), -np.inf)
     np.minimum.at(low, label, points[:, :2])
     np.maximum.at(high, label, points[:, :2])
@@ -298,9 +301,9 @@ class PartShapes:
 
     @cached_property
     def inside(self) -> BoolArray:
-        """Whether (F, F) the first feature is inside the area that the second one moves.
+        """Whether (F, F) a feature is inside another one; ``inside[i, j]`` means that i is inside j.
 
-        More than half of its points are, and its area is smaller.
+        Feature j then moves more than half of the points that feature i moves, and its area is larger.
         """
         is_moved = np.abs(self.moved) > FLAT_NOISE_M
         count = np.maximum(is_moved.sum(axis=1), 1)

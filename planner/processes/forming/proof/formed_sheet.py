@@ -70,9 +70,10 @@ def sheet_deviation(
 
 
 def _height_difference(claimed: FloatArray, read: FloatArray) -> float:
-    """Median height [m] of the walls of a claimed face (F, 3, 3) above a read one at the same points in plan.
+    """Return the median height [m] of the walls of a claimed face above a read one.
 
-    The read face (G, 3, 3) is extended to a plane at the triangle whose middle is nearest in plan.
+    The heights are compared at the same points in plan. The claimed face is given by triangles (F, 3, 3). The
+    read face (G, 3, 3) is extended to a plane at the triangle whose middle is nearest in plan.
     """
     slope = np.cross(claimed[:, 1] - claimed[:, 0], claimed[:, 2] - claimed[:, 0])
     steep = slope[:, 2] < 0.98 * np.linalg.norm(slope, axis=1)

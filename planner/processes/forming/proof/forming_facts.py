@@ -164,9 +164,10 @@ class GapTrack:
 
 
 def _meeting_rows(context: Context, tool_track: ToolTrack) -> IntArray:
-    """Rows of a track, while it forms, at which two controllers are at the same target at the same instant.
+    """Return the rows of a track at which two controllers meet while it forms.
 
-    Between these rows one arm may be ahead of the other.
+    They are at the same target at the same instant then. Between these rows one arm may be ahead of the
+    other.
     """
     out = [np.zeros(0, dtype=np.int64)]
     for number, stage in enumerate(context.job.stages):
@@ -367,7 +368,7 @@ class FormingFacts:
         return self._tracks[key]
 
     def _get_face(self, vertices: FloatArray, faces: IntArray, scale: float) -> ProofFace:
-        """A face, calculated once for claims on the same triangles, however they number vertices."""
+        """Return a face, calculated once for claims on the same triangles, however they number vertices."""
         corners = vertices[faces]
         for cached_scale, face in self._faces:
             if cached_scale == scale and np.array_equal(face.given, corners):
@@ -376,7 +377,7 @@ class FormingFacts:
         return self._faces[-1][1]
 
     def _get_balls(self, tool_track: ToolTrack, face: ProofFace) -> BallContacts:
-        """The contacts of the forming ball on a track, shared by claims with the same track and face.
+        """Return the contacts of the forming ball on a track, shared by claims with the same track and face.
 
         The ids are unique keys, because tracks and faces live as long as this object.
         """

@@ -89,7 +89,10 @@ class SingleLevel:
 
 
 def current_claims(group: Sequence[Claim]) -> tuple[Claim, ...]:
-    """Return the claims that programs have to meet now: all, or only those on the single level's segment."""
+    """Return the claims of an operation that the programs have to meet.
+
+    These are all claims, or, if only a single level is formed, those on its segment and those without one.
+    """
     kept = {claim.segment for claim in group if isinstance(claim, FormsLevel)}
     if not kept:
         return tuple(group)

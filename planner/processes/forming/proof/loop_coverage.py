@@ -65,13 +65,18 @@ class DepthWindow:
 def sparsest_window(formed: FormedPass, steps: tuple[float | None, float | None]) -> DepthWindow | None:
     """Return the window in which the ball goes along the smallest fraction of the contour.
 
-    Windows are `WINDOW_HEIGHT_STEPS` steps high. Contours that no ball of that size reaches do not count. If
-    the scallop h is given instead of the step-down, a step is the distance along the wall of loops that leave
-    ridges of that height, 2 sqrt(2 R h - h^2) for the radius R, with the mean slope of the wall all around.
+    The fraction reveals a missing loop. The wall is divided into thin slices by height, and a window of
+    consecutive slices, `WINDOW_HEIGHT_STEPS` steps high, starts at each of them. The length of the ball's
+    path in a window is compared with its shortest contour. Parts of contours that no ball of that size
+    reaches do not count.
+
+    If the step-down is given, a step is a height. If the scallop h is given, a step is a distance along the
+    wall: that of loops that leave ridges of height h, 2 sqrt(2 R h - h^2) for the radius R. The mean slope of
+    the wall all around converts it to a height.
 
     Args:
         formed: Pass with its track.
-        steps: Step-down and scallop [m], one of them given.
+        steps: Step-down [m] and scallop [m], one of which is None.
 
     Returns:
         The window, or None if no step is given or no window fits on the wall.
@@ -95,6 +100,7 @@ def sparsest_window(formed: FormedPass, steps: tuple[float | None, float | None]
         _, length, owner, level = contour_points(corners[chunk], middle, np.inf)
         np.add.at(contour, level, length)
         np.add.at(slope, level, length / sine[chunk[owner]])
+    # distance down the wall of each slice, in the unit of a step: a height, or a length along the wall
     down = np.full(slices, size)
     if step is None:
         down *= np.where(contour > 0.0, slope / np.maximum(contour, 1e-12), 1.0)
@@ -135,7 +141,10 @@ def sparsest_window(formed: FormedPass, steps: tuple[float | None, float | None]
 
 
 def _path_lengths(formed: FormedPass, size: float, slices: int) -> FloatArray:
-    """Length (S,) [m] in plan of the ball's path along the wall, in each slice of height ``size`` [m]."""
+    """Return the length (S,) [m] in plan of the ball's path along the wall, by height.
+
+    There is one length for each slice of height ``size`` [m].
+    """
     claim, nearest, touches = formed.claim, formed.nearest, formed.is_touching
     out = np.zeros(slices)
     forming_pieces = np.flatnonzero(formed.track.is_forming[formed.pieces.first])
@@ -150,5 +159,5 @@ def _path_lengths(formed: FormedPass, size: float, slices: int) -> FloatArray:
 
 
 def _slice_index(depth: FloatArray, size: float, slices: int) -> IntArray:
-    """Indices (N,) of the slices that contain depths (N,) [m]."""
+    """Return the indices (N,) of the slices that contain depths (N,) [m]."""
     return np.clip((depth / size).astype(np.int64), 0, slices - 1)

@@ -113,9 +113,11 @@ def steep_wall_issues(
 
 
 def _max_wall_angle(context: Context, forming: FormingFacts, formed: FormedPass) -> float | None:
-    """Maximum wall angle [rad] of a pass: what the metal allows, or one step beyond the previous shapes.
+    """Return the maximum wall angle [rad] of a pass.
 
-    The result is None if the problem accepts steep walls, or if there is no sheet.
+    It is what the metal allows in one pass, or one angle step more than the steepest previous shape of the
+    feature, whichever is larger. The result is None if the problem accepts steep walls, or if there is no
+    sheet.
     """
     stock = context.setups[formed.setup].stock
     if ACCEPTED_CODE in context.problem.accept or stock.sheet is None:
@@ -191,7 +193,10 @@ def level_walls(formed: FormedPass, level: SingleLevel) -> LoopWalls:
 
 
 def _forming_rows(formed: FormedPass) -> IntArray:
-    """Rows of a track while it forms: ends of its straight pieces, and others every `MAX_POINT_SPACING_M`."""
+    """Return the rows (N,) of a pass' track at which walls between loops are evaluated, all of them forming.
+
+    They are the ends of its straight pieces, and further rows about every `MAX_POINT_SPACING_M`.
+    """
     forming = np.flatnonzero(formed.track.is_forming)
     if len(forming) < 2:
         return forming
@@ -204,6 +209,9 @@ def _forming_rows(formed: FormedPass) -> IntArray:
 
 def walls_between_loops(centre: FloatArray, shift: FloatArray, side: int, slope: float) -> LoopWalls:
     """Return the walls between loops of a path; `LoopWalls.row` refers to the points of the path.
+
+    A wall leads from a piece of the path up to the nearest piece of an earlier loop above it. Its angle is
+    averaged along the path. Walls up to the end of the section on which the shift grows from 0 are left out.
 
     Args:
         centre: Commanded path (N, 3) [m] of the ball's centre.
@@ -240,7 +248,7 @@ def walls_between_loops(centre: FloatArray, shift: FloatArray, side: int, slope:
 
 
 def _moving_mean(arc: FloatArray, value: FloatArray) -> FloatArray:
-    """Moving mean (K,) of ``value`` (K,) at arc lengths ``arc`` (K,) [m].
+    """Return the moving mean (K,) of ``value`` (K,) at ascending arc lengths ``arc`` (K,) [m].
 
     The window is `AVERAGING_HALF_LENGTH_M` on either side.
     """
@@ -295,7 +303,7 @@ class _LoopPieces:
         self._tree = shapely.STRtree(shapely.linestrings(np.stack([start, start + step], axis=1)))
 
     def upper_pieces(self, pieces: IntArray, min_distance: float) -> _UpperPieces:
-        """For each piece (S,) the nearest piece above its middle.
+        """Return for each piece (S,) the nearest piece above its middle.
 
         It is at least ``min_distance`` [m] away without shifts. The search distance doubles until a piece is
         found. Pieces with nothing above them are left out.
@@ -339,5 +347,5 @@ class _LoopPieces:
 
 
 def _cross_2d(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Cross products (N,) of vectors (N, 2) in plan."""
+    """Return the cross products (N,) of vectors (N, 2) in plan."""
     return np.asarray(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])

@@ -208,9 +208,10 @@ class ScanField:
 
 
 def _plane_heights(offset: FloatArray, value: FloatArray) -> FloatArray:
-    """Heights (P, K) [m] of planes through neighbours of P points, relative to the plane at the point itself.
+    """Return the heights (P, K) [m] of planes through the neighbours of P points.
 
-    The planes are least squares fits to the values that do not deviate much. With few values they are level.
+    They are relative to the plane at the point itself. The planes are least squares fits to the values that
+    do not deviate much. With few values they are level.
 
     Args:
         offset: Vectors (P, K, 2) [m] in plan from the points to their neighbours.

@@ -125,7 +125,7 @@ def _interpolate_on_loop(
     force: FloatArray,
     loop_length: float,
 ) -> FloatArray:
-    """Springback (2, R) [m] at points of a closed loop, linear from one control point to the next.
+    """Return the springback (2, R) [m] at points of a closed loop, linear from one control point to the next.
 
     The points are at the arc lengths ``along`` (R,) [m] of ``loop_length`` [m], under the minimum and maximum
     force ``force`` (2, R) [N]; the control points are at ``knot_arc`` (C,) [m].

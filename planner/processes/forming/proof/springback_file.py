@@ -401,7 +401,7 @@ def differing_names(file_identity: Mapping[str, Any], own_identity: Mapping[str,
 def _expected_identity(
     operation: Any, size: FloatArray, sheet: Sheet, mesh: Mesh, tools: dict[str, Any]
 ) -> dict[str, Any]:
-    """The values that identify a job, by name, as a file states them.
+    """Return the values that identify a job, by name, as a file states them.
 
     ``size`` (3,) [m] and ``sheet`` are those of the stock, ``mesh`` is the part as given, and ``tools`` has
     the kind and the radius [m] of each arm's tool.
@@ -454,7 +454,7 @@ def _round_nine_digits(value: float) -> float:
 
 
 class ShiftLookup:
-    """Lookup of the shifts of one pass by positions on its commanded path.
+    """Lookup of the shifts of one pass by positions on its commanded path, which includes the shifts.
 
     ``side`` is +1 if the forming tool is above the sheet, -1 below.
     """
@@ -492,7 +492,11 @@ class ShiftLookup:
         return shift, distance
 
     def _shift_and_distance_chunk(self, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Compare pieces with the nearest marks, and with twice as many where these do not decide."""
+        """Return shifts and distances (N,) [m] of some positions, as :meth:`shift_and_distance` does.
+
+        Marks are points on the pieces of the path. The pieces with the nearest marks are compared, and then
+        pieces with twice as many marks wherever a farther mark may belong to a nearer piece.
+        """
         shift, distance = np.empty(len(positions)), np.empty(len(positions))
         remaining, count = np.arange(len(positions)), min(NEAREST_MARKS, len(self._marks))
         while len(remaining):
@@ -508,7 +512,10 @@ class ShiftLookup:
         return shift, distance
 
     def _nearest(self, positions: FloatArray, piece: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Shifts (N,) [m] at the nearest points on any of the pieces (N, M), and their distances (N,) [m]."""
+        """Return the shifts and distances (N,) [m] of the points nearest to positions (N, 3) [m].
+
+        ``piece`` (N, M) are the indices of the pieces of the path that are compared with each position.
+        """
         rest = positions[:, None] - self._start[piece]
         fraction = np.clip((rest * self._moves[piece]).sum(axis=2) / self._square[piece], 0.0, 1.0)
         away = np.sqrt(((rest - fraction[..., None] * self._moves[piece]) ** 2).sum(axis=2))

@@ -49,7 +49,7 @@ class StatedPassForce:
 
 
 def _force_on_ring(ring: FloatArray, plan: FloatArray) -> FloatArray:
-    """Forces (N,) [N] at the points of a closed line that are nearest to points in plan (N, 2) [m].
+    """Return forces (N,) [N] at the points of a closed line that are nearest to points in plan (N, 2) [m].
 
     ``ring`` (P, 3) has x, y [m] and the force [N] at the corners of the line.
     """
@@ -92,7 +92,14 @@ def stated_pass_force(operation: Any, claim: FormsSheet) -> StatedPassForce | No
 
 
 def _measured_force(path: Path, operation: Any, claim: FormsSheet) -> StatedPassForce:
-    """Read the measured forces of a pass; a file that lacks levels or points raises ``ValueError``."""
+    """Read the measured forces of a pass from a file, with the heights of its levels.
+
+    The forces of a level are at its end, or in the middle of its height if the path is a spiral. A spiral may
+    have one more level, its last loop along the floor.
+
+    Raises:
+        ValueError: If the file is invalid, or lacks levels or points.
+    """
     name, step = claim.segment.name, float(operation.stepdown_mm) * MM
     levels: dict[int, dict[int, tuple[float, float, float]]] = {}
     for row in _rows(path):

@@ -100,10 +100,10 @@ ENVELOPES: Final[Fact[Context, Iterator[CutFace]]] = Fact("envelopes", _submit_e
 def pass_envelope(swept_pass: SweptPass) -> CutFace:
     """Return the deviations of the formed sheet from the walls of a face, at points of the walls.
 
-    The deviation is positive where the ball stays off, and negative where it cuts in. Flat parts of the face
-    are not included. The scallop, which the steps of the path leave, is allowed, and the distance from a wall
-    that no ball of that size can reach. If a single level is formed, only points along its contour are
-    compared.
+    The rule verify.formed derives from them the fraction of the walls that is formed. The deviation is
+    positive where the ball stays off, and negative where it cuts in. Flat parts of the face are not included.
+    Allowed is the scallop that the steps of the path leave, plus the distance that every ball of that size
+    keeps from the wall there. If a single level is formed, only points along its contour are compared.
     """
     claim = swept_pass.claim
     rows = np.flatnonzero(is_wall(claim))
@@ -305,7 +305,10 @@ def distance_above_level(
 
 
 def _line_triangle_distance(start: FloatArray, end: FloatArray, corners: FloatArray) -> FloatArray:
-    """Distances (M,) [m] of straight lines (M, 3) from triangles (M, 3, 3), with the ends of the lines."""
+    """Return the distances (M,) [m] of straight lines from triangles (M, 3, 3).
+
+    The lines go from points (M, 3) to others. Their ends belong to them.
+    """
     distance = line_triangle_distance(start, end, corners)
     for point in (start, end):
         weights = closest_weights(point, *np.moveaxis(corners, 1, 0))
@@ -326,7 +329,7 @@ def _clip_above(corners: FloatArray, side: int, level: FloatArray) -> tuple[IntA
     above_count = (height >= 0.0).sum(axis=1)
 
     def edge_crossing(rows: IntArray, high: int, low: int) -> FloatArray:
-        """Points at the level on the edges between two corners of triangles ``rows``."""
+        """Return the points at the level on the edges between two corners of triangles ``rows``."""
         fraction = height[rows, high] / (height[rows, high] - height[rows, low])
         edge = corners[rows, low] - corners[rows, high]
         return np.asarray(corners[rows, high] + fraction[:, None] * edge)
@@ -503,14 +506,20 @@ class ToolHead:
         return deep[is_checked], path.rows[is_checked]
 
     def _depth(self, near_points: FloatArray, path: HeadPath, which: IntArray) -> FloatArray:
-        """Depth (M,) [m] of points (M, 3) [m] inside the tool at rows ``which`` (M,) of the path."""
+        """Return the depth (M,) [m] of points (M, 3) [m] inside the tool.
+
+        The tool is at the rows ``which`` (M,) of the path.
+        """
         rest = near_points - path.axis_points(which, 0.0)
         distance_behind = -dots(rest, path.axis[which])
         radial_distance = np.sqrt(np.maximum(dots(rest, rest) - distance_behind**2, 0.0))
         return self._outline_depth(distance_behind, radial_distance)
 
     def _outline_depth(self, distance_behind: FloatArray, radial_distance: FloatArray) -> FloatArray:
-        """Depth (M,) [m] of points inside the outline, whose rear end is open; negative outside."""
+        """Return the depth (M,) [m] of points inside the outline; negative outside.
+
+        The rear end of the outline is open.
+        """
         # signed distance from the outline in the half plane (behind, radial)
         outline_radius = np.interp(distance_behind, self.back, self.radius)
         inside = (
@@ -554,7 +563,7 @@ def run_inside_queries(queries: Sequence[InsideQuery]) -> Iterator[tuple[FloatAr
 
 
 def _covering_balls(back: FloatArray, radius: FloatArray) -> tuple[tuple[float, float], ...]:
-    """Balls (centre behind the TCP, radius) [m] that together contain a body of revolution."""
+    """Return the balls (centre behind the TCP, radius) [m] that together contain a body of revolution."""
     size = max(float(radius.max()), 1e-3)
     edges = np.linspace(back[0], back[-1], max(int(np.ceil((back[-1] - back[0]) / size)), 1) + 1)
     out = []
@@ -568,12 +577,11 @@ def _covering_balls(back: FloatArray, radius: FloatArray) -> tuple[tuple[float, 
 
 
 def _rows_near_points(tree: cKDTree, path: HeadPath, back: float, size: float) -> IntArray:
-    """Rows of a path at which a point may be near the point of the head ``back`` [m] behind the TCP.
+    """Return the rows of a path at which a point of ``tree`` may be near a point of the head's axis.
 
-    Near is within ``size`` [m].
-
-    A section of the path is decided by one query at its middle if the nearest point is so far from there that
-    the head's point cannot come near it within the section, or so near that it stays near. Other sections are
+    The point of the axis is ``back`` [m] behind the TCP, and near means within ``size`` [m]. Only these rows
+    have to be checked exactly. A section of the path is decided by one query at its middle in two cases: no
+    point can come near within the section, or the nearest point stays near throughout. Other sections are
     halved.
     """
     count = len(path.rows)

@@ -44,7 +44,7 @@ class LazyVectors:
 class LazyCentres:
     """The TCPs of some arms as an array (T, A, 3) [m] in the sheet's frame, calculated when they are indexed.
 
-    Stored samples of an hour of motion would take as much memory as the motion itself.
+    They are not stored, because those of an hour of motion would take as much memory as the motion itself.
 
     Args:
         rows: Indices (T,) of the samples of the motion.
@@ -195,14 +195,17 @@ MAX_PLAN_OFFSET_M: Final = 1e-4
 def _remove_shifts(
     compensation: CompensatedSegment, forming_centres: LazyCentres, is_forming: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Calculate what is added along z (T,) [m] to the tools to remove their shifts.
+    """Calculate what is added along z (T,) [m] to the tools to remove their springback shifts.
+
+    Without the shifts the track can be compared with the nominal face.
 
     While the segment forms, the shift is that at the nearest point of the file's path. On the approach it is
     the shift at the start of the path, on the retreat that at its end, but only where the forming tool is
     straight above that point. Elsewhere tools are not shifted.
 
-    The second result is the distance (T,) [m] of the forming tool from the file's path while it forms, 0
-    elsewhere.
+    Returns:
+        What is added along z (T,) [m], and the distance (T,) [m] of the forming tool from the file's path
+        while it forms, 0 elsewhere.
     """
     shift, aside = np.zeros(len(forming_centres)), np.zeros(len(forming_centres))
     forming_rows = np.flatnonzero(is_forming)
@@ -289,9 +292,11 @@ def straight_pieces(tool_track: ToolTrack, within: float) -> TrackPieces:
 
 
 def _chord_deviation(centre: FloatArray | LazyCentres, first: IntArray, last: IntArray) -> FloatArray:
-    """Maximum deviation (K,) [m] of the samples between two rows from the straight line between these.
+    """Return for each of K pairs of rows the maximum deviation (K,) [m] of the track from straight lines.
 
-    ``centre`` is (T, A, 3). All arms are compared at the same fraction of their lines.
+    The lines of all arms lead from row ``first[k]`` to row ``last[k]``, and the samples between these rows
+    are compared with them. All arms are compared at the same fraction of their lines. ``centre`` (T, A, 3)
+    [m] are the TCPs of the track.
     """
     out = np.zeros(len(first))
     for chunk in np.array_split(np.arange(len(first)), max(1, len(first) // 4000)):
@@ -309,7 +314,7 @@ def _chord_deviation(centre: FloatArray | LazyCentres, first: IntArray, last: In
 
 
 def _bend_deviation(centre: FloatArray | LazyCentres, joined: BoolArray) -> FloatArray:
-    """Maximum deviation (T - 1,) [m] of ``centre`` (T, A, 3) from the straight line between samples.
+    """Return the maximum deviation (T - 1,) [m] of ``centre`` (T, A, 3) from straight lines between samples.
 
     It follows from the components of the second differences at both samples across that line, see
     `_corner_deviation`. Changes of speed alone do not bend the path.
@@ -333,7 +338,7 @@ def _bend_deviation(centre: FloatArray | LazyCentres, joined: BoolArray) -> Floa
 
 
 def _distance_deviation(centre: FloatArray | LazyCentres, joined: BoolArray) -> FloatArray:
-    """Maximum error (T - 1,) [m] of the distance d of the first two centres between two samples.
+    """Return the maximum error (T - 1,) [m] of the distance d of the first two centres between two samples.
 
     ``centre`` is (T, A, 3). A deviation along the line between the two counts fully, a deviation e across it
     counts e^2 / (2 d). The result is 0 for a single arm.
@@ -392,11 +397,16 @@ def _step_chunks(count: int) -> Iterator[tuple[slice, _StepSlices]]:
 def _corner_deviation(
     previous: FloatArray, following: FloatArray, joined: BoolArray, steps: slice
 ) -> FloatArray:
-    """Deviation (K, A) [m] from the straight line between two samples due to one sharp corner between them.
+    """Return the deviation (K, A) [m] from the straight line between two samples.
 
-    It is a b / (a + b) for the second differences a (``previous``) and b (``following``) (K, A) [m] at both
-    samples. A uniform bend causes a quarter of that. ``joined`` (T - 1,) tells which steps of the track join
-    subsequent samples of the motion, ``steps`` which of them are the K steps.
+    The bound assumes the worst case, one sharp corner between the samples. A uniform bend causes a quarter of
+    that deviation.
+
+    Args:
+        previous: Second differences a (K, A) [m] at the first sample of each of K steps.
+        following: Second differences b (K, A) [m] at the second sample. The deviation is a b / (a + b).
+        joined: Whether (T - 1,) each step of the track joins subsequent samples of the motion.
+        steps: Slice that selects the K steps among the T - 1 steps of the track.
     """
     is_joined = joined[steps]
     # across a gap the second difference is unknown, so the motion counts as straight there

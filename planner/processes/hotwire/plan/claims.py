@@ -147,6 +147,8 @@ def wire_stiffness(
 ) -> WireStiffness:
     """Return the stiffness of a round wire, or of a strip that bends across its thin side.
 
+    With it the proof models the wire as a rod.
+
     Second moments of area: pi d^4 / 64 of a disk, w t^3 / 12 of a rectangle. Torsion constants: pi d^4 / 32
     of a disk, Saint-Venant's series of a rectangle.
 
@@ -297,7 +299,11 @@ def _missing_surface_error(op: Straight, name: str) -> TandemError:
 
 
 def _cutting_order(surfaces: list[RuledSurface], up: FloatArray) -> list[int]:
-    """Return the cutting order: nested surfaces and holes, then strips, then outlines from the top down."""
+    """Return the indices of the surfaces in the order in which they are cut.
+
+    Nested surfaces and holes come first, the innermost before those around them. Strips follow, then outlines
+    from the top down.
+    """
     depth = nesting_depths(surfaces)
 
     def sort_key(k: int) -> tuple[int, int, float]:
@@ -313,7 +319,7 @@ def _cutting_order(surfaces: list[RuledSurface], up: FloatArray) -> list[int]:
 
 
 def nesting_depths(surfaces: list[RuledSurface]) -> list[int]:
-    """Return for each surface in how many other closed surfaces with parallel rulings it lies."""
+    """Return in how many other closed surfaces with parallel rulings each surface lies, 0 for strips."""
     depths = [0] * len(surfaces)
     axes = [_mean_ruling_direction(surface) for surface in surfaces]
     for i, inner in enumerate(surfaces):
@@ -448,7 +454,9 @@ def straight_claims(op: Straight, setup: Setup, part: Part | None) -> tuple[Clai
 def _straight_dialogue(op: Straight, bow: Bow, setup: Setup, cuts: list[ClaimedCut]) -> OperatorDialogue:
     """Return the operator dialogue: size and heat of the wire before the cuts, spacers after some of them.
 
-    The wire is off and cold while hands insert spacers near it.
+    Spacers are inserted after open cuts with a nearly level slot, if the operation requests them and no arm
+    holds the stock. Close to the limit of `RESTING_COSINE` the stop is optional. The wire is off and cold
+    while hands insert spacers near it.
     """
     material = f" {op.wire_material}" if op.wire_material.strip() else ""
     wire: dict[str, Figure] = {"diameter_mm": 2.0 * bow.radius / MM, "material": material}
@@ -478,7 +486,7 @@ def _straight_dialogue(op: Straight, bow: Bow, setup: Setup, cuts: list[ClaimedC
 
 
 def _mean_normal(ruled: RuledSurface) -> FloatArray:
-    """Return the mean unit normal (3,) of a ruled surface. It is shorter than 1 if the surface is curved."""
+    """Return the mean (3,) of the unit normals of a ruled surface. It is shorter than 1 if they differ."""
     move = 0.5 * (np.diff(ruled.start, axis=0) + np.diff(ruled.end, axis=0))
     along = ruled.end - ruled.start
     normal = np.cross(move, along[1:] + along[:-1])
@@ -496,7 +504,7 @@ def _bow_of_arm(op: Straight, setup: Setup) -> Bow:
 
 
 def _lead_claims(cuts: list[ClaimedCut], tolerance: float) -> list[facts.LeadsFrom]:
-    """Return claims on the lead-in directions that the user states."""
+    """Return a claim for each cut for which the user states the direction of its lead-in."""
     return [
         facts.LeadsFrom(item.segment, np.array(item.cut.lead, dtype=np.float64), tolerance)
         for item in cuts

@@ -34,6 +34,7 @@ def check_min_feed(op: Straight | ElasticWire, targets: Targets, time: FloatArra
         targets: Its N targets.
         time: Time (N,) [s] at which each target is reached.
     """
+    # index k below is the move to target k + 1
     speed = targets.travel[1:] / np.maximum(np.diff(time), 1e-9)
     has_min_feed = targets.feed_min[1:] > 0.0
     if not has_min_feed.any():

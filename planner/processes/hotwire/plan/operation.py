@@ -337,6 +337,7 @@ class Straight(HotWireOperation):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        """Require that the fields do not contradict one another."""
         if len(set(self.arms)) != len(self.arms):
             raise ValueError("arms: the bow and the block are held by two different arms")
         if self.cuts != "all":

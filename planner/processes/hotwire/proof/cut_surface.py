@@ -67,7 +67,7 @@ class WireSweep:
 
     @staticmethod
     def continuous(points: FloatArray) -> "WireSweep":
-        """Return a continuous sweep of unknown speed."""
+        """Return a continuous sweep of unknown speed, which is stored as 0."""
         return WireSweep(points, np.zeros(points.shape[:2]), np.ones(max(len(points) - 1, 0), dtype=bool))
 
 
@@ -144,6 +144,8 @@ def distance_to_sweep(
 ) -> tuple[FloatArray, FloatArray]:
     """Return signed distances (M,) [m] from points of a face to the swept sheet, and the wire's speeds.
 
+    Minus half the kerf, the distance is the deviation of the cut face from the nominal one.
+
     Distances are positive where the sheet is on the outer side of the face. Sheets that face in the other
     direction belong to another side of the part and are ignored. Both results are NaN where the nearest point
     is on the border of the sweep, because the wire did not pass there.
@@ -161,6 +163,7 @@ def distance_to_sweep(
     sheet = _refine_sweep(sweep)
     grid, count, width = sheet.points, *sheet.points.shape[:2]
     normals_grid = _sheet_normals(sheet)
+    # side_sign: -1 if the normals of the sheet point against those of the face
     side_sign = 1.0
     flat, flat_normals = grid.reshape(-1, 3), normals_grid.reshape(-1, 3)
     sampled = slice(None, None, max(1, len(points) // _SIDE_SAMPLES))
@@ -173,6 +176,7 @@ def distance_to_sweep(
     foot, speed = np.zeros((len(points), 3)), np.zeros(len(points))
     border = np.zeros(len(points), dtype=bool)
     row, column = np.divmod(nearest, width)
+    # is_open[k]: the sheet ends before station k, because the wire was elsewhere between stations k - 1 and k
     is_open = np.concatenate([[True], ~sheet.joined, [True]])
     for down in (0, -1, 1, -2):  # cells around the nearest grid point, nearest first
         for right in (-1, 0):
@@ -224,7 +228,8 @@ def distance_to_sweep(
                 border[better] = (first & on_first) | (second & on_second)
     normal_distance = dots(foot - points, normals)
     signed = np.where(normal_distance < 0.0, -best, best)
-    # a nearest point on the border may still be straight below the point; otherwise the wire passed by
+    # a nearest point on the border may still be straight below or above the point; if it is clearly aside,
+    # the wire did not pass there
     slanted = np.abs(normal_distance) < 0.9 * best - 1e-6
     lost = (border & slanted) | ~np.isfinite(best)
     return np.asarray(np.where(lost, np.nan, signed)), np.asarray(np.where(lost, np.nan, speed))
@@ -232,6 +237,9 @@ def distance_to_sweep(
 
 def max_excess_depth(claim: CutsSurface, sweep: WireSweep, inside: BoolArray) -> tuple[float, int]:
     """Return by how much [m] the slot reaches below the nominal face at most, and the index of the station.
+
+    Distances from the face to the sheet do not show a wire that runs below the face in addition, so this
+    looks from the wire to the face.
 
     Only points of the wire inside the block and above or below the face count, not those beside it. The face
     is taken as flat around each sample, so the function is for faces with small curvature.
@@ -390,9 +398,9 @@ def _refine_sweep(sweep: WireSweep) -> WireSweep:
 
 
 def _sheet_normals(sheet: WireSweep) -> FloatArray:
-    """Return unit normals (T, P, 3) of the sheet, across the wire and its path.
+    """Return unit normals (T, P, 3) of the sheet, across the wire and its path: path x wire.
 
-    They are 0 where the wire rotates about a point.
+    They are 0 at points that do not move, about which the wire rotates.
     """
     step = np.diff(sheet.points, axis=0) * sheet.joined[:, None, None]
     path = np.zeros_like(sheet.points)
@@ -418,7 +426,8 @@ CORNER_FAN_STEP_RAD: Final = np.deg2rad(3.0)
 def unreachable_distance(claim: FollowsRulings, points: FloatArray, half: float) -> FloatArray:
     """Return how much farther (N,) [m] than half a slot the slot's centre must stay from points of a surface.
 
-    This is the depth of foam that remains there. It is infinite far beyond the depth that the claim allows.
+    This is the depth of foam that a round wire leaves there. It is infinite if it is more than about 1 mm
+    beyond the depth that the claim allows.
 
     Args:
         claim: Claim on the rulings of the surface.
@@ -452,10 +461,19 @@ def _section_polyline(
 
 
 def _nearest_admissible_excess(line: FloatArray, half: float, left: float, max_wall: float) -> float:
-    """Return how much farther than ``half`` the nearest admissible centre of a slot is from the origin.
+    """Return how much farther [m] than half a slot the nearest admissible slot centre is from the origin.
 
-    The origin is a point of the line. Positions do not count if more than ``max_wall`` of the part is between
-    them and the origin. The search ends somewhat beyond ``left``, the depth that may remain. All are in m.
+    A centre is admissible if no piece of the line is closer to it than half the slot, and if little of the
+    part is between it and the origin.
+
+    Args:
+        line: Section of the surface (M, 2) [m]. The origin is one of its points.
+        half: Half the slot [m].
+        left: Depth of foam that may remain [m]. The search is limited to distances slightly beyond it.
+        max_wall: Length of the part [m] that may be between a centre and the origin.
+
+    Returns:
+        The excess, infinite if the search finds no admissible centre.
     """
     reach = 2.0 * half + left + 1e-3
     a, b = line[:-1], line[1:]

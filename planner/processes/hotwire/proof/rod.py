@@ -273,7 +273,11 @@ def _initial_state(rod: Rod, rotation: FloatArray, distance: float, side: float)
 
 
 def _move_to_goal(rod: Rod, state: RodState, goal: RodEnds) -> NewtonResult:
-    """Move the end of a rod to its required position, while the weight grows from 0."""
+    """Move the end of a rod to its required position, while the weight grows from 0.
+
+    Newton follows the shape in adaptive steps. If even a small step fails, the rod falls into the nearest
+    stable shape (`descend`). The result is not stable if this fails, too.
+    """
     first = rotation_matrix(state.attitudes)[:, 0].mean(axis=1)
     outcome = descend(rod.stiffness, state, RodEnds(first, goal.attitude, 0.0 * goal.weight))
     reached, step = 0.0, 0.1
@@ -291,7 +295,11 @@ def _move_to_goal(rod: Rod, state: RodState, goal: RodEnds) -> NewtonResult:
 
 
 def _closest_rotation(vector: FloatArray, turning: float | None) -> FloatArray:
-    """Return the rotation vector of the same attitude whose rotation about z is closest to ``turning``."""
+    """Return the rotation vector (3,) for an attitude whose rotation about z is closest to ``turning`` [rad].
+
+    ``vector`` (3,) is the shortest rotation vector of the attitude. The others have up to three more full
+    rotations about its axis. Without ``turning`` the shortest one is returned.
+    """
     if turning is None:
         return vector
     angle = float(np.linalg.norm(vector))
@@ -345,7 +353,7 @@ def make_path(
     has_jumped: BoolArray,
     jump_distance: FloatArray,
 ) -> RodPath:
-    """Compute points, curvature, tension and stability of the shapes at all instants.
+    """Compute points, curvature, tension and stability of the shapes at all instants, in batches.
 
     Args:
         rod: The rod.
@@ -390,7 +398,11 @@ def make_path(
 
 
 def _extrapolate(stiffness: FloatArray, state: RodState, ends: RodEnds) -> tuple[_RodMeasures, FloatArray]:
-    """Return Richardson-extrapolated measures, and the largest displacement of the points by it (T,)."""
+    """Return Richardson-extrapolated measures, and the largest displacement of the points by it (T,).
+
+    Lengths are in lengths of the rod. Where the coarse rod does not have the shape of the fine one, the
+    measures are those of the fine rod and the displacement is infinite.
+    """
     fine = _measure_state(state, ends)
     # coarse rod: each attitude is the mean of two; only the same shape may be combined
     left, right = state.attitudes[:, ::2], state.attitudes[:, 1::2]
@@ -532,7 +544,11 @@ def follow_rod(
 def _settle_instant(
     rod: Rod, end_motion: EndMotion, states: _FollowedStates, k: int, state: RodState
 ) -> None:
-    """Solve for the shape at instant k from a guess, and store it. A different shape is stored as a jump."""
+    """Solve for the shape at instant k from a guess, and store it.
+
+    If no continuation of the guess is stable, the rod falls into another shape, which is stored as a jump. If
+    the ends are too far apart for any shape, the guess is stored as unstable.
+    """
     ends = end_motion.at(float(k))
     outcome = solve_newton(rod.stiffness, state, ends)
     if _ends_too_far(ends):
@@ -546,7 +562,10 @@ def _settle_instant(
 
 
 def _follow_stepwise(rod: Rod, end_motion: EndMotion, states: _FollowedStates, a: int, b: int) -> None:
-    """Follow the rod from instant a to b, with smaller steps where needed. Jumps are marked."""
+    """Follow the rod from instant a to b, with smaller steps where needed, and store its states.
+
+    Jumps are marked at the next instant. If the ends are too far apart, the last shape is kept as unstable.
+    """
     state, is_stable = states.get(a), bool(states.is_stable[a])
     for k in range(a, b):
         time, step = float(k), 1.0
@@ -569,7 +588,7 @@ def _follow_stepwise(rod: Rod, end_motion: EndMotion, states: _FollowedStates, a
 
 
 def _is_continuation(state: RodState, outcome: NewtonResult) -> bool:
-    """Return whether the outcome is stable and the continuation of the same shape."""
+    """Return whether the outcome is stable, continues its guess, and is close to ``state``."""
     return (
         bool(outcome.is_stable[0] and outcome.is_continuation[0])
         and max_angle(state, outcome.state) < _MAX_STEP_ROTATION_RAD
@@ -600,7 +619,14 @@ def _max_point_distance(a: RodState, b: RodState) -> float:
 def _fill_spans(
     rod: Rod, end_motion: EndMotion, states: _FollowedStates, spans: list[tuple[int, int]]
 ) -> list[tuple[int, int]]:
-    """Solve for all instants inside spans (first, last) at once. Return the spans in which this failed."""
+    """Solve for all instants between the ends of spans (first, last) at once, and store the states.
+
+    Guesses are interpolated between the states at both ends. A solution is accepted if it is stable and close
+    to its guess.
+
+    Returns:
+        The spans in which an instant was not accepted, to be followed stepwise.
+    """
     inside = [np.arange(a + 1, b) for a, b in spans]
     if not inside:
         return []

@@ -133,7 +133,10 @@ class RodDerivatives:
 
 
 def joint_spacing(n: int) -> FloatArray:
-    """Return the distances (N + 1,) between neighbouring attitudes, clamps included."""
+    """Return the distances (N + 1,) between neighbouring attitudes, clamps included, in lengths of the rod.
+
+    The clamps are half a segment from the first and the last attitude.
+    """
     distances = np.full(n + 1, 1.0 / n)
     distances[[0, -1]] *= 0.5
     return distances
@@ -190,7 +193,8 @@ def rod_energy(stiffness: FloatArray, q: FloatArray, ends: RodEnds) -> FloatArra
 def rod_derivatives(stiffness: FloatArray, q: FloatArray, force: FloatArray, ends: RodEnds) -> RodDerivatives:
     """Return the derivatives of the Lagrangian with respect to rotations of the segments.
 
-    The rotation vectors (3, N, T) are in each segment's own frame, q -> q exp(rotation).
+    Newton's method uses them. The rotation vectors (3, N, T) are in each segment's own frame, q -> q
+    exp(rotation).
 
     Args:
         stiffness: Torsion and bending stiffnesses (3,).
@@ -248,7 +252,12 @@ def rod_derivatives(stiffness: FloatArray, q: FloatArray, force: FloatArray, end
 def _quadratic_form(
     a: FloatArray, b: FloatArray, v: FloatArray, dww: FloatArray, dwv: FloatArray, dvv: FloatArray
 ) -> FloatArray:
-    """Return (-v; a)^T [[dww, dwv^T], [dwv, diag dvv]] (-v; b), entry by entry."""
+    """Return (-v; a)^T [[dww, dwv^T], [dwv, diag dvv]] (-v; b) as matrices (3, 3, ...).
+
+    It is the part of a joint's second derivative that follows from the second derivatives of its energy, for
+    rotations of its neighbours that change the relative quaternion (w, v) by half of (-v; a) and (-v; b), up
+    to sign.
+    """
     ua = np.einsum("ji...,j...->i...", a, dwv)
     ub = np.einsum("ji...,j...->i...", b, dwv)
     result: FloatArray = np.einsum("ki...,k...,kj...->ij...", a, dvv, b) + v[:, None] * (dww * v)[None]

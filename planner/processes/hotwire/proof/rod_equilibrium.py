@@ -169,10 +169,11 @@ def weakest_mode(stiffness: FloatArray, state: RodState, ends: RodEnds) -> tuple
 def descend(stiffness: FloatArray, state: RodState, ends: RodEnds, rounds: int = 200) -> NewtonResult:
     """Descend to a stable shape for one instant, from a state that need not be near one.
 
-    A multiple of the unit matrix is added to the Hessian of each Newton step until the Hessian is positive
-    for all rotations that keep the end's position, and until the step lowers the energy. After each step the
-    end is moved back to its position. From an unstable equilibrium the first step goes along its weakest
-    mode.
+    It finds the shape into which a rod falls that has lost its own. A multiple of the unit matrix is added to
+    the Hessian of each Newton step until the Hessian is positive for all rotations that keep the end's
+    position, and until the step lowers the energy. After each step the end is moved back to its position.
+    From an unstable equilibrium the first step goes along its weakest mode. Newton's method completes the
+    result, which may still not be stable.
 
     Args:
         stiffness: Torsion and bending stiffnesses (3,).
@@ -193,13 +194,14 @@ def descend(stiffness: FloatArray, state: RodState, ends: RodEnds, rounds: int =
     parts = rod_derivatives(stiffness, state.attitudes, state.force, ends)
     for _ in range(rounds):
         ldu, pivots, negatives = factorise(saddle_matrix(parts, EIGENVALUE_LIFT + lift * n))
-        while negatives != 3 and lift < 1e6:
+        while negatives != 3 and lift < 1e6:  # 3 negative eigenvalues: positive for all allowed rotations
             lift = max(4.0 * lift, 0.1 / n)
             ldu, pivots, negatives = factorise(saddle_matrix(parts, EIGENVALUE_LIFT + lift * n))
         right_side = np.concatenate([-parts.gradient[..., 0].T.ravel(), parts.end_error[:, 0]])
         step, _ = lapack.dsytrs(ldu, pivots, right_side, lower=1)
         rotation, force = step[: 3 * n].reshape(n, 3).T[..., None], step[3 * n :, None]
         largest = float(np.abs(rotation).max())
+        # near a stable shape, or nothing lowers the energy
         if (largest < 1e-3 and lift == 0.0) or lift >= 1e6:
             break
         trial = _restore_end(apply_step(state, min(1.0, 0.4 / max(largest, 1e-300)) * rotation, force), ends)
@@ -266,7 +268,7 @@ class BlockElimination:
         self.negatives = negative_count + (3 - negative) - 3
 
     def solve_blocks(self, right: FloatArray) -> FloatArray:
-        """Return Hessian^-1 times ``right`` (3, m, N, T)."""
+        """Return Hessian^-1 times m right-hand sides (3, m, N, T), by forward and back substitution."""
         result = np.empty_like(right)
         carry = right[:, :, 0]
         result[:, :, 0] = carry
@@ -339,7 +341,8 @@ def weakest_eigenvalues(
 ) -> FloatArray:
     """Return the eigenvalue nearest to 0 (T,) of the second variation, by inverse iteration.
 
-    See `weakest_mode` for its normalisation.
+    For a stable shape it is the smallest one, from which the stability margin follows. See `weakest_mode` for
+    its normalisation.
 
     Args:
         stiffness: Torsion and bending stiffnesses (3,).
@@ -351,6 +354,7 @@ def weakest_eigenvalues(
     elimination = BlockElimination(parts)
     n, instants = state.attitudes.shape[1], state.attitudes.shape[2]
     s = (np.arange(n) + 0.5) / n
+    # an arbitrary smooth start that is orthogonal to no mode
     mode = np.stack([np.sin(3.0 * s + i) + s * (1.0 + i) for i in range(3)])[..., None] * np.ones(instants)
     value = np.zeros(instants)
     for _ in range(rounds):
@@ -375,9 +379,9 @@ def _multiply_transposed(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _invert_symmetric(a: FloatArray) -> tuple[FloatArray, IndexArray]:
-    """Return the inverse of symmetric (3, 3, T) and the number of negative eigenvalues (T,).
+    """Return the inverse of symmetric matrices (3, 3, T) and the number of their negative eigenvalues (T,).
 
-    Both follow from the leading minors.
+    The inverse follows from cofactors, the number from the sign changes of the leading minors.
     """
     c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[1, 2]
     c01 = a[0, 2] * a[1, 2] - a[0, 1] * a[2, 2]

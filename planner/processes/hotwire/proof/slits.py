@@ -104,7 +104,10 @@ class ContourSection:
 
     @property
     def is_surrounded(self) -> bool:
-        """Whether the part lies around contour ``index``: it is a hole, or lies in a larger one."""
+        """Whether the part lies around contour ``index``, so that a slit to it must cut the part.
+
+        It does if the contour is a hole, or lies in a larger hole.
+        """
         if self.holes[self.index]:
             return True
         ring = self.polygon
@@ -147,7 +150,10 @@ class ContourSection:
     def _batch_length_in_part(
         self, base: FloatArray, direction: FloatArray, length: FloatArray
     ) -> FloatArray:
-        """Return `length_in_part` of one batch: sort each slit's crossings and add up its solid pieces."""
+        """Return `length_in_part` of one batch: sort each slit's crossings and add up its solid pieces.
+
+        A piece lies between two crossings, or before the first or after the last one.
+        """
         edge = self.edge_end - self.edge_start
         to_edge = self.edge_start[None] - base[:, None]
         cross = direction[:, None, 0] * edge[None, :, 1] - direction[:, None, 1] * edge[None, :, 0]
@@ -169,12 +175,13 @@ class ContourSection:
         crossing_distance[row, crossing_index] = distances[row, column]
         crossing_owner[row, crossing_index] = self.owner[column]
         # far outside no contour is around the point; each border passed on the way back enters or leaves one
+        # (slit, crossing from the farthest on, contour from the smallest on)
         toggles = crossing_owner[:, ::-1, None] == np.argsort(self.areas)[None, None]
         is_around = np.concatenate(
             [np.zeros((len(base), 1, len(self.areas)), dtype=np.int64), np.cumsum(toggles, axis=1)], axis=1
         )[:, ::-1]
         is_around = is_around % 2 == 1
-        smallest = np.argmax(is_around, axis=2)
+        smallest = np.argmax(is_around, axis=2)  # the first one around the piece, in ascending order of areas
         solid = np.where(
             is_around.any(axis=2), ~self.holes[np.argsort(self.areas)][smallest], self.holes.all()
         )
@@ -236,7 +243,10 @@ class ContourSection:
         return float(self.length_in_part(base, direction, np.full(len(base), np.inf)).min())
 
     def _slit_starts(self) -> FloatArray:
-        """Return the points (K, 2) [m] of the contour at which slits are tried."""
+        """Return the points (K, 2) [m] of the contour at which slits are tried.
+
+        These are the outer corners of an outline if it has any, else `SLIT_START_SAMPLES` even positions.
+        """
         ring = self.polygon
         if not self.holes[self.index]:
             incoming, outgoing = ring - np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0) - ring
@@ -386,7 +396,11 @@ def lead_path(
 def _make_lead_path(
     context: Context, wire: WireMotion, rows: IntArray, claim: CutsSurface
 ) -> LeadPath | None:
-    """Return the lead at stations ``rows`` (N,), or None if the wire does not move across itself on it."""
+    """Return the lead at stations ``rows`` (N,), or None if the wire hardly moves across itself on it.
+
+    The lead must be at least `SLIT_ROUNDING_M` long across the wire. The stations begin with the wire next to
+    the contour.
+    """
     points = wire.points[rows]
     foot, along = points[0, 0], points[0, -1] - points[0, 0]
     along = along / np.linalg.norm(along)
@@ -403,7 +417,10 @@ def _make_lead_path(
 
 
 def find_slits(context: Context, wire: WireMotion) -> dict[str, Slit]:
-    """Return the slits that a wire makes in its setup, by the key of the segment that they lead to."""
+    """Return the slits that a wire makes in its setup, by the key of the segment that they lead to.
+
+    Only contours count that the part surrounds and that have both a lead-in and a lead-out.
+    """
     out: dict[str, Slit] = {}
     if wire.fault:
         return out

@@ -56,6 +56,7 @@ class SurfaceWalls:
         Distances are negative on the part's side. They are NaN where the nearest point is on the border of a
         surface, because the sides beyond its end are unknown.
         """
+        # upper bound: distance to the triangle with the nearest centroid, in groups of similar size
         best = np.full(len(points), np.inf)
         for group, tree, _ in self._size_groups:
             best = np.minimum(
@@ -84,7 +85,8 @@ class SurfaceWalls:
     def _close_pairs(self, points: FloatArray, reach: FloatArray, row: IntArray, tri: IntArray) -> IntArray:
         """Return the indices of pairs whose point may be within its ``reach`` (N,) [m] of the triangle's box.
 
-        Pairs consist of an index ``row`` (K,) of points (N, 3) and an index ``tri`` (K,) of triangles.
+        Exact distances are only computed for these. Pairs consist of an index ``row`` (K,) of points (N, 3)
+        and an index ``tri`` (K,) of triangles.
         """
         squared_distance = np.zeros(len(row))
         for at, low, high in zip(points.T, *self._boxes, strict=True):
@@ -107,6 +109,7 @@ class SurfaceWalls:
         """
         middle = self.corners.mean(axis=1)
         radius = np.linalg.norm(self.corners - middle[:, None], axis=2).max(axis=1)
+        # each group spans a factor of 4 in radius
         size = np.ceil(np.log2(np.maximum(radius, _MIN_TRIANGLE_SIZE_M)) / 2.0).astype(np.int64)
         groups = [np.flatnonzero(size == size_class) for size_class in np.unique(size)]
         return [
@@ -132,6 +135,7 @@ class SurfaceWalls:
         starts = np.searchsorted(row, np.arange(len(points)))
         # a point is on an edge if the opposite corner has no weight; at a corner of the border also triangles
         # without an edge on it meet, so all that are equally near count
+        # (edge k, from corner k to k + 1, is opposite corner k + 2, hence the shift by 2)
         edge = (np.roll(barycentric < 1e-9, -2, axis=1) & self.border[tri]).any(axis=1)
         order = np.lexsort((tri, distance, row))[starts]
         # at an edge as sharp as a wing's almost equally near points are on both sides: the same point counts
@@ -147,6 +151,7 @@ class SurfaceWalls:
     def _pseudonormal_angle(self, barycentric: FloatArray, tri: IntArray) -> FloatArray:
         """Return the angle (K,) [rad] that triangles cover around points with barycentric weights (K, 3).
 
+        It is 2 pi inside a triangle, pi on an edge, and the corner's angle at a corner.
         The sum of normals weighted by this angle separates the sides of edges and corners, however sharp.
 
         Source: Baerentzen and Aanaes, Signed distance computation using the angle weighted pseudonormal
@@ -198,9 +203,12 @@ def _border_edges(claim: CutsSurface) -> BoolArray:
 
 
 def _subdivide(corners: FloatArray, border: BoolArray) -> tuple[FloatArray, BoolArray]:
-    """Halve triangles (F, 3, 3) across their longest edges until all edges are short.
+    """Halve triangles (F, 3, 3) across their longest edges until no edge is longer than `MAX_WALL_EDGE_M`.
 
-    Return the triangles with their border edges (F, 3), as `SurfaceWalls` has them.
+    The division ends early at `MAX_WALL_TRIANGLES`.
+
+    Returns:
+        The triangles with their border edges (F, 3), as `SurfaceWalls` has them.
     """
     for _ in range(40):
         edge = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
@@ -294,10 +302,12 @@ class PartWalls:
 def straight_slot_overlap(
     claim: CutsSurface, sweep: WireSweep, other: CutsSurface, part: PartWalls
 ) -> SlotOverlap | None:
-    """Return where the slot of a straight wire cuts most deeply into another surface, or None.
+    """Return where the slot of a straight wire cuts most deeply into another surface, or None if nowhere.
 
-    Only points inside the block with depths beyond that surface's tolerance count. Where the surface
-    continues outside another one that it crosses, it does not bound the part and may be cut.
+    The other surface is divided into ever smaller triangles until each is too deep at its centroid, small, or
+    out of the slot's reach. Only points inside the block with depths beyond that surface's tolerance count.
+    Where the surface continues outside another one that it crosses, it does not bound the part and may be
+    cut.
 
     Args:
         claim: Claim on the cut.
@@ -328,7 +338,8 @@ def straight_slot_overlap(
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         normal_distance = dots(foot - middle, normal)
         inside = ((middle > block[0]) & (middle < block[1])).all(axis=1)
-        # from within the part a slot removes what it reaches, from beyond its own surface all that it passes
+        # At points outside the cut's own surface, a wire beneath the other surface has removed all foam above
+        # it: the depth is half the slot plus the distance beneath. Elsewhere a slot removes what it reaches.
         is_beyond = (
             inside
             & (normal_distance <= -MIN_BENEATH_COSINE * distance)
@@ -355,7 +366,7 @@ def straight_slot_overlap(
 def bent_slot_overlap(
     claim: CutsSurface, sweep: WireSweep, other: CutsSurface, part: PartWalls
 ) -> SlotOverlap | None:
-    """Return where the slot of a bent wire cuts most deeply into another surface, or None.
+    """Return where the slot of a bent wire cuts most deeply into another surface, or None if nowhere.
 
     It finds points of the wire that come closer to the other surface than half their slot, or pass through it
     between stations. Points on the outer side of the surface that the wire cuts do not count: their slot only
@@ -385,10 +396,11 @@ def bent_slot_overlap(
         return None
     signed[candidates] = part.wall(other).signed_distance(flat[candidates])[0]
     signed = signed.reshape(half.shape)
-    changes_side = joined & (signed[1:] * signed[:-1] < 0.0)  # NaN is no crossing
+    changes_side = joined & (signed[1:] * signed[:-1] < 0.0)  # NaN does not count as a crossing
     passes_through = np.zeros(half.shape, dtype=np.bool_)
     passes_through[1:] |= changes_side
     passes_through[:-1] |= changes_side
+    # a wire that passes through the surface removes half its slot at least there
     depth = np.where(passes_through, half, half - np.abs(signed))
     is_too_deep = depth > other.tolerance
     too_deep = np.flatnonzero(is_too_deep)
@@ -425,7 +437,11 @@ class _StraightSheet:
         self.tree = cKDTree(self.points) if len(self.points) else None
 
     def may_reach(self, points: FloatArray, size: FloatArray) -> BoolArray:
-        """Return whether the slot might reach something within ``size`` (N,) [m] of each point (N, 3)."""
+        """Return whether the slot might reach something within ``size`` (N,) [m] of each point (N, 3).
+
+        It is a quick bound from points along the wires. ``gap`` is the largest distance of any point of the
+        sheet from these.
+        """
         if self.tree is None:
             return np.zeros(len(points), dtype=np.bool_)
         reach = size + self.max_half + self.gap
@@ -443,6 +459,7 @@ class _StraightSheet:
         foot, row = np.zeros((len(points), 3)), np.zeros(len(points), dtype=np.int64)
         if self.tree is None:
             return distance, foot, half, row
+        # batches of points with neighbouring stations, so that few moves have to be compared
         order = np.argsort(self.row[self.tree.query(points)[1]], kind="stable")
         for first in range(0, len(points), _POINT_BATCH_SIZE):
             batch = order[first : first + _POINT_BATCH_SIZE]

@@ -127,7 +127,10 @@ def _cuts(context: Context, index: int, arms: tuple[str, ...]) -> frozenset[str]
 
 
 def phase_samples(context: Context, phase: JoinedPhase) -> IntArray:
-    """Return the indices of the motion's samples while the arms move the wire of a phase together."""
+    """Return the indices of the motion's samples while the arms move the wire of a phase together.
+
+    These are samples in synchronised stages of the phase, without synchronised approaches and retreats.
+    """
     stages = context.motion.stage
     synchronised = np.array(
         [stage.synchronised and not stage.is_synchronised_approach for stage in context.job.stages]
@@ -159,7 +162,7 @@ def station_samples(context: Context, rows: IntArray, arms: tuple[str, str]) -> 
 def _spaced_samples(context: Context, rows: IntArray, step_length: FloatArray) -> IntArray:
     """Return samples among ``rows`` every `STATION_SPACING_M` of the path, and all targets.
 
-    ``step_length`` (S,) is the path to each sample from the previous one.
+    ``step_length`` (S,) is the path [m] to each sample of ``rows`` (S,) from the previous one.
     """
     motion = context.motion
     path_length = np.cumsum(step_length)
@@ -205,7 +208,10 @@ def follow_wire(context: Context, phase: JoinedPhase, claim: WireJoins) -> WireM
 def straight_wire_motion(
     context: Context, index: int, arm: str, claims: tuple[StraightWire, ...]
 ) -> WireMotion:
-    """Return the wire of the bow that ``arm`` carries in setup ``index``, over the whole setup."""
+    """Return the wire of the bow that ``arm`` carries in setup ``index``, over the whole setup.
+
+    ``claims`` are those on this wire. The first one states its ends and its radius.
+    """
     motion, claim = context.motion, claims[0]
     samples = np.flatnonzero(context.sample_setup == index)
     if arm not in motion.tcp or not len(samples):
@@ -241,7 +247,10 @@ def _unfollowed_wire(
     fault: str,
     phase: JoinedPhase | None = None,
 ) -> WireMotion:
-    """Return a wire of setup ``index`` that cannot be followed at samples (T,)."""
+    """Return a wire of setup ``index`` that cannot be followed at samples (T,), with the reason as ``fault``.
+
+    It counts as infinitely far outside the block.
+    """
     arms: tuple[str, ...]
     if isinstance(claim, WireJoins):
         arms, radius = claim.arms, 0.5 * claim.thickness
@@ -263,7 +272,8 @@ def _unfollowed_wire(
 def depth_in_block(points: FloatArray, stock: Stock, radius: float) -> tuple[FloatArray, BoolArray]:
     """Return the depth (T,) [m] of wires in the block, and whether each point (T, P) is inside.
 
-    A negative depth is minus the distance to the block.
+    The depth is that of the deepest point, with half the thickness, among points on the straight pieces
+    between the given ones. A negative depth is minus the distance to the block.
 
     Args:
         points: Wires in the stock frame (T, P, 3) [m].
@@ -319,6 +329,7 @@ def end_error_deviation(context: Context, wire: WireMotion, selected: IntArray) 
         tangent = np.gradient(wire.path.points[k], axis=0)
         tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
         displaced_ends = [np.repeat(pose, 4, axis=0) for pose in ends]
+        # four displaced rods: each end along x (its tangent) and along y of its clamp
         for number, (end, axis) in enumerate(itertools.product((0, 1), (0, 1))):
             displaced_ends[end][number, :3, 3] += claim.end_error * ends[end][0, :3, axis]
         displacement = (

@@ -87,7 +87,7 @@ def sections(cutter: Cutter) -> tuple[ToolSection, ...]:
 def subdivide_moves(
     tip: FloatArray, axis: FloatArray, reach: float, step: float
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Subdivide straight moves of a tool.
+    """Subdivide straight moves of a tool into samples for the search for gouges.
 
     Args:
         tip: Tips (N, 3) [m].
@@ -96,7 +96,8 @@ def subdivide_moves(
         step: Maximum distance [m] between samples, of the faster end of the tool.
 
     Returns:
-        Tips (M, 3) [m] and axes (M, 3), and the index (M,) of the tip at the end of the current move.
+        Tips (M, 3) [m] and axes (M, 3) of the samples, and the index (M,) of the tip at the end of the move
+        on which each sample is, 0 for the first sample.
     """
     ends = np.stack([tip, tip + reach * axis], axis=1)
     lengths = np.linalg.norm(np.diff(ends, axis=0), axis=2).max(axis=1)
@@ -136,7 +137,7 @@ def may_touch(vertices: FloatArray, tip: FloatArray, axis: FloatArray, section: 
 def sample_section(
     tip: FloatArray, axis: FloatArray, section: ToolSection
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Return samples of a section on a path with tips and axes (N, 3).
+    """Return samples of a section on a path with tips and axes (N, 3), at a distance that its radius allows.
 
     Returns:
         As :func:`subdivide_moves`.
@@ -169,7 +170,7 @@ def path_distance(
 
 MAX_FACE_POINTS: Final = 3_000_000
 """Maximum number of face points near one section of the tool. The proof allows some more."""
-EDGE_DEPTH_M: Final = 5.0 * MM
+EDGE_ZONE_LENGTH_M: Final = 5.0 * MM
 """Length [m] behind a sharp edge of a tool that is checked with finer points."""
 EDGE_SPACING_FACTOR: Final = 2.0
 """Distance of face points near a sharp edge, as a factor of the tolerance."""
@@ -197,7 +198,11 @@ OVERHANG_TRIALS_M: Final = (5.0 * MM, 10.0 * MM, 20.0 * MM, 40.0 * MM, 80.0 * MM
 
 
 def check_work(work: MillingPlan) -> list[Issue]:
-    """Return the issues of all cuts of a milling job, with its notes."""
+    """Return the issues of all cuts of a milling job, with its notes.
+
+    Each cut is compared with each face of the part. If the rulings of the face that a flank cut produces are
+    too twisted for its cutter, this alone is reported.
+    """
     out = list(work.notes)
     for face in work.faces:
         for planned in work.cuts:
@@ -208,7 +213,11 @@ def check_work(work: MillingPlan) -> list[Issue]:
 
 
 def _twist_issues(work: MillingPlan, planned: PlannedCut) -> list[Issue]:
-    """Return the issue of a flank cut whose rulings are too twisted for its cutter."""
+    """Return the issue of a flank cut whose rulings are too twisted for its cutter, or nothing.
+
+    The rulings count as too twisted if the cutter deviates by more than the tolerance. Deviations beyond
+    `MAX_TWIST_FRACTION` of its radius have another cause.
+    """
     radius = work.cutter.radius
     if (
         not isinstance(planned.cut, FlankCut)
@@ -241,7 +250,8 @@ def _twist_issues(work: MillingPlan, planned: PlannedCut) -> list[Issue]:
 def _gouge_issues(work: MillingPlan, planned: PlannedCut, face: PartFace) -> list[Issue]:
     """Return issues about gouges of one cut into a face, or about a face that is too large to check.
 
-    Each section of the tool has at most one issue about a gouge.
+    Each section of the tool has at most one issue about a gouge. Face points near the sharp edges of a
+    section are only counted, because the proof needs that many.
     """
     out: list[Issue] = []
     reported: set[str] = set()
@@ -264,7 +274,7 @@ def _gouge_issues(work: MillingPlan, planned: PlannedCut, face: PartFace) -> lis
         for edge in _edge_sections(section):
             swept = SweptBody(tips, axes, edge.round_body)
             edge_count = count_near(corners, swept, MAX_QUERY_DISTANCE_M, edge_spacing, MAX_FACE_POINTS)
-            count, size = max((count, size), (edge_count, edge_spacing))
+            count, size = max((count, size), (edge_count, edge_spacing))  # the larger count with its spacing
         if count > MAX_FACE_POINTS:
             out.append(_too_large_issue(planned, face, section, count, size))
             continue
@@ -315,8 +325,10 @@ def _is_clear(
 
 def _edge_sections(section: ToolSection) -> tuple[ToolSection, ...]:
     """Return the parts of a section next to its sharp edges, near which face points must be closer."""
-    front = dataclasses.replace(section, end=min(section.end, section.start + EDGE_DEPTH_M))
-    back = dataclasses.replace(section, start=max(section.start, section.end - EDGE_DEPTH_M), corner=0.0)
+    front = dataclasses.replace(section, end=min(section.end, section.start + EDGE_ZONE_LENGTH_M))
+    back = dataclasses.replace(
+        section, start=max(section.start, section.end - EDGE_ZONE_LENGTH_M), corner=0.0
+    )
     return (back,) if section.corner > 0.0 else (front, back)
 
 
@@ -400,6 +412,9 @@ def _gouge_issue(
 ) -> Issue:
     """Return the issue of a pass that gouges a face.
 
+    It is ``milling.tool_radius`` if the cutter mills or engraves this face and is too thick for it there,
+    else ``milling.gouge``.
+
     Args:
         planned: Cut.
         run: Pass of the cut.
@@ -464,7 +479,7 @@ def largest_fitting_radius(
     radius: float,
     along: FloatArray | None = None,
 ) -> float | None:
-    """Return the radius [m] of the largest ball that touches the face at a point and contains no other point.
+    """Return the radius [m] of the largest ball that touches the face near a point without entering it.
 
     A ball of radius r about p + r n contains q if |q - p|^2 < 2 r (q - p) n. With ``along`` it is a cylinder,
     which is bounded only by points at one level of the axis.
@@ -473,7 +488,7 @@ def largest_fitting_radius(
         face: Face of the part.
         points: Points of the face (P, 3) [m].
         owner: Triangle of each point (P,).
-        k: Index of the point.
+        k: Index of the point around which face points within ``radius`` are compared in pairs.
         radius: Radius of the cutter [m].
         along: Axis of a flank (3,), None for a ball.
 
@@ -482,7 +497,7 @@ def largest_fitting_radius(
     """
     tree = cKDTree(points)
     nearby = np.asarray(tree.query_ball_point(points[k], radius), dtype=np.int64)
-    nearby = nearby[:: max(1, len(nearby) // 400)]
+    nearby = nearby[:: max(1, len(nearby) // 400)]  # at most about 800 points, because all pairs are compared
     corners = face.mesh.vertices[face.mesh.faces][owner[nearby]]
     weights = closest_weights(points[nearby], corners[:, 0], corners[:, 1], corners[:, 2])
     smooth = corner_normals(TriangleMesh(face.mesh.vertices, face.mesh.faces), CREASE_ANGLE_RAD)[

@@ -129,10 +129,10 @@ class UnreachedArea:
     fitting_radius: float | None
 
 
-def find_unreached(
+def find_unreached_region(
     face: Mesh, radius: float, tolerance: float, area: shapely.Geometry | None = None
 ) -> UnreachedArea | None:
-    """Find the region of a face that a ball cannot reach.
+    """Find the region of a face that a ball cannot reach, before lines over the face are planned.
 
     Args:
         face: Face of the part.
@@ -159,7 +159,7 @@ def find_unreached(
     )
     total_area = float(size[in_area].sum())
     tree = cKDTree(points)
-    subset = slice(None, None, -(-len(points) // MAX_TRIAL_POINTS))
+    subset = slice(None, None, -(-len(points) // MAX_TRIAL_POINTS))  # -(-a // b) is a / b rounded up
     points, normal, size = points[subset], normal[subset], size[subset]
     required = in_area[subset]
     hidden = DISTANCE_FRACTION * tolerance
@@ -214,7 +214,14 @@ def _largest_fitting_radius(
 
 
 def unreached_issue(name: str, region: UnreachedArea, radius: float, tolerance: float) -> Issue:
-    """Return the issue ``milling.tool_radius`` of the cut ``name``."""
+    """Return the issue ``milling.tool_radius`` about a region that the ball of the cut ``name`` cannot reach.
+
+    Args:
+        name: Name of the cut.
+        region: The region.
+        radius: Radius of the ball [m].
+        tolerance: Allowed cut-in [m].
+    """
     point_text = ", ".join(f"{v / MM:.1f}" for v in region.point)
     message = (
         f"{name}: a ball of {radius / MM:g} mm radius does not fit into front at {point_text} mm, where it "
@@ -325,7 +332,7 @@ SMOOTHING_RULINGS: Final = 3.0
 
 
 def cutter_axes(strip: RulingStrip, radius: float) -> tuple[FloatArray, FloatArray]:
-    """Place a cylinder on the outer side of a strip.
+    """Place a cylinder on the outer side of a strip, at each of its M rulings.
 
     Args:
         strip: Strip with evenly spaced rulings.
@@ -381,7 +388,13 @@ def _extend_guide(side: FloatArray) -> FloatArray:
 def _guide_shift(strip: RulingStrip, radius: float, is_closed: bool) -> FloatArray:
     """Choose the shift (M,) of the contact on the upper guide against that on the lower guide, in rulings.
 
-    ``is_closed``: the strip was closed before it was extended.
+    At some rulings, the shift with the smallest deviation of the cylinder from the surface is found in rounds
+    of trials. It is interpolated and smoothed between them.
+
+    Args:
+        strip: Extended strip with M rulings.
+        radius: Radius of the cylinder [m].
+        is_closed: Whether the strip was closed before it was extended.
     """
     count = len(strip.low)
     if count < 5:
@@ -397,6 +410,7 @@ def _guide_shift(strip: RulingStrip, radius: float, is_closed: bool) -> FloatArr
         trial_rows, trial_shifts = np.repeat(rows, SHIFT_TRIALS), trials.ravel()
         low, high = _contact_axes(strip, radius, trial_rows, trial_shifts)
         max_deviation = np.abs(
+            # the cylinder touches about midway between the contacts on both guides
             _cylinder_distances(strip, radius, low, high, trial_rows + 0.5 * trial_shifts)
         ).max(axis=1)
         cost = max_deviation.reshape(trials.shape) + SHIFT_COST_FACTOR * radius * np.square(

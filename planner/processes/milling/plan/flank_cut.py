@@ -41,7 +41,8 @@ MAX_LEAD_M: Final = 5.0
 def exit_distance(ends: FloatArray, direction: FloatArray, box: FloatArray, clearance: float) -> float:
     """Return the distance [m] that a cutter has to move to be beyond one side of the block.
 
-    All points of its axis are then clear of this side. The distance is at most ``MAX_LEAD_M``.
+    The length of a lead follows from it. All points of the axis are then clear of this side. The distance is
+    at most ``MAX_LEAD_M``.
 
     Args:
         ends: Points (K, 3) [m] of the cutter's axis.
@@ -78,6 +79,7 @@ def extend_axis(
     scale = max(float(np.linalg.norm(low_step)), float(np.linalg.norm(high_step)), 1e-12)
     straight = 0.5 * (low_step + high_step) / scale
     half_rotation = 0.5 * (high_step - low_step) / scale
+    # positions count the path of the faster end; the middle moves less, but 0.1 bounds a rotation in place
     path_length = length / max(float(np.linalg.norm(straight)), 0.1)
     rate = float(np.linalg.norm(half_rotation)) * 2.0 / max(float(np.linalg.norm(high - low)), 1e-9)
     rotating_length = min(path_length, 2.0 * MAX_LEAD_ROTATION_RAD / max(rate, 1e-9))
@@ -101,7 +103,7 @@ def round_corner(
     previous_axis: tuple[FloatArray, FloatArray],
     next_axis: tuple[FloatArray, FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
-    """Rotate the axis about a corner's ruling, at constant distances from it.
+    """Rotate the axis about the ruling of a convex corner, at constant distances from its ends.
 
     Args:
         corner_ruling: Ends of the corner's ruling, (3,) each [m].
@@ -228,7 +230,7 @@ def plan_passes(
     issues = tuple(check_flank(op, cut, ruled, cutter))
     if has_errors(issues):
         raise TandemError(issues)
-    overrun, in_block = tip_overrun(cut, cutter), CutterInBlock(cutter, box)
+    overrun, in_block = tip_overrun(cut, cutter), CutterAndBlock(cutter, box)
     finishing = place_cutter(op, cut, ruled, cutter.radius)
     depth = float(np.linalg.norm(finishing.high - finishing.low, axis=1).max()) + overrun
     out = []
@@ -277,7 +279,11 @@ def tip_overrun(cut: FlankCut, cutter: Cutter) -> float:
 
 
 def place_cutter(op: Milling, cut: FlankCut, ruled: RuledSurface, radius: float) -> FlankPlacement:
-    """Place a cutter of ``radius`` [m] along the surface, in the direction that the cut requires."""
+    """Place a cutter of ``radius`` [m] along the surface, in the direction that the cut requires.
+
+    With ``guides: surface`` its flank touches both guides, and it is rotated about the ruling between smooth
+    pieces. With ``guides: tool`` the guides lead the axis itself, and the deviation is 0.
+    """
     pieces = _oriented_strips(op, cut, ruled, radius)
     contact_radius = radius if cut.guides == "surface" else 0.0
     lows: list[FloatArray] = []
@@ -367,7 +373,7 @@ def check_flank(op: Milling, cut: FlankCut, ruled: RuledSurface, cutter: Cutter)
 def _corner_issues(
     cut: FlankCut, pieces: list[RulingStrip], closed: bool, radius: float, field: str
 ) -> Iterator[Issue]:
-    """Yield issues about inner corners between smooth pieces, in which a round cutter leaves a fillet."""
+    """Yield ``milling.corner`` for each inner corner between pieces, where a cutter leaves a fillet."""
     loop = [*pieces, pieces[0]] if closed and not pieces[0].is_closed else pieces
     for previous, following in itertools.pairwise(loop):
         corner_angle = float(
@@ -401,6 +407,7 @@ def _oriented_strips(op: Milling, cut: FlankCut, ruled: RuledSurface, radius: fl
         float(np.linalg.norm(np.diff(side, axis=0), axis=1).sum()) for side in (ruled.start, ruled.end)
     )
     step = max(radius * RULING_SPACING_FACTOR, 0.5 * total_length / MAX_RULINGS)
+    # chord error of the guides: 2 % of the tolerance, so that it does not count
     pieces = smooth_strips(ruled, cut.tip == "start", 0.02 * op.shape_tol_mm * MM, step)
     if cut.direction == "against" or (
         cut.direction in ("climb", "conventional") and cut.direction != _milling_direction(pieces[0])
@@ -420,7 +427,7 @@ def _milling_direction(strip: RulingStrip) -> str:
 
 
 @dataclasses.dataclass(frozen=True)
-class CutterInBlock:
+class CutterAndBlock:
     """Cutter and the block that it mills.
 
     Attributes:
@@ -433,9 +440,18 @@ class CutterInBlock:
 
 
 def _build_pass(
-    op: Milling, cut: FlankCut, name: str, placement: FlankPlacement, lift: float, in_block: CutterInBlock
+    op: Milling, cut: FlankCut, name: str, placement: FlankPlacement, lift: float, in_block: CutterAndBlock
 ) -> CutterPass:
-    """Return one pass with its leads. Its tip is ``lift`` [m] above the tip guide."""
+    """Return one pass with its leads.
+
+    Args:
+        op: Operation.
+        cut: Flank cut.
+        name: Name of the pass.
+        placement: Positions of the cutter along the surface.
+        lift: Height of the tip above the tip guide [m], negative if the tip overruns it.
+        in_block: Cutter and block.
+    """
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
     rows = thin_rows(
         np.stack([placement.low, placement.high], axis=1), CHORD_FRACTION * tolerance, op.step_mm * MM
@@ -458,7 +474,7 @@ def _extend_lead(
     high: FloatArray,
     rows: tuple[int, int],
     lift: float,
-    in_block: CutterInBlock,
+    in_block: CutterAndBlock,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the axes of a lead, which continues the motion of the cutter beyond one end of a pass.
 
@@ -497,7 +513,7 @@ def _extend_lead(
 
 
 def _remaining_exit(
-    low: FloatArray, high: FloatArray, direction: FloatArray, lift: float, in_block: CutterInBlock
+    low: FloatArray, high: FloatArray, direction: FloatArray, lift: float, in_block: CutterAndBlock
 ) -> float:
     """Return how far [m] a cutter still has to move along ``direction`` (3,) to be off the block, 0 if it is.
 

@@ -65,7 +65,8 @@ def milling_claims(work: MillingPlan, part: Part | None) -> tuple[Claim, ...]:
     """Return the claims of a milling job.
 
     They are on the spindle, the operator dialogue, feed and shape of each cut, and the faces of the part that
-    no cut may enter.
+    no cut may enter. The feeds of G-code files and engravings are not claimed here: the proof derives them
+    from the claim on the file or the curves.
     """
     op = work.operation
     out: list[Claim] = [ContactOnlyIn(("mill",), op.signal, op.spin_up_s)]
@@ -186,7 +187,10 @@ def _safe_moves(op: Milling, box: FloatArray) -> cutter_claims.SafeMoves:
 
 
 def _feed_claims(work: MillingPlan, planned: PlannedCut) -> list[Claim]:
-    """Return claims on the feeds of all passes of a cut, leads included."""
+    """Return claims on the feeds of all passes of a cut.
+
+    A lead-in may also have the speed of plunging, a lead-out that of rapid moves.
+    """
     op, out = work.operation, list[Claim]()
     cut_feed = None if isinstance(planned.cut, GCodeCut) else planned.cut.feed_mm_s
     feed = (cut_feed or op.feed_mm_s) * MM
@@ -274,7 +278,8 @@ def _flank_claim(
 def tool_poses(tip: FloatArray, axis: FloatArray) -> FloatArray:
     """Return poses (N, 4, 4) of tools whose TCP is the tip and whose z axis points out of the spindle.
 
-    The x axis is as close as possible to that axis of the block from which all tool axes are farthest.
+    The x axis is as close as possible to one axis of the block: the one to which no tool axis comes near.
+    Motion planning may rotate the tool about z.
 
     Args:
         tip: Tips (N, 3) [m].
@@ -292,11 +297,11 @@ def spin_freedom(arm: str, orient: Orient, count: int) -> ScrewFreedom:
 
     Args:
         arm: Name of the arm.
-        orient: ``base`` if the tool's x axis should aim at the robot's base. With ``best`` it need not, and
-            the possible gain of this aim is reported.
+        orient: ``base``: the tool's x axis should aim at the robot's base. ``best``: the rotation is free,
+            and the planner only reports what would be gained by this aim.
         count: Number of targets.
     """
-    twist = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    twist = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])  # rotation about z, no translation
     half_turn = np.full(count, np.pi)
     aim = Aim(arm, np.array([1.0, 0.0, 0.0]), is_preferred=orient == "base")
     return ScrewFreedom(f"spin_{arm}", {arm: twist}, -half_turn, half_turn, None, True, aim)
@@ -420,6 +425,7 @@ def _build_targets(
         pose={arm: tool_poses(route.tip, route.axis)},
         frame={arm: "stock"},
         freedoms=(spin_freedom(arm, op.orient, count),),
+        # moves that start or end at a stop count with their mean speed
         feed=np.where(np.append(False, stop[:-1]) | stop, MEAN_FEED_FRACTION, 1.0) * route.feed,
         feed_min=np.zeros(count),
         travel=_travel_lengths(route),
@@ -485,6 +491,7 @@ def rounding(claims: Sequence[Claim]) -> CornerRounding:
     tolerance = min((claim.tolerance for claim in (*path_claims, *spare_claims)), default=np.inf)
     air = min(CornerRounding.air, TIGHT_FRACTION * tolerance)
     work = max(air, ROUNDED_FRACTION * tolerance) if np.isfinite(tolerance) else air
+    # levers [m/rad] convert deviations of tilt and spin to distances, which then must not exceed ``work``
     tilt_lever, spin_lever = TURNING_LEVER, TURNING_LEVER * work / SPIN_TOLERANCE_M
     if not spare_claims and not any(isinstance(claim, cutter_claims.MillsSurface) for claim in claims):
         tilt_lever = min([tilt_lever, *(work / (ROUNDED_FRACTION * claim.turn) for claim in path_claims)])
@@ -516,7 +523,11 @@ def _curve_tolerances(claims: Sequence[Claim]) -> dict[str, tuple[tuple[float, f
 
 
 def _travel_lengths(route: MillingRoute) -> FloatArray:
-    """Return the distance (N,) [m] that the fastest working point of the cutter moves to each target."""
+    """Return the distance (N,) [m] that the fastest working point of the cutter moves to each target.
+
+    The first value is 0. Working points are the tip, and a point at the reach of the cutter, at least
+    `AIR_LEVER_M` behind the tip.
+    """
     out = np.zeros(len(route.tip))
     for reach in (0.0, np.maximum(route.reach[1:], AIR_LEVER_M)[:, None]):
         ends = route.tip[1:] + reach * route.axis[1:], route.tip[:-1] + reach * route.axis[:-1]

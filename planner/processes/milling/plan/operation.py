@@ -106,6 +106,7 @@ class GCodeFile(Strict):
 
     @model_validator(mode="after")
     def _check_machine(self) -> Self:
+        """Require that the fields do not contradict one another."""
         if (self.tool_axis == "rotary") != (self.convention is not None):
             raise ValueError("convention belongs to tool_axis: rotary, which needs one; give both or neither")
         if len(set(self.reverse)) != len(self.reverse):
@@ -355,6 +356,10 @@ class Milling(Strict):
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:
+        """Require that the names of all cuts differ, ignoring case and runs of underscores.
+
+        Names become segments of the programs, which must be unique.
+        """
         names = self.segments
         if len({fold(name) for name in names}) != len(names):
             raise ValueError(
@@ -365,8 +370,9 @@ class Milling(Strict):
 
     @model_validator(mode="after")
     def _check_files_last(self) -> Self:
-        files = [isinstance(cut, GCodeCut) for cut in self.cuts]
-        if files != sorted(files):
+        """Require that cuts from G-code files come after all surfaces and patterns."""
+        are_files = [isinstance(cut, GCodeCut) for cut in self.cuts]
+        if are_files != sorted(are_files):
             raise ValueError(
                 "cuts: a surface or pattern after a file would be milled at the speed and in the direction "
                 "that the file left the spindle with; put files last, or in a separate operation"

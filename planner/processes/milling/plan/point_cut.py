@@ -63,7 +63,7 @@ def tool_tips(contact: FloatArray, normal: FloatArray, axis: FloatArray, cutter:
 
 
 def ridge_step(height: float, radius: float, curvature: FloatArray) -> FloatArray:
-    """Return the distance (N,) [m] between lines of a ball that leave ridges of a given height.
+    """Return the distance (N,) [m] between lines of a ball that leave scallops (ridges) of a given height.
 
     With the step s, the radius R and the curvature k, the height is h = s^2 / 8 (1 / R + k), the difference
     of two parabolas. In hollows the step is at most twice that of a flat face, because a hollow is small and
@@ -113,7 +113,7 @@ ridges.
 def plan_lines(
     op: Milling, cut: LinesCut, face: FaceFromAbove, cutter: Cutter, area: shapely.Geometry | None = None
 ) -> list[CutterPass]:
-    """Plan the passes over the face: lines in order, with adjacent lines of a zigzag joined.
+    """Plan the passes of point milling over a face: lines in order, adjacent lines of a zigzag joined.
 
     Args:
         op: Operation.
@@ -142,6 +142,7 @@ def plan_lines(
     line_points = np.linspace(lows[0], highs[0], count)[:, None] * direction
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
     # The fraction sqrt(tolerance / height) of a round ridge is within the tolerance.
+    # At least op.share of the face has to be within it.
     max_ridge = MAX_RIDGE_FACTOR * tolerance / op.share**2
     parallel_lines = ParallelLines(line_points, side, first=lows[1], last=highs[1])
     offsets = _line_offsets(cut, face, parallel_lines, cutter, max_ridge)
@@ -273,7 +274,11 @@ def _check_ridges(cut: LinesCut, lowest: float, max_ridge: float) -> None:
 def _next_step(
     cut: LinesCut, face: FaceFromAbove, lines: ParallelLines, offset: float, cutter: Cutter
 ) -> tuple[float, float]:
-    """Return the plan distance [m] to the next line, and the height [m] of the lowest ridge between them."""
+    """Return the plan distance [m] to the next line, and the height [m] of the lowest ridge between them.
+
+    The surface is examined along the line at ``offset`` [m] and about where the next line is expected. The
+    step is at least 0.02 mm.
+    """
     side_vector = np.append(lines.side, 0.0)
     stepover = cut.stepover_mm * MM if cut.stepover_mm is not None else None
     steps, ridges = [], []
@@ -300,6 +305,7 @@ def _next_step(
                 shifted_lines[2].normal[on_face] - shifted_lines[0].normal[on_face]
             ) @ side_vector
             curvature = normal_change / (2.0 * CURVATURE_SPAN_M)
+        # steps on the surface are shorter in plan by the cosine of the slope across the lines
         cosine = np.sqrt(np.maximum(1.0 - slope**2, 1e-4))
         if stepover is not None:
             steps.append(float((stepover * cosine).min()))
@@ -322,7 +328,16 @@ def _stretches_on_face(projected: ProjectedPoints) -> list[tuple[int, int]]:
 def _line_tool_path(
     cut: LinesCut, point: FloatArray, normal: FloatArray, direction: FloatArray, reverse: bool, cutter: Cutter
 ) -> tuple[FloatArray, FloatArray]:
-    """Return tips (N, 3) [m] and axes (N, 3) along a line, from its contact points and normals (N, 3)."""
+    """Return tips (N, 3) [m] and axes (N, 3) of the cutter along a line.
+
+    Args:
+        cut: Cut by lines.
+        point: Contact points (N, 3) [m].
+        normal: Normals of the face there (N, 3).
+        direction: Direction of the lines in plan (2,). Not used.
+        reverse: Whether the line is milled in reverse order.
+        cutter: Cutter of the arm.
+    """
     if reverse:
         point, normal = point[::-1], normal[::-1]
     feed = np.gradient(point, axis=0)
@@ -506,6 +521,7 @@ def _axes_through(cut: EngraveCut, number: int, point: FloatArray, axis_curve: E
     at = np.stack([np.interp(fractions[0], fractions[1], axis_points[:, k]) for k in range(3)], axis=1)
     offsets = at - point
     length = np.linalg.norm(offsets, axis=1)
+    # distances of both pairs of ends, as given and with the axis curve reversed
     ends = (
         np.array([point[0] - axis_points[0], point[-1] - axis_points[-1]]),
         np.array([point[0] - axis_points[-1], point[-1] - axis_points[0]]),

@@ -86,6 +86,7 @@ def plan_gcode_passes(cut: GCodeCut, step: float, tolerance: float, field: str) 
     speed, last_row = 0.0, -1
     for number, (first, last) in enumerate(stretches):
         question = _operator_question(path, program.events, (first, last), last_row, speed)
+        # an event happens at the position event.row - 1; waits at the start of a stretch are left out
         waits = [
             (event.row - 1 - first, event.seconds)
             for event in program.events
@@ -103,7 +104,11 @@ def plan_gcode_passes(cut: GCodeCut, step: float, tolerance: float, field: str) 
 
 
 def _stretches(cutting: BoolArray) -> Iterator[tuple[int, int]]:
-    """Yield first and last index of each stretch of cuts. The first index is the position where it starts."""
+    """Yield first and last index of each stretch of cuts.
+
+    ``cutting`` (N,) tells for each position whether the move to it cuts. The first index is the position
+    before the first cut, where the stretch starts.
+    """
     edges = np.flatnonzero(np.diff(cutting.astype(np.int8), append=0))
     yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
 
@@ -111,7 +116,10 @@ def _stretches(cutting: BoolArray) -> Iterator[tuple[int, int]]:
 def _pause_issues(
     events: Sequence[GCodeEvent], stretches: Sequence[tuple[int, int]], file: str
 ) -> Iterator[Issue]:
-    """Yield issues about pauses for the operator inside a cut."""
+    """Yield issues about pauses for the operator inside a stretch of cuts, its ends excluded.
+
+    An event happens at the position with the index ``event.row - 1``.
+    """
     for event in events:
         if event.kind == "pause" and any(first < event.row - 1 < last for first, last in stretches):
             message = (
@@ -167,7 +175,15 @@ def _build_pass(
 ) -> CutterPass | None:
     """Return a pass with as few targets as the tolerance allows, None if the tool does not move in it.
 
-    ``waits`` are positions by index, with durations [s]. Targets are at most ``step`` [m] apart.
+    Targets are added near changes of the feed, so that the controller changes the speed close to them.
+
+    Args:
+        name: Name of the pass.
+        path: Positions of the cuts, from the one where the pass starts.
+        waits: Index in ``path`` and duration [s] of each wait.
+        question: Question to the operator before the pass, or "".
+        tolerance: Allowed deviation [m].
+        step: Maximum distance between targets [m].
     """
     points = np.stack([path.tip, path.tip + AXIS_LEVER_M * path.axis], axis=1)
     rows = _kept_rows(points, path.feed, [row for row, _ in waits], CHORD_FRACTION * tolerance, step)
@@ -179,6 +195,8 @@ def _build_pass(
     thinned_path = ToolPath(
         path.tip[rows], path.axis[rows], feed, kind, path.spindle[rows], path.tool[rows], path.line[rows]
     )
+    # indices: rows into ``path``, stops into ``thinned_path``, target_rows from ``subdivided`` to
+    # ``thinned_path``
     stops = [(int(np.searchsorted(rows, row)), seconds) for row, seconds in waits]
     change = np.append(np.append(False, _feeds_differ(thinned_path.feed[1:-1], thinned_path.feed[2:])), False)
     change &= ~stop_flags(thinned_path.tip)  # at a stop the feed can change without additional targets
@@ -207,7 +225,7 @@ def _build_pass(
 
 
 def _feeds_differ(previous: FloatArray, following: FloatArray) -> BoolArray:
-    """Return whether (N,) feeds differ by more than ``FEED_TOLERANCE_FACTOR``."""
+    """Return whether feeds (N,) before and after positions differ by more than `FEED_TOLERANCE_FACTOR`."""
     return np.maximum(previous, following) > FEED_TOLERANCE_FACTOR * np.minimum(previous, following)
 
 
@@ -219,6 +237,7 @@ def _kept_rows(
     They are both ends, changes of feed, waits, and as many positions between them as the chord error
     ``chord`` [m] and the distance ``step`` [m] require.
     """
+    # level: feeds within one factor count as equal; feed[0] is not used by any move
     level = np.floor(np.log(np.maximum(feed[1:], 1e-9)) / np.log(FEED_TOLERANCE_FACTOR))
     breaks = np.unique([0, *(np.flatnonzero(np.diff(level)) + 1).tolist(), *waits, len(feed) - 1])
     parts = [np.zeros(1, dtype=np.int64)]
@@ -382,7 +401,7 @@ def _plan_on_front(
         # The strip within the margin is not milled, so it is not required either.
         area = cutter_contact.inner_area(front, cut.margin_mm * MM) if cut.margin_mm else None
         if cutter.kind == "ball":
-            region = cutter_contact.find_unreached(front, cutter.radius, tolerance, area)
+            region = cutter_contact.find_unreached_region(front, cutter.radius, tolerance, area)
             if region is not None:
                 raise TandemError(
                     cutter_contact.unreached_issue(cut_name(cut), region, cutter.radius, tolerance)

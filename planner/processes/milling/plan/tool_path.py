@@ -91,7 +91,8 @@ class CutterPass:
         path: Positions of the cutter.
         first: Rows up to this one lead in.
         last: Rows after this one lead out; rows in between cut.
-        reach: Distance behind the tip up to which the cutter works [m], for the feed of its fastest point.
+        reach: Distance behind the tip up to which the cutter works [m]. The feed holds for the fastest point
+            in it.
         question: Question to the operator before the pass, with the spindle stopped.
         waits: Rows of ``path`` at which the tool waits, and durations [s].
     """
@@ -178,6 +179,7 @@ def insert_near_changes(
     is_short = first & last & (lengths < 2.5 * distance)
     fraction = distance / np.maximum(lengths, 1e-9)
     early, late = np.where(is_short, 0.5, fraction), 1.0 - fraction
+    # per move: fractions of a position after its start, one before its end (1: none), and its end
     fractions = np.stack(
         [np.where(is_long & first, early, 1.0), np.where(is_long & last & ~is_short, late, 1.0)], axis=1
     )
@@ -300,7 +302,7 @@ def plan_route(op: Milling, passes: Sequence[CutterPass], box: FloatArray) -> Mi
 
 
 def safe_points(op: Milling, run: CutterPass, box: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the points (3,) from which the tool moves down to a pass and to which it retracts.
+    """Return the points (3,) [m] from which the tool moves down to a pass and to which it retracts.
 
     They are on the safe plane or above, on the tool's own axes at the ends of the pass.
     """

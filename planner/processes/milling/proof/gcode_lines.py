@@ -78,7 +78,7 @@ def read_words(path: Path, block_delete: bool | None) -> GCodeWords:
 
 
 def split_words(text: bytes, block_delete: bool | None) -> GCodeWords:
-    """Return the words of a text. For the arguments see :func:`read_words`.
+    """Return the words of a text, without comments. For the arguments see :func:`read_words`.
 
     Raises:
         UnreadableError: The text is not readable as G-code.
@@ -119,6 +119,7 @@ def split_words(text: bytes, block_delete: bool | None) -> GCodeWords:
         is_capital & ~np.append(is_digit[1:], False), line_counts, "a letter without a number after it"
     )
     line = line_counts[letters] + 1
+    # letters become blanks (32), so that splitting leaves the numbers in order
     values = text.translate(
         bytes(32 if chr(k).isascii() and chr(k).isupper() else k for k in range(256))
     ).split()
@@ -329,7 +330,10 @@ def refuse(wrong: BoolArray, numbers: IntArray, reason: str) -> None:
 
 
 def _cut_at_end(words: GCodeWords) -> GCodeWords:
-    """Return the words up to M2, M30, or the % after the first words."""
+    """Return the words up to M2, M30, or the % that ends the program.
+
+    A % before the first words starts the program, the next one ends it.
+    """
     last = np.iinfo(np.int64).max
     first_line = int(words.line[0]) if len(words.line) else last
     for number, mark in enumerate(words.marks.tolist()):
@@ -427,8 +431,14 @@ def _tools_and_speeds(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the number of the tool in the spindle and the spindle's speed [1/min], (L,) each.
 
-    ``requested`` (L,) are the values of T, NaN for none, and ``others`` the values that the groups of M codes
-    set. After a tool change the spindle runs as the problem states.
+    After a tool change the spindle runs clockwise if the problem states its speed, else it stops.
+
+    Args:
+        requested: Values of T (L,), NaN for none.
+        others: Codes of M that lines have, by group, in tenths, (L,) each, NaN for none.
+        speed: Spindle speed that S or the problem states (L,) [1/min].
+        stated: What the problem states about the file.
+        numbers: Numbers of the lines (L,).
     """
     running = 1.0 if stated.spindle_rpm is not None else 0.0
     change = np.isfinite(others["change"])
@@ -455,9 +465,16 @@ def _modal_feeds(
     first: Mapping[str, float],
     stated: ProgramFile,
 ) -> FloatArray:
-    """Return feeds (L,) in the units of their modes. A change of mode cancels the previous feed.
+    """Return the feeds (L,) that hold on the lines, in the units of their modes, NaN for none.
 
-    ``feed`` (L,) are the values of F and ``set_by`` (L,) the feed modes that lines set, NaN for none.
+    A change of mode cancels the previous feed. With inverse time only the F of the line itself counts.
+
+    Args:
+        feed: Values of F (L,), NaN for none.
+        set_by: Feed modes that lines set (L,), NaN for none.
+        mode: Modes that hold on the lines, (L,) each.
+        first: Modes that hold before the first line.
+        stated: What the problem states about the file.
     """
     count = len(feed)
     current = mode["feed_mode"]

@@ -86,7 +86,9 @@ class ProgrammedPath:
 
 
 def read_path(stated: ProgramFile, chord: float) -> ProgrammedPath:
-    """Return the path that a file states.
+    """Return the path that a file states for the tool that is used, in the stock frame.
+
+    Arcs and rotations are divided into pieces.
 
     Args:
         stated: The file and what the problem states about it.
@@ -123,6 +125,7 @@ def read_path(stated: ProgramFile, chord: float) -> ProgrammedPath:
     length = np.linalg.norm(positions[move_lines] - start[move_lines], axis=1)
     length[is_arc] = arcs.length
     feed = _move_speeds(state, move_lines, length)
+    # piece_moves: index of the move of each piece; fraction: position of the piece's end on its move
     piece_moves = np.repeat(np.arange(len(move_lines)), pieces)
     fraction = (np.arange(len(piece_moves)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 1) / pieces[
         piece_moves
@@ -130,6 +133,7 @@ def read_path(stated: ProgramFile, chord: float) -> ProgrammedPath:
     starts = np.where(np.isfinite(start[move_lines]), start[move_lines], positions[move_lines])
     tips = starts[piece_moves] + fraction[:, None] * (positions[move_lines] - starts)[piece_moves]
     on_arc = np.flatnonzero(is_arc[piece_moves])
+    # the running count of arcs converts indices of moves to indices of arcs
     tips[on_arc] = arcs.interpolate((np.cumsum(is_arc) - 1)[piece_moves[on_arc]], fraction[on_arc])
     is_move_end = fraction == 1.0
     tips[is_move_end] = positions[move_lines]
@@ -264,7 +268,11 @@ def _refuse_unpositioned(state: GCodeLines, moving: BoolArray, row: IntArray) ->
 
 
 def _move_speeds(state: GCodeLines, row: IntArray, length: FloatArray) -> FloatArray:
-    """Return the speeds (R,) [m/s] of the moves on lines ``row`` (R,) with lengths ``length`` (R,) [m]."""
+    """Return the speeds (R,) [m/s] of the moves on lines ``row`` (R,) with lengths ``length`` (R,) [m].
+
+    They are infinite for rapid moves, and for a move by inverse time from an unknown position, whose length
+    is NaN.
+    """
     mode, feed = state.feed_mode[row], state.feed[row]
     per_turn = np.where(mode == REVOLUTION, np.abs(state.spindle[row]), 1.0)
     out = feed * np.where(mode == INVERSE, length, per_turn) / 60.0

@@ -57,7 +57,7 @@ class PathDeviation:
 def match_path(
     claim: MillsAlong, tip: FloatArray, axis: FloatArray, sample_rows: IntArray | None = None
 ) -> PathDeviation:
-    """Compare a track with a claimed path.
+    """Compare a track with a claimed path, and find the position of each sample along it.
 
     A stretch of the path leads from one of its points to the next. The search for a sample starts at the
     match of the previous sample. The sample is matched to the first stretch whose tolerances it keeps, or to
@@ -116,6 +116,8 @@ def _count_missed(claim: MillsAlong, tip: FloatArray, axis: FloatArray, low: Int
     Point k has to be passed between the samples ``low[k]`` and ``high[k]``, and not before the previous
     points. The order matters, because a step back that the tool leaves out is near the track, too.
     """
+    # reached: position on the track, as the index of a sample plus a fraction, at which the last point was
+    # passed
     missed, reached = 0, 0.0
     ends = np.cumsum(np.maximum(high - low, 1))
     start = 0
@@ -268,7 +270,7 @@ class _ClaimedPath:
         return self._advance(tip, axis, candidate, end) if candidate.cost <= 1.0 else best
 
     def _advance(self, tip: Row, axis: Row, first: _PathMatch, end: int) -> _PathMatch:
-        """Return the nearest match among the stretch of ``first`` and those that follow.
+        """Return the nearest match among the stretch of ``first`` and those that follow, up to ``end``.
 
         The search ends where the sample does not keep the tolerances of a stretch, or of the point before it.
         Of equally near matches the first one is returned.
@@ -354,7 +356,8 @@ Corners are rounded, and the position along the path is not known more accuratel
 def max_feeds(claim: MillsAlong, sample_rows: IntArray, deviation: PathDeviation, count: int) -> FloatArray:
     """Return the maximum feed (T - 1,) [m/s] from each of T samples to the next.
 
-    It is the highest feed of all stretches of the path on which the tool may be.
+    It is the highest feed of all stretches of the path on which the tool may be: from the matched sample
+    before the move to the one after it, and `FEED_TOLERANCE_FACTOR` tolerances to both sides.
 
     Args:
         claim: Claimed path.

@@ -37,7 +37,7 @@ from planner.proof.part_files.drawn_curves import (
     MILLIMETRE_M,
     CurveReadError,
     curve_points,
-    split_curves,
+    explode_drawings,
 )
 from planner.proof.part_files.plan_face import PlanFace, PlanFacePoints
 from planner.tooling import Cutter
@@ -147,6 +147,8 @@ def program_passes(program: MillsProgram) -> tuple[ProgramPass, ...]:
         ),
         1,
     ):
+        # a pause happens at the position before_count - 1: after the previous pass, and up to the start of
+        # this one
         pauses = [line for line, before_count in path.pauses if previous_row < before_count - 1 <= first]
         parts = [milling_sentences.FILE_LINE.format(line=line) for line in pauses]
         pass_speed = float(path.spindle[last])
@@ -165,7 +167,10 @@ def program_passes(program: MillsProgram) -> tuple[ProgramPass, ...]:
 
 
 def _extent(path: ProgrammedPath, rows: slice) -> float:
-    """Return how far [m] a stretch gets from its first position: the larger value of tip and lever point."""
+    """Return how far [m] a stretch gets from its first position: the larger value of tip and lever point.
+
+    The lever point is `PASS_LEVER_M` behind the tip, so that a rotation in place counts, too.
+    """
     tip, lever_point = path.tip[rows], path.tip[rows] + PASS_LEVER_M * path.axis[rows]
     return float(max(np.linalg.norm(points - points[0], axis=1).max() for points in (tip, lever_point)))
 
@@ -177,7 +182,7 @@ def _longest_wait(path: ProgrammedPath) -> float:
     stretch = np.concatenate([[0], np.cumsum(moved)])
     durations = np.zeros(stretch[-1] + 1)
     for seconds, at in path.waits:
-        durations[stretch[at - 1]] += seconds
+        durations[stretch[at - 1]] += seconds  # a wait happens at the position at - 1
     return float(durations.max())
 
 
@@ -258,7 +263,7 @@ def engraving_claims(claim: Engraves) -> Iterator[Claim]:
         CurveReadError: A curve is missing, cannot be read, or is not over the face.
     """
     claim = dataclasses.replace(
-        claim, curves=split_curves(claim.curves), axis_curves=split_curves(claim.axis_curves)
+        claim, curves=explode_drawings(claim.curves), axis_curves=explode_drawings(claim.axis_curves)
     )
     if claim.axis == "curves" and len(claim.axis_curves) != len(claim.curves):
         raise CurveReadError(f"{len(claim.axis_curves)} axis curves for {len(claim.curves)} curves")
@@ -282,7 +287,14 @@ def engraving_claims(claim: Engraves) -> Iterator[Claim]:
 
 
 def _curve_claims(claim: Engraves, face: PlanFace, number: int, curve: FloatArray) -> tuple[MillsAlong, ...]:
-    """Return the claims on the paths along, down to and up from curve ``number`` of a claim, (K, 3) [m]."""
+    """Return the claims on three paths: along a curve, down to its start, and up from its end.
+
+    Args:
+        claim: Claim on the engraving.
+        face: Face of the part.
+        number: Index of the curve in the claim.
+        curve: Points of the curve (K, 3) [m], in the direction of milling.
+    """
     tip, axis = engraving_tool(claim, face, number, curve)
     segment, feed = Segment(MILL, f"{claim.name}_c{number + 1}"), np.full(len(tip), claim.feed)
     return (
@@ -410,7 +422,10 @@ def resolve_claims(claims: Claims) -> tuple[Claims, tuple[Issue, ...]]:
 
 
 def _resolve_group(group: tuple[Claim, ...], issues: list[Issue]) -> Iterator[Claim]:
-    """Yield the claims of an operation, with those on files and curves resolved; add faults to ``issues``."""
+    """Yield the claims of an operation, with those on files and curves resolved.
+
+    Issues about files and curves that cannot be read are added to ``issues``.
+    """
     programs = [claim for claim in group if isinstance(claim, MillsProgram)]
     passes_by_program = {program.name: _readable_passes(program, issues) for program in programs}
     for claim in group:

@@ -88,6 +88,8 @@ class _NearestPoints:
 def pass_lift(claim: MillsFlank, number: int) -> float:
     """Return the height [m] of the tip in a pass above the tip in the last pass.
 
+    It is 0 for the last roughing pass and the finishing pass.
+
     Args:
         claim: Claim on the surface.
         number: Index of the pass.
@@ -102,7 +104,7 @@ def _total_depth(claim: MillsFlank) -> float:
 
 
 def check_pass(claim: MillsFlank, number: int, tip: FloatArray, axis: FloatArray) -> FlankPassResult:
-    """Compare the samples of a pass with the surface.
+    """Compare the samples of a pass with the guides of the surface along which it mills.
 
     Args:
         claim: Claim on the surface.
@@ -197,7 +199,7 @@ def _interpolate_guide(guide: FloatArray, indices: FloatArray) -> FloatArray:
 
 
 def _wrong_side(claim: MillsFlank, low: FloatArray, high: FloatArray, nearest: _NearestPoints) -> FloatArray:
-    """Return a deviation (T,) as a fraction of its limit: 2 where the axis is on the inner side, else 0.
+    """Return a deviation (T,) in the form of the others: 2 (twice its limit) on the inner side, else 0.
 
     At a corner it is sufficient that the axis is on the outer side of one of the two surfaces.
     """
@@ -227,7 +229,10 @@ def _order_faults(
     high_points: _NearestPoints,
     axis: FloatArray,
 ) -> list[str]:
-    """Return faults if a pass does not run along the whole guides, once and in the required direction."""
+    """Return faults if a pass does not run along the whole guides, once and in the required direction.
+
+    They are texts for messages. Progress is measured along the longer guide.
+    """
     lengths = [
         np.append(0.0, np.cumsum(np.linalg.norm(np.diff(guide, axis=0), axis=1))) for guide in (low, high)
     ]
@@ -236,6 +241,7 @@ def _order_faults(
     along = np.interp(nearest.indices, np.arange(len(guide_length)), guide_length)
     step = np.diff(along)
     if claim.closed:
+        # the shorter way around
         step = (step + 0.5 * guide_length[-1]) % guide_length[-1] - 0.5 * guide_length[-1]
     total = float(step.sum())
     tolerance = 4.0 * claim.tolerance
@@ -281,6 +287,10 @@ def check_lead(
         end: Tips and axes (2, 3) at the end of the pass and a little before it.
         tip: Tips of the lead (T, 3) [m], in the order away from the pass.
         axis: Axes of the lead (T, 3).
+
+    Returns:
+        For each sample, the deviation from the nearer part. A sample that is on the wrong side of the point
+        where one part changes to the other counts as twice the limit of that part.
     """
     depth = claim.tip_overrun - pass_lift(claim, number)
     ruling_length = float(np.linalg.norm(claim.high - claim.low, axis=1).mean())
@@ -330,10 +340,10 @@ def check_lead(
 
 
 def _retract_start(tip: FloatArray, axis: FloatArray, claim: MillsFlank) -> int:
-    """Return the index of the sample from which the tool moves straight along its last axis.
+    """Return the index of the first sample of the lead's last part, which moves straight along its last axis.
 
-    It is needed, because the first millimetres of this move are still within the tolerance of a long lateral
-    lead.
+    Tip and axis keep half of their tolerances from then on. It is needed, because the first millimetres of
+    this move are still within the tolerance of a long lateral lead.
     """
     rise = ((tip - tip[-1]) * axis[-1]).sum(axis=1)
     lateral = np.linalg.norm(tip - tip[-1] - rise[:, None] * axis[-1], axis=1)
@@ -348,8 +358,9 @@ def _ray_distance(points: FloatArray, direction: FloatArray) -> FloatArray:
 
 
 def _sector_distance(points: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the distance (T,) of points (T, 3) from the plane through two directions (3,) from the origin.
+    """Return the distance (T,) of points (T, 3) from the sector between two directions (3,) from the origin.
 
+    It is measured across the plane of both directions.
     It is infinite for points that are not over the sector between the directions.
     """
     normal = np.cross(first, second)
@@ -400,7 +411,7 @@ class MilledFace:
         shapely.prepare(self._area)
 
     def deviations(self, tip: FloatArray, axis: FloatArray) -> dict[str, FloatArray]:
-        """Return deviations (T,) of samples as a fraction of the limit, by criterion.
+        """Return deviations (T,) of samples as a fraction of the limit, by criterion as messages name it.
 
         Args:
             tip: Tips (T, 3) [m].

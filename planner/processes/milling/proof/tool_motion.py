@@ -93,7 +93,10 @@ class MillingMotion:
         return (*claimed, *self._face_leads)
 
     def _claim_in_direction(self, index: int, claim: MillsAlong) -> MillsAlong:
-        """Return a claim, or its reverse if both directions are allowed and the tool moves in reverse."""
+        """Return a claim, or its reverse if both directions are allowed and the tool moves in reverse.
+
+        ``index`` is that of the setup. The direction is the one whose ends are nearer to those of the track.
+        """
         track = self.track(index, claim.arm, (claim.segment.key,)) if claim.back else None
         if claim.back is None or track is None or not len(track.rows):
             return claim
@@ -267,7 +270,7 @@ def signed_distance(solid: ToolSolid, axial: FloatArray, radial_distance: FloatA
     """Return the signed distance [m] of points from a solid, negative inside.
 
     It is the distance in the half section of the solid: from a rectangle, or from the arc at its rounded
-        corner.
+    corner.
 
     Args:
         solid: Piece of a tool.
@@ -452,7 +455,10 @@ class GougeQuery:
         )
 
     def evaluate(self) -> "GougeResult | int":
-        """Return the face points inside the solid, or the required number of points if there are too many."""
+        """Return the face points inside the solid, or the required number of points if there are too many.
+
+        Vertices of the face are also compared, except with slices at sharp edges.
+        """
         points = self.vertices[:1]
         if self.is_near:
             corners = self.vertices[self.faces]
@@ -463,7 +469,7 @@ class GougeQuery:
         distances, samples = track_distance(points, self.tip, self.axis, self.solid, -self.allowed)
         k = int(distances.argmin())
         too_deep = np.flatnonzero(distances < -self.allowed)
-        too_deep = too_deep[np.unique(samples[too_deep], return_index=True)[1]]
+        too_deep = too_deep[np.unique(samples[too_deep], return_index=True)[1]]  # one point for each sample
         return GougeResult(
             float(distances[k]), int(samples[k]), points[too_deep], distances[too_deep], samples[too_deep]
         )

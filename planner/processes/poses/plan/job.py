@@ -106,6 +106,7 @@ class Posed(Strict):
 
     @model_validator(mode="after")
     def _check_consistency(self) -> "Posed":
+        """Require that the fields do not contradict one another."""
         if len(set(self.arms)) != len(self.arms):
             raise ValueError("arms: each arm is named once")
         names = [axis.name for axis in self.free]
@@ -123,7 +124,9 @@ class PosedJob(Job[Posed]):
     """Job of an operation that follows the poses of a file."""
 
     def targets(self) -> Targets:
-        """Return the targets of the operation's file, one for each row.
+        """Return the targets of the operation's file, one for each row, from which the arms' paths follow.
+
+        The tools stop at the first and the last target, whatever the file says there.
 
         Raises:
             TandemError: The first fault of the file, with its row; ``targets.freedom`` for unsuitable free
@@ -151,7 +154,7 @@ class PosedJob(Job[Posed]):
             )
         segment = tuple(_parse_segment(row, i, operation) for i, row in enumerate(rows))
         stop = np.array([_parse_flag(row, i, operation) for i, row in enumerate(rows)])
-        stop[[0, -1]] = True
+        stop[[0, -1]] = True  # the tools start and end at rest
         travel = _travel_lengths(poses)
         min_feed = _min_feeds(rows, operation, feed, travel, segment)
         return Targets(
@@ -172,9 +175,9 @@ class PosedJob(Job[Posed]):
         )
 
     def make_claims(self) -> tuple[Claim, ...]:
-        """Return the claim that each TCP passes the poses of the file up to its free axes, and the dialogue.
+        """Return two claims: each TCP passes the poses of the file up to its free axes, and the dialogue.
 
-        The claim has no poses, because the proof reads the file itself.
+        The first claim contains no poses, because the proof reads the file itself.
         """
         op = self.operation
         free = tuple(
@@ -199,7 +202,10 @@ class PosedJob(Job[Posed]):
 
 
 def _travel_lengths(poses: Mapping[str, FloatArray]) -> FloatArray:
-    """Return the distance (N,) [m] that the TCP that moves farthest moves to each target."""
+    """Return the lengths (N,) [m] of the moves to each target: those of the TCP that moves farthest.
+
+    The length at the first target, to which no move leads, is 0.
+    """
     steps = [np.linalg.norm(np.diff(pose[:, :3, 3], axis=0), axis=1) for pose in poses.values()]
     return np.concatenate([[0.0], np.max(steps, axis=0)])
 
@@ -211,12 +217,21 @@ def _min_feeds(
     travel: FloatArray,
     segment: tuple[Segment, ...],
 ) -> FloatArray:
-    """Return the minimum feeds (N,) [mm/s] of the moves to each target, 0 for none.
+    """Return the minimum feeds (N,) [mm/s] of the moves to each target, 0 for none, and check them.
 
-    ``feed`` (N,) [mm/s] and ``travel`` (N,) [m] are those of the same moves.
+    The first target has none, because no move leads to it.
+
+    Args:
+        rows: Rows of the table, one for each target.
+        operation: Operation with the minimum feed of rows without their own.
+        feed: Feed (N,) [mm/s] of the move to each target.
+        travel: Length (N,) [m] of the move to each target.
+        segment: Segment of each target.
 
     Raises:
-        TandemError: If a minimum feed is invalid, or cannot be kept by any arms.
+        TandemError: If a minimum feed is negative or too close to the feed, is set where the tools rest or
+            only rotate, or in a transit of joined tools; ``targets.freedom`` if any is set while a free axis
+            slides.
     """
     default = operation.feed_min_mm_s
     min_feed = np.array(
@@ -270,7 +285,12 @@ def _screw_freedom(axis: FreeAxis, count: int) -> ScrewFreedom:
 
 
 def _read_rows(operation: Posed) -> list[Mapping[str, Any]]:
-    """Return the rows of the operation's file, by column; faults of the file raise `TandemError`."""
+    """Read the rows of the operation's file, each as a mapping from the column's name to the cell.
+
+    Raises:
+        TandemError: If the file is missing, too large or unreadable, has fewer than two rows, or has unknown
+            columns.
+    """
     path = operation.file
     if not is_file(path):
         message = (

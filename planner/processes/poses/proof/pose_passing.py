@@ -83,20 +83,22 @@ def match_poses(
     tolerance: tuple[float, float],
     bounds: Sequence[FloatArray] | None = None,
 ) -> PoseMatch:
-    """Match the poses of one or more tools with the targets of their paths.
+    """Match the poses of one or more tools with the targets of their paths, to prove that none is missed.
 
-    Tools move together: a target matches a pose if all tools do. A target may match several consecutive
-    poses, but no pose is matched by a target before that of the previous pose.
+    Tools move together: a target matches a pose only if every tool is within the tolerance of its pose. A
+    target may match several consecutive poses, but no pose is matched by a target before that of the previous
+    pose. The search ends after ``MAX_MISSED`` missed poses.
 
     Args:
-        paths: Poses of each tool at the targets of its path (S, 4, 4) [m], S > 0.
-        poses: Poses of each tool (P, 4, 4) [m].
-        free: Twists (6,) of each tool, angular part first, along which it may differ in the pose's own frame.
-            Later ones act after earlier ones.
+        paths: Poses (S, 4, 4) [m] of each tool at the S targets of its path, S > 0.
+        poses: Required poses (P, 4, 4) [m] of each tool.
+        free: For each tool its F free twists (6,), angular part first. Along these the tool may differ from a
+            pose, in the frame of the pose. Later twists act after earlier ones.
         tolerance: Allowed distance [m] and angle [rad].
-        bounds: Range (F, 2) of each twist of each tool. Values beyond it count as deviations. Then each pose
-            gets a target of its own if the next target matches it too: along a free translation, or within a
-            wide tolerance, one target matches many poses.
+        bounds: For each tool the ranges (F, 2) [rad or m] of its free twists. The part of a value beyond its
+            range counts as deviation. With ``bounds`` a pose prefers the target after that of the previous
+            pose, even if the target of the previous pose matches it as well. Otherwise one target could take
+            many poses along a free translation or within a wide tolerance.
     """
     limits: Sequence[FloatArray | None] = [None] * len(paths) if bounds is None else bounds
     tools = zip(paths, poses, free, limits, strict=True)
@@ -109,7 +111,9 @@ def match_poses(
     i = start = missed = 0  # next pose, target of the previous pose, number of missed poses
     block = 1
     while i < count and missed < MAX_MISSED:
-        # usual case: each pose is matched by the target after that of the previous pose, and not before
+        # usual case, checked for a batch of poses at once: each pose is matched by the target after that of
+        # the previous pose and not by that target itself; with ``bounds`` the latter is not required, except
+        # that pose 0, which has no previous pose, may be at target 0
         size = min(block, count - i, length - 1 - start)
         run = 0
         if size > 0:
@@ -123,7 +127,7 @@ def match_poses(
             target[i : i + run], deviation[i : i + run] = start + 1 + pose[:run] - i, at_next[:run]
             is_matched[i : i + run] = True
         i, start, block = i + run, start + run, min(max(1, 2 * run), _MAX_BATCH)
-        if run == size > 0 or i == count:
+        if run == size > 0 or i == count:  # the whole batch was usual, or all poses are matched
             continue
         target[i], deviation[i], is_matched[i] = search.find_target(start, i)
         start = int(target[i]) if is_matched[i] else start
@@ -134,7 +138,10 @@ def match_poses(
 
 @dataclasses.dataclass(frozen=True)
 class _PosedTool:
-    """A tool: its path (S, 4, 4), inverse poses (P, 4, 4), and F free twists with their ranges (F, 2)."""
+    """A tool: its path (S, 4, 4) [m], the inverses (P, 4, 4) of its poses, and its F free twists (6,).
+
+    ``bounds`` (F, 2) [rad or m] are the ranges of the free twists, None if they are unlimited.
+    """
 
     path: FloatArray
     inverse_poses: FloatArray
@@ -142,7 +149,11 @@ class _PosedTool:
     bounds: FloatArray | None = None
 
     def deviation(self, target: IntArray, pose: IntArray) -> FloatArray:
-        """Return distance and angle (K, 2) between targets (K,) and poses (K,), up to free twists."""
+        """Return distance and angle (K, 2) [m, rad] that remain between targets and poses.
+
+        ``target`` (K,) and ``pose`` (K,) are indices of the path and of the poses. Motion along the free
+        twists does not count, except for the part of a value that is beyond its range.
+        """
         value, twist = free_values(self.inverse_poses[pose] @ self.path[target], self.free)
         residual = np.stack(
             [np.linalg.norm(twist[:, 3:], axis=1), np.linalg.norm(twist[:, :3], axis=1)], axis=1
@@ -167,7 +178,10 @@ class _PoseSearch:
     tolerance: FloatArray
 
     def deviation(self, target: IntArray, pose: IntArray) -> FloatArray:
-        """Return the largest distance and the largest angle (K, 2) of all tools."""
+        """Return the largest distance and the largest angle (K, 2) [m, rad] of all tools.
+
+        ``target`` (K,) and ``pose`` (K,) are the indices of the targets and poses that are compared.
+        """
         return np.asarray(np.max([tool.deviation(target, pose) for tool in self.tools], axis=0))
 
     def is_within(self, deviation: FloatArray) -> BoolArray:
@@ -175,9 +189,11 @@ class _PoseSearch:
         return np.asarray((deviation <= self.tolerance).all(axis=1))
 
     def find_target(self, start: int, pose: int) -> tuple[int, FloatArray, bool]:
-        """Return the first target from ``start`` on that matches a pose, or the nearest one if none does.
+        """Search the first target that matches a pose, from target ``start`` on.
 
-        The deviation (2,) of the target is returned with it, and whether it matches.
+        Returns:
+            Index of the target, its deviation (2,) [m, rad] from the pose, and whether it matches. If no
+            target matches, it is the one with the smallest deviation in units of the tolerances.
         """
         size, first, length = _FIRST_WINDOW, start, len(self.tools[0].path)
         deviations: list[FloatArray] = []
@@ -195,17 +211,19 @@ class _PoseSearch:
 
 
 def free_values(relative: FloatArray, free: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Solve for the values of free twists that explain relative poses as well as possible.
+    """Solve for the values of free twists that reproduce relative poses best, to see what deviation remains.
 
     The value of a single twist follows from the logarithm of the pose. Several twists need Newton's method,
-    because rotations do not commute. Where it does not converge, it starts again from other rotations.
+    because rotations do not commute. Where it does not converge, it starts again from other rotations. Where
+    it converges slowly, it continues from the best values so far.
 
     Args:
         relative: Relative poses (K, 4, 4) [m].
         free: F free twists (6,), angular part first, that act one after the other.
 
     Returns:
-        Values (K, F), and residual twists (K, 6), angular part first.
+        Values (K, F) [rad or m], and residual twists (K, 6) [rad, m], angular part first: the relative poses
+        without the motion along the free twists.
     """
     count = len(relative)
     if not free:
@@ -248,7 +266,7 @@ def _solve_newton(relative: FloatArray, axes: FloatArray, start: FloatArray) -> 
     """
     value = np.array(start, dtype=np.float64)
     for _ in range(_NEWTON_ITERATIONS):
-        later_motion = np.broadcast_to(np.eye(4), relative.shape)
+        later_motion = np.broadcast_to(np.eye(4), relative.shape)  # motion of the axes after axis j
         columns: list[FloatArray] = []
         for j in range(len(axes) - 1, -1, -1):  # twist of each axis in the frame after the later ones
             columns.insert(0, _transform_twist(inverse(later_motion), axes[j]))
@@ -288,14 +306,16 @@ MAX_ISSUES: Final = 20
 
 @dataclasses.dataclass(frozen=True)
 class PoseTiming:
-    """P poses of a table, and the R targets of the programs.
+    """P poses of a table, and the R targets of the programs that pass them.
+
+    The programs may have more targets than the table has poses, and one target may match several poses.
 
     Attributes:
         step: Distance from each pose to the next (P - 1,) [m], of the tool that moves farthest.
         min_feed: Minimum feed from each pose to the next (P - 1,) [m/s], 0 for none.
         feed: Feed from each pose to the next (P - 1,) [m/s].
-        may_stop: Whether the motion may stop at each pose (P,).
-        node: Index (P,) among the R targets of the one that matches each pose.
+        may_stop: Whether the table has a stop at each pose (P,), where the motion may therefore stop.
+        node: Index (P,), ascending, of the target that matches each pose, from 0 to R - 1.
         end: Time at which the move to each target ends, pauses excluded (R,) [s].
         stops: Whether the arms stop at each target (R,).
         positions: Positions of each tool at the targets (R, 3) [m].
@@ -328,8 +348,12 @@ class SlowFault:
     limit: float
 
 
-def find_slow_motion(timing: PoseTiming, run_up: float) -> list[SlowFault]:
-    """Return faults where minimum feeds are not kept, at most ``MAX_ISSUES`` of each kind.
+def find_feed_shortfalls(timing: PoseTiming, run_up: float) -> list[SlowFault]:
+    """Return faults where minimum feeds are not kept, for the rule ``verify.follows``.
+
+    On each stretch three things are faults: a stop that the table does not have, a mean speed between poses
+    below that of the reference point, and a move or corner that is too slow at some instant. At most
+    ``MAX_ISSUES`` faults of each kind are returned, in this order.
 
     Args:
         timing: Poses and targets.
@@ -347,7 +371,22 @@ def find_slow_motion(timing: PoseTiming, run_up: float) -> list[SlowFault]:
 
 
 def _find_stretches(timing: PoseTiming) -> list[tuple[int, int]]:
-    """Return the first and last pose of each stretch."""
+    """Divide the poses with a minimum feed into stretches, over which the minimum feed is then checked.
+
+    On a stretch the tools must keep up with a reference point that starts and ends at rest. Stretches start
+    and end at the first and last pose of the table, and at each pose where one of these conditions holds:
+
+    - The table has a stop at the pose.
+    - The minimum feed starts or ends there: either the move to the pose or the move from it has none.
+    - The moves to and from the pose have no permitted speed in common: the minimum feed of one of them is
+      above the feed of the other.
+
+    Returns:
+        Indices (first, last) of the first and last pose of each stretch, both inclusive. A stretch has the
+        moves ``first`` to ``last - 1``, where move k leads from pose k to pose k + 1. Moves without a minimum
+        feed belong to no stretch.
+    """
+    # min_feed and max_feed (P - 1,) are per move; cut (P - 2,) is per inner pose, cut[k] that of pose k + 1
     min_feed, max_feed = timing.min_feed, timing.feed
     cut = timing.may_stop[1:-1] | (min_feed[1:] > max_feed[:-1]) | (min_feed[:-1] > max_feed[1:])
     cut |= (min_feed[1:] > 0.0) != (min_feed[:-1] > 0.0)
@@ -356,10 +395,12 @@ def _find_stretches(timing: PoseTiming) -> list[tuple[int, int]]:
 
 
 def _reference_times(along: FloatArray, run_up: float) -> FloatArray:
-    """Return the times (K,) at which the reference point passes positions (K,) [m] of a stretch.
+    """Return the times (K,) at which the reference point passes the K poses of a stretch, at 1 m/s.
 
-    The minimum feed is taken as 1 m/s, so the times have to be divided by it. The point accelerates from rest
-    with v^2 = s / run_up over the run-up, and decelerates to rest in the same way.
+    The minimum feed is taken as 1 m/s. To get seconds, the caller divides the time between two poses by the
+    minimum feed [m/s] there. The point accelerates from rest with v^2 = s / run_up over the run-up, and
+    decelerates to rest in the same way. ``along`` (K,) [m] is the distance of each pose from the start of the
+    stretch, and ``run_up`` is in m.
     """
 
     def time_from_rest(s: FloatArray) -> FloatArray:
@@ -375,11 +416,12 @@ def _reference_times(along: FloatArray, run_up: float) -> FloatArray:
 def _slow_means(timing: PoseTiming, first: int, last: int, clock: FloatArray) -> list[SlowFault]:
     """Return faults where the tools take longer from pose to pose of a stretch than the reference point.
 
-    Poses that one target matches count as one. ``clock`` (K,) is the result of :func:`_reference_times` for
-    the poses from ``first`` to ``last``.
+    Consecutive poses that the same target matches count as one. ``first`` and ``last`` are the indices of the
+    first and last pose of the stretch, both inclusive. ``clock`` (K,) is the result of
+    :func:`_reference_times` for these K poses.
     """
     node = timing.node[first : last + 1]
-    first_poses = np.flatnonzero(np.diff(node, prepend=-1))
+    first_poses = np.flatnonzero(np.diff(node, prepend=-1))  # first of the poses that a target matches
     out = []
     max_times = np.concatenate([[0.0], np.cumsum(np.diff(clock) / timing.min_feed[first:last])])
     durations = np.diff(timing.end[node[first_poses]])
@@ -397,36 +439,54 @@ def _slow_means(timing: PoseTiming, first: int, last: int, clock: FloatArray) ->
 
 
 def _stop_faults(timing: PoseTiming, first: int, last: int) -> list[SlowFault]:
-    """Return faults for stops inside a stretch, and at its ends where the table has no stop."""
+    """Return a fault for each target of a stretch at which the tools stop although the table has no stop.
+
+    A stop is allowed if the table has one at any of the poses that the target matches.
+
+    Args:
+        timing: Poses and targets.
+        first: Index of the first pose of the stretch.
+        last: Index of its last pose, inclusive.
+    """
     out = []
-    low, high = int(timing.node[first]), int(timing.node[last])
-    for j in (np.flatnonzero(timing.stops[low : high + 1]) + low).tolist():
-        pose = int(np.searchsorted(timing.node, j))
-        if timing.node[pose] == j and timing.may_stop[timing.node == j].any():
+    first_target, last_target = int(timing.node[first]), int(timing.node[last])
+    stop_targets = np.flatnonzero(timing.stops[first_target : last_target + 1]) + first_target
+    for target in stop_targets.tolist():
+        # the first pose that this target matches, or else the next pose after it
+        pose = int(np.searchsorted(timing.node, target))
+        if timing.node[pose] == target and timing.may_stop[timing.node == target].any():
             continue
+        # min_feed[k] belongs to the motion from pose k to k + 1: the stretch has k from first to last - 1
         limit = float(timing.min_feed[min(max(pose - 1, first), last - 1)])
         message = f"the tool stops at pose {pose + 1} or on the way to it, but the table has no stop there"
-        out.append(SlowFault(message, pose, 0.0, limit))
+        out.append(SlowFault(message, pose, got=0.0, limit=limit))
     return out
 
 
 def _slow_instants(timing: PoseTiming, first: int, last: int, run_up: float) -> list[SlowFault]:
     """Return faults where moves of the programs inside a stretch, or corners between them, are too slow.
 
-    A move has one speed. In a corner the velocity changes linearly from that of one move to that of the next.
-    The first and the last move of a stretch, in which the tools accelerate and decelerate, are not checked.
+    The limit is ``MIN_FEED_FRACTION`` of the reference point's speed: the minimum feed, reduced over the
+    run-up [m] from both ends of the stretch. A move has one speed. In a corner, which is the transition
+    between two moves at a target, the velocity changes linearly from that of one move to that of the next.
+    The first and the last move of a stretch, in which the tools accelerate and decelerate, are not checked;
+    their corners with the other moves are. ``first`` and ``last`` are the indices of the first and last pose
+    of the stretch, both inclusive.
     """
-    low, high = int(timing.node[first]), int(timing.node[last])
-    if high - low < 2:
+    first_target, last_target = int(timing.node[first]), int(timing.node[last])
+    if last_target - first_target < 2:
         return []
-    span = np.maximum(np.diff(timing.end[low : high + 1]), 1e-9)
-    steps = [np.diff(path[low : high + 1], axis=0) for path in timing.positions]
+    in_stretch = slice(first_target, last_target + 1)
+    span = np.maximum(np.diff(timing.end[in_stretch]), 1e-9)
+    steps = [np.diff(path[in_stretch], axis=0) for path in timing.positions]
     size = np.max([np.linalg.norm(step, axis=1) for step in steps], axis=0)
     along = np.concatenate([[0.0], np.cumsum(size)])
     end_distance = np.minimum(along, along[-1] - along)
+    # speed of the reference point at each target, as a fraction of the minimum feed: v^2 = s / run_up
     ramp = np.sqrt(np.minimum(end_distance / run_up, 1.0))
-    moves = np.arange(low + 1, high + 1)
-    pose = np.clip(np.searchsorted(timing.node, moves), first + 1, last)
+    # each move is identified by the target at its end; ``pose`` is the pose that it leads to
+    end_targets = np.arange(first_target + 1, last_target + 1)
+    pose = np.clip(np.searchsorted(timing.node, end_targets), first + 1, last)
     min_speed = MIN_FEED_FRACTION * timing.min_feed[pose - 1]
     speed = size / span
     is_inner = np.ones(len(size), dtype=bool)
@@ -456,6 +516,7 @@ def _slow_instants(timing: PoseTiming, first: int, last: int, run_up: float) -> 
 
 
 def _slow_fault(pose: int, speed: float, limit: float, where: str) -> SlowFault:
+    """Return the fault of a speed [m/s] that is below its limit at some instant on a move or in a corner."""
     message = f"{where} {int(pose) + 1} the tool is as slow as {speed * 1e3:.2f} mm/s, required at every "
     message += f"instant at least {limit * 1e3:.2f} mm/s"
     return SlowFault(message, int(pose), float(speed), float(limit))
@@ -493,7 +554,9 @@ class PoseTable:
 
 
 def read_pose_table(path: Path, arms: Sequence[str]) -> PoseTable:
-    """Read a table of poses from a JSON file, or from a CSV file with any other suffix.
+    """Read a table of poses independently of the planner's reader, as input of the rule ``verify.follows``.
+
+    A file with the suffix ``.json`` is read as JSON, any other file as CSV.
 
     Args:
         path: The file.
@@ -525,7 +588,7 @@ def read_pose_table(path: Path, arms: Sequence[str]) -> PoseTable:
 
 
 def _parse_number(value: Any) -> float:
-    """Return the number in a cell, NaN for an empty or missing one."""
+    """Return the number in a cell, or NaN for an empty or missing cell."""
     return float("nan") if value is None or str(value).strip() == "" else float(value)
 
 

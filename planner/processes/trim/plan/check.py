@@ -43,8 +43,9 @@ def curve_issues(
 ) -> Iterator[Issue]:
     """Yield issues of outlines that cannot be cut.
 
-    Such outlines cross themselves or each other, lie in the waste of another one, or leave the opening of the
-    clamp. Two of them may also be so close that nothing is sure to remain between them.
+    An outline must not cross itself, and it must stay inside the opening of the clamp with its slot and
+    leads. Two outlines must not cross or meet, lie in each other's waste, or be nearer to each other than
+    twice the tolerance, because nothing is then sure to remain between them.
 
     Args:
         outlines: Outlines on the face.
@@ -63,6 +64,7 @@ def curve_issues(
                 "trim.crosses", message, hint="redraw it as one closed curve that does not cross itself"
             )
             continue
+        # slot and leads are outside the outline only if the waste is there
         side = 0.0 if outline.drops_inside else reach
         distances = shapely.distance(opening_area, shapely.points(outline.curve.point[:, :2]))
         gap = float(shapely.distance(opening_area.exterior, outline.area.exterior)) - side
@@ -101,6 +103,7 @@ def curve_issues(
             yield Issue("trim.crosses", message, value=value, limit=limit, unit="mm", hint=hint)
             continue
         for a, b in ((outline, other), (other, outline)):
+            # they do not cross, so one point of b decides
             if bool(a.in_waste(b.curve.point[:1, :2])[0]):
                 message = f"{b.spec.name} lies in the waste of {a.spec.name}, so that nothing is cut there"
                 yield Issue("trim.in_waste", message, hint="leave it out, or swap drops of one of them")
@@ -124,6 +127,8 @@ def body_clearance(
     body: RoundBody, points: FloatArray, tips: FloatArray, axes: FloatArray, max_distance: float
 ) -> FloatArray:
     """Return the distance (N, L) [m] of a tool's body from points, at N positions with L tilts each.
+
+    The result is negative if a point is inside the body. It shows where the tool would touch the sheet.
 
     Args:
         body: Body of the tool.
@@ -165,7 +170,10 @@ def gouge_depths(
     side: int,
     path: tuple[FloatArray, FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
-    """Return how far a mill's cutter is in the part at each position of a path, 0 for other tools.
+    """Return how far a mill's cutter goes over the outline into the part, at each position of a path.
+
+    It does so where the sheet is bent, because the cutter is normal to the face only on its axis. The result
+    is 0 for other tools, and where the cutter is not in the part.
 
     Args:
         outline: Outline of the slot.
@@ -176,8 +184,8 @@ def gouge_depths(
         path: Tips (N, 3) [m] and axes (N, 3) of the path.
 
     Returns:
-        Maximum distance from the outline (N,) [m] of points of the part in the cutter, and these points (N,
-        3) [m].
+        Maximum distance (N,) [m] from the outline of points of the part that are in the cutter, and these
+        points (N, 3) [m], at each position.
     """
     depth, where = np.zeros(len(path[0])), np.zeros((len(path[0]), 3))
     if tool.cutter is None or not len(points):

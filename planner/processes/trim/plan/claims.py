@@ -23,9 +23,11 @@ from planner.tooling import Knife, Mill, Torch
 
 
 def trim_claims(op: Trim, setup: Setup, tool: TrimTool, surface_error: float) -> tuple[Claim, ...]:
-    """Return the claims on the cut curves, the operator dialogue, and a spindle or drive if there is one.
+    """Return the claims of a trim operation: on the cut curves, and on the operator dialogue.
 
-    The proof derives from these what a torch switches and waits for at each curve.
+    A mill or a knife with a drive also has a claim that it touches the sheet only in trimming segments, with
+    its drive on. What a torch switches and waits for at each curve is not stated here. The proof adds it to
+    the dialogue from the curves.
 
     Args:
         op: Operation.
@@ -88,6 +90,7 @@ def _cutter_claim(by: MillCut, tool: Mill) -> TrimCutter:
 
 
 def _blade_claim(op: Trim, by: KnifeCut, tool: Knife) -> TrimBlade:
+    """Return the claim on the blade of a knife and on how it cuts, in SI units."""
     return TrimBlade(
         tool.blade,
         tool.body,
@@ -142,14 +145,14 @@ def _operator_dialogue(op: Trim, setup: Setup, tool: TrimTool) -> OperatorDialog
             question_step(trim_sentences.TRIM_MILL_READY),
         )
         end = question_step(trim_sentences.TRIM_MILL_STOPPED)
-        return _powered_dialogue(op, start, end, op.by.spin_up_s, op.by.spin_down_s)
+        return _powered_tool_dialogue(op, start, end, op.by.spin_up_s, op.by.spin_down_s)
     if isinstance(op.by, KnifeCut):
         start = (
             message_step(trim_sentences.TRIM_KNIFE, **values),
             question_step(trim_sentences.TRIM_KNIFE_READY),
         )
         end = question_step(trim_sentences.TRIM_KNIFE_DONE)
-        return _powered_dialogue(op, start, end, op.by.start_up_s, op.by.run_down_s)
+        return _powered_tool_dialogue(op, start, end, op.by.start_up_s, op.by.run_down_s)
     first = (
         message_step(trim_sentences.TORCH, **values),
         message_step(trim_sentences.TORCH_STOPPED),
@@ -158,7 +161,7 @@ def _operator_dialogue(op: Trim, setup: Setup, tool: TrimTool) -> OperatorDialog
     return OperatorDialogue(op.arms, first, (question_step(trim_sentences.TORCH_COLD),))
 
 
-def _powered_dialogue(
+def _powered_tool_dialogue(
     op: Trim, start: tuple[DialogueStep, ...], end: DialogueStep, spin_up: float, spin_down: float
 ) -> OperatorDialogue:
     """Return the dialogue of a tool whose signal, if it has one, is on throughout the operation."""
@@ -169,6 +172,7 @@ def _powered_dialogue(
 
 
 def _outline_claim(outline: OutlineFile) -> TrimOutline:
+    """Return the claim on one outline: a circle by centre and diameter [mm], any other curve as drawn."""
     circle = outline.circle
     return TrimOutline(
         name=outline.name,

@@ -91,7 +91,7 @@ _TOOL_KINDS: Final = {Mill: "mill", Torch: "torch", Knife: "knife"}
 
 
 def cutting_tool(op: Trim, tool: TrimTool, thickness: float) -> CuttingTool:
-    """Return how a tool cuts a sheet.
+    """Return how a tool cuts a sheet: its kerf, depth, lift, and the part that keeps clear of the sheet.
 
     Args:
         op: Operation.
@@ -99,7 +99,9 @@ def cutting_tool(op: Trim, tool: TrimTool, thickness: float) -> CuttingTool:
         thickness: Thickness of the sheet [m].
 
     Raises:
-        TandemError: ``trim.tool`` for cutters and blades that do not go through the sheet.
+        TandemError: ``trim.tool`` if a flute or blade is too short to go through the sheet, or if the rounded
+            end of a cutter stays in the sheet.
+        ValueError: The operation states how another kind of tool cuts.
     """
     if isinstance(tool, Torch):
         height = tool.standoff if op.pierce.height_mm is None else op.pierce.height_mm * MM

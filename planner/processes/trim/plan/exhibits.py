@@ -37,7 +37,10 @@ def exhibits(
     outlines: Sequence[PlannedOutline],
     slot_targets: Sequence[SlotTargets],
 ) -> dict[str, Any]:
-    """Return the exhibits of a trim operation by name, in the formats of the report.
+    """Return the exhibits of a trim operation for the report, by name.
+
+    These are the items of the setup sheet, a table of the slots, a picture of the curves, and a chart of the
+    height of the tool's end along the first six slots.
 
     Args:
         op: Operation.

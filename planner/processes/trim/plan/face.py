@@ -99,6 +99,9 @@ class FaceCurve:
 def project_curve(name: str, points: FloatArray, face: SheetFace) -> FaceCurve:
     """Project a closed curve along z onto the face.
 
+    The result is counter-clockwise in plan. It has the curve's own points, without adjacent duplicates, and
+    evenly spaced points between them.
+
     Args:
         name: Name of the outline.
         points: Points of the curve (K, 2 or 3) [m].
@@ -111,7 +114,7 @@ def project_curve(name: str, points: FloatArray, face: SheetFace) -> FaceCurve:
     if float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) < 0.0:
         xy = xy[::-1]
     lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
-    count = max(int(np.ceil(lengths[-1] / CURVE_SPACING_M)), 24)
+    count = max(int(np.ceil(lengths[-1] / CURVE_SPACING_M)), 24)  # at least 24 on a small curve
     # evenly spaced points and the curve's own ones, without duplicates
     sampled = np.union1d(lengths[-1] * np.arange(count) / count, lengths[:-1])
     is_distinct = np.append(
@@ -164,7 +167,7 @@ REACH_SCALES: Final = (0.2, 2.0)
 def offset_curve(
     curve: FaceCurve, face: SheetFace, half_kerf: float, inside: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Offset a curve by half the kerf into the waste.
+    """Offset a curve by half the kerf into the waste. The result is the centre line of its slots.
 
     Each point of the curve is moved across it in the face's tangent plane, and from there along z onto the
     face, so that its distance is half the kerf. At corners that turn away from the slot, the centre line goes
@@ -189,6 +192,7 @@ def offset_curve(
     angle = np.arctan2(
         np.linalg.norm(np.cross(previous_side, next_side), axis=1), dots(previous_side, next_side)
     )
+    # corners that turn away from the slot
     is_convex = sign * dots(np.cross(np.roll(direction, 1, axis=0), direction), normal) < 0.0
     directions_of_points: list[FloatArray] = []
     owner: list[IntArray] = []
@@ -201,6 +205,7 @@ def offset_curve(
                 np.sin((1.0 - fraction) * angle[i]) * previous_side[i]
                 + np.sin(fraction * angle[i]) * next_side[i]
             )
+            # spherical interpolation, which is singular at half a revolution
             directions = directions / np.sin(angle[i]) if angle[i] < np.pi - 1e-3 else unit(directions)
         else:
             directions = np.stack([previous_side[i], next_side[i]])
@@ -217,10 +222,13 @@ def offset_curve(
 
 
 def _join_sides(middle: FloatArray, out: FloatArray, kept: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return the kept points (K, 3) of a closed path, joined where others are left out.
+    """Return the points of a closed path that are kept, joined where others are left out.
 
-    There the intersection of the sides of the path is added if they intersect. The directions ``out`` (N, 3)
-    of the points are returned with them.
+    Points are left out at inner corners. If the straight sides of the path next to such a gap intersect, the
+    intersection is added.
+
+    Returns:
+        Points (M, 3) [m], and directions (M, 3) into the waste, from ``out`` (N, 3).
     """
     kept_indices = np.flatnonzero(kept)
     if kept.all() or len(kept_indices) < 4:

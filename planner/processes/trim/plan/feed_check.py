@@ -48,10 +48,11 @@ def mean_feed_fractions(stop: BoolArray, tool: CuttingTool) -> FloatArray:
 
 
 def slow_issues(op: Trim, tool: CuttingTool, targets: Targets, time: FloatArray) -> tuple[Issue, ...]:
-    """Return issues of slots in which the arm is slower than allowed.
+    """Return issues of slots in which the arm is slower than allowed, from the times of the plan.
 
-    It may be too slow on average, or with a torch on a short stretch. A torch that is too slow burns away
-    more than its kerf. A knife has no minimum feed.
+    The average feed of a slot is checked, with its leads. With a mill it is checked after the lead-in as
+    well. If the average of a torch is sufficient, its short stretches are checked too, because a torch that
+    is too slow burns away more than its kerf. A knife has no minimum feed.
 
     Args:
         op: Operation.
@@ -65,6 +66,7 @@ def slow_issues(op: Trim, tool: CuttingTool, targets: Targets, time: FloatArray)
     for segment in dict.fromkeys(s for s in targets.segment if s.kind == TRIM and not s.phase):
         in_slot = np.array([s == segment for s in targets.segment])
         # targets have the mean feed of their moves; here the feed itself is needed
+        # index k: move to target k, which has a mean feed if the arm stops at its start or at its end
         full_feed = targets.feed / np.where(
             np.append(False, targets.stop[:-1]) | targets.stop, MEAN_FEED_FRACTION, 1.0
         )
@@ -107,8 +109,9 @@ def _linger_issues(
 ) -> list[Issue]:
     """Return an issue if a torch takes so long for a short stretch that it burns away more than its kerf.
 
-    ``travel`` (R,) [m] are the lengths of the moves to the targets of the slot, ``time`` (N,) [s] the times
-    of all targets, ``in_slot`` (N,) tells which of them belong to the slot.
+    Stretches start or end at the targets of the slot. ``travel`` (R,) [m] are the lengths of the moves to
+    these targets, ``time`` (N,) [s] the times of all targets of the operation. ``in_slot`` (N,) is true for
+    the R targets of the slot.
     """
     target_rows = np.flatnonzero(in_slot)
     along = np.append(0.0, np.cumsum(travel))

@@ -121,9 +121,10 @@ class TrimJob(Job[Trim]):
         return tuple(outlines[k] for k in sorted(range(len(outlines)), key=lambda k: -nesting_depths[k]))
 
     def targets(self) -> Targets:
-        """Return the targets of the operation.
+        """Return the targets of the operation, from which its motion is planned.
 
-        Slots are planned along all outlines, then the route through them, then its targets.
+        Slots are planned along all outlines, then the route through them, then its targets. Targets for a
+        quick check (``is_brief``) have no pictures of the sheet and no notes.
 
         Raises:
             TandemError: All issues ``trim.*`` of the first of these steps that fails, and issues of files.
@@ -136,6 +137,7 @@ class TrimJob(Job[Trim]):
             message = format_message("trim.die", operation=op.name, tool=tool.label)
             hint = "remove the die and trim in a separate problem (surface:), or use a torch or laser"
             raise issue_error("trim.die", message, field="operations.die", hint=hint)
+        # width of the slot and its leads beside an outline
         reach = tool.kerf + op.lead.length_mm * MM if tool.blade is None else tool.blade.width
         issues = list(check.curve_issues(outlines, sheet.opening, reach, op.shape_tol_mm * MM))
         if issues:

@@ -286,7 +286,7 @@ class Trim(Strict):
         """Return the stock with the cut outlines as holes. Bodies still keep clear of the cut out pieces."""
         if stock.sheet is None:
             return stock
-        # a cut through the sheet is no longer than this, so its other edge is no farther off in plan
+        # In a tilted cut the edges of both faces are apart in plan, by at most the length of the cut.
         max_cut_length = float(stock.size[2]) / math.cos(self.cone_deg * DEG)
         try:
             new_holes = tuple(

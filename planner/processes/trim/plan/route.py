@@ -70,7 +70,10 @@ class TrimRoute:
 def plan_route(
     op: Trim, setup: Setup, face: SheetFace, tool: CuttingTool, slot_plan: SlotPlan, surface_error: float
 ) -> tuple[TrimRoute, list[Issue]]:
-    """Plan the path through all slots: down along the tool's axis, along the slot, up again.
+    """Plan the path of the tool through all slots, from which the targets of the operation are built.
+
+    At each slot the tool goes down along its axis, along the slot, and up again to the safe plane. Each slot
+    is checked for clearance of the tool from walls, gouging and walls too steep to rise from.
 
     Args:
         op: Operation.
@@ -83,6 +86,7 @@ def plan_route(
     Returns:
         The route, which is empty if there are errors, and issues.
     """
+    # level: height of the safe plane
     level, issues = _safe_level(op, setup, face), list[Issue]()
     size = setup.stock.size[:2]
     face_points = check.face_points(face, size)
@@ -107,7 +111,8 @@ def plan_route(
             issues += error.issues
             continue
         point, axis = slot.point[rows], face.side * slot.normal[rows]
-        # poses at the targets, upright and tilted to the edge of the cone; upright ones must be free
+        # poses at the targets: normal to the face, and tilted to the edge of the cone. The normal ones
+        # (column 0 of the clearances) must be free.
         heading = slot.heading[rows] if tool.blade is not None else np.full(len(rows), np.nan)
         pivot = point + lifts[:, None] * axis
         tip = pivot - tool.depth * axis
@@ -130,11 +135,13 @@ def plan_route(
         max_tilt = np.where(
             may_tilt & np.append(may_tilt[1:], True) & np.append(True, may_tilt[:-1]), tilt_limit, 0.0
         )
-        if tool.goes_through:  # no tilt on the way down and up
+        if tool.goes_through:  # no tilt at targets before and after a move down, and at the last one
             max_tilt[(lifts > 0.0) | np.append(True, lifts[:-1] > 0.0)] = 0.0
             max_tilt[-1] = 0.0
+        # points above the first and last target, on the axis, at the safe plane or at least 2 mm away
         above = [tip[k] + max((level - tip[k, 2]) / axis[k, 2], 2.0 * MM) * axis[k] for k in (0, -1)]
-        # sine law: on a wall of the angle a the sheet is thinner by cos a = |axis_z|, so the feed is higher
+        # sine law: on a wall of the angle a the sheet is thinner by cos a = |axis_z|, so the feed is higher;
+        # at most ten times as high
         feed = op.feed_mm_s * MM / np.maximum(np.abs(axis[:, 2]), 0.1)
         if op.feed_most_mm_s is not None:
             feed = np.minimum(feed, op.feed_most_mm_s * MM)
@@ -142,7 +149,7 @@ def plan_route(
         feed[1:] = np.minimum(feed[1:], feed[:-1])
         feed = _tip_feed(feed, tool, point, tip, lifts)
         segment = Segment(TRIM, slot.name)
-        if tool.blade is not None and number:  # rotate back, or to the next stretch, in the air
+        if tool.blade is not None and number:  # from the second stretch on: rotate to it in the air
             rotation = rotate_in_air(
                 (tips[-1][-1], axes[-1][-1], float(headings[-1][-1])), (above[0], axis[0], float(heading[0]))
             )
@@ -172,7 +179,7 @@ def plan_route(
     if has_errors(issues):
         return _empty_route(), issues
     tip, axis = np.concatenate(tips), np.concatenate(axes)
-    # stops above both ends of a slot and at its corners, and a last target farther up
+    # The tool stops above both ends of a slot and at its corners. A last target, farther up, follows.
     stop = np.zeros(len(tip), dtype=bool)
     for first, last in zip(start_rows, end_rows, strict=True):
         stop[[first - 1, last + 1]] = True
@@ -225,9 +232,10 @@ def _tip_feed(
 ) -> FloatArray:
     """Return the feed (N,) [m/s] of the tip of a tool, which is behind the face for a mill or knife.
 
-    With it the point on the face moves at ``feed`` where the tip's path is shorter than that on the face, as
-    in a bend, and the tip goes down no faster than the plunge feed. ``point`` (N, 3) [m] are the points on
-    the face, ``lifts`` (N,) [m] the lifts of the TCP.
+    Index k is the move to target k. In a bend the path of the tip may be shorter than that on the face. The
+    tip is then slower, so that the point on the face moves at ``feed`` (N,) [m/s]. A tip that goes down stays
+    below the plunge feed. ``point`` (N, 3) [m] are the points on the face, ``lifts`` (N,) [m] the lifts of
+    the TCP.
     """
     if not tool.goes_through:
         return feed
@@ -263,17 +271,19 @@ all points near a curve.
 def _lift_fractions(
     slot: Slot, op: Trim, tool: CuttingTool, curve_and_error: tuple[FaceCurve, float]
 ) -> FloatArray:
-    """Return the fraction (N,) of its lift that the tool still has at each point of a slot.
+    """Return the fraction (N,) of its initial lift that the tool still has at each point of a slot.
 
-    It falls from 1 at the start of the lead-in to 0 where the tool has to be at its depth.
-    ``curve_and_error`` is the curve of the slot and the possible deviation of the face [m].
+    It falls from 1 at the start of the lead-in to 0 where the tool has to be at its depth. There the edge of
+    the slot is still outside twice the tolerance of the curve. ``curve_and_error`` is the curve of the slot
+    and the possible deviation of the face [m].
 
     Raises:
-        TandemError: ``trim.lead`` if the lead-in is too short.
+        TandemError: ``trim.lead`` if the lead-in is too short for a tool that goes down along it.
     """
     curve, surface_error = curve_and_error
     depth_distance = DEPTH_TOLERANCE_FACTOR * op.shape_tol_mm * MM + DEPTH_MARGIN_M + surface_error
     edge_distances = curve_distance(slot.point[: slot.first + 1], curve.point) - 0.5 * tool.kerf
+    # last point of the lead-in at which the tool may still be lifted
     last = int(np.argmax(edge_distances < depth_distance)) - 1
     if last < 1 and tool.lift != 0.0 and tool.is_ramp:
         message = (
@@ -286,6 +296,7 @@ def _lift_fractions(
         value, limit = op.lead.length_mm, depth_distance / MM
         raise issue_error("trim.lead", message, value=value, limit=limit, unit="mm", hint=hint)
     step = np.linalg.norm(np.diff(slot.point[: max(last, 1) + 1], axis=0), axis=1)
+    # length from each point to that point, 0 after it
     remaining = np.append(np.cumsum(step[::-1])[::-1], np.zeros(len(slot.point) - len(step)))
     return np.asarray(remaining / float(remaining[0]))
 
@@ -295,15 +306,19 @@ def _target_rows(
 ) -> tuple[IntArray, FloatArray]:
     """Return the indices (R,) of a slot's points that become targets, and the lift (R,) [m] of the TCP there.
 
-    Points are thinned as far as straight moves keep the chord error at the tip, at the face and on the tool's
-    axis. A tool that goes straight down has its first point twice: lifted and down. ``curve_and_error`` is
-    that of :func:`_lift_fractions`.
+    Points are thinned as far as straight moves keep the chord error: at the face, at the tip, at a second
+    point of the tool's axis, and for a knife also at the front and back of its blade. The first and last
+    point of the slot and of its leads are always targets. A tool that goes straight down has its first point
+    twice: lifted and down. ``curve_and_error`` is the curve of the slot and the possible deviation of the
+    face [m].
     """
     chord = CHORD_FRACTION * min(op.shape_tol_mm, op.height_tol_mm) * MM
     chord = min(chord, CHORD_FRACTION * tool.depth) if tool.goes_through else chord
+    # distances along the axis of the points that keep the chord error; a torch has no tip behind the face
     lever = np.array([0.0, AXIS_LEVER_M, -tool.depth])[: 3 if tool.goes_through else 2]
     points = slot.point[:, None] + lever[:, None] * slot.normal[:, None]
     if tool.blade is not None and isinstance(op.by, KnifeCut):  # also its front, its back and its heading
+        # at this reach the chord error limits the heading to its allowed deviation
         min_reach = chord / (CHORD_ROTATION_FRACTION * op.by.heading_deg * DEG)
         ends = np.array(
             [-max(tool.blade.end, min_reach), max(float(tool.blade.front(tool.depth)), min_reach)]
@@ -333,7 +348,11 @@ MAX_LENGTH_RATIO: Final = 1.3
 
 
 def _even_last_moves(rows: IntArray, point: FloatArray) -> IntArray:
-    """Move the last of the points ``rows`` (K,) so that the last moves are equally long and none is short."""
+    """Return ``rows`` (K,) with the last ones moved, so that the last moves are about equally long.
+
+    Thinning leaves a short remainder as the last move. ``rows`` are indices of ``point`` (N, 3) [m]. Nothing
+    changes if the last move is no shorter than the one before it.
+    """
     lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(point, axis=0), axis=1)))
     count = min(EVENED_MOVES, len(rows) - 1)
     move_lengths = np.diff(lengths[rows[-count - 1 :]])

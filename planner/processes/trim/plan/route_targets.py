@@ -55,7 +55,7 @@ def build_targets(
     arm, count = op.arms[0], len(route.segment)
     arm_tool = mounted_tool(op, setup.cell.arm(arm).tool)
     actions = _build_actions(op, setup, arm_tool, tool, route)
-    stop = route.stop.copy()
+    stop = route.stop.copy()  # the arm stops at each target with an action
     stop[[action.target for action in actions]] = True
     return Targets(
         arms=op.arms,
@@ -147,7 +147,12 @@ def _travel_lengths(route: TrimRoute, tool: CuttingTool) -> FloatArray:
 def _build_actions(
     op: Trim, setup: Setup, arm_tool: TrimTool, tool: CuttingTool, route: TrimRoute
 ) -> tuple[TargetAction, ...]:
-    """Return the actions at targets: messages, questions, and switching of arc, spindle or drive."""
+    """Return the actions at targets: messages, questions, and switching of arc, spindle or drive.
+
+    At the first target the operator is informed and asked whether the tool is ready, at the last one whether
+    it is off. A spindle or drive runs from the first to the last target. An arc is switched on at the start
+    of each slot and off at its end.
+    """
     last = len(route.segment) - 1
     message_values = operator_figures(op, setup, arm_tool)
     if isinstance(op.by, MillCut):

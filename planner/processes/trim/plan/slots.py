@@ -92,9 +92,10 @@ class SlotPlan:
 def plan_slots(
     op: Trim, outline: PlannedOutline, others: list[PlannedOutline], face: SheetFace, kerf: float
 ) -> list[Slot]:
-    """Plan the slots of an outline: one, or one between each two micro-joints.
+    """Plan the slots of an outline for a torch or mill: one, or one between each two micro-joints.
 
-    Several starting points are tried, until all leads keep their distances from all curves.
+    ``START_TRIALS`` starting points are tried along the curve. The first one is taken at which leads and
+    pierce points have ample distance from all curves, otherwise the one with the most distance.
 
     Args:
         op: Operation.
@@ -104,7 +105,9 @@ def plan_slots(
         kerf: Width of the slot [m].
 
     Raises:
-        TandemError: ``trim.narrow``, ``trim.corner``, ``trim.joints`` or ``trim.lead``.
+        TandemError: ``trim.narrow`` if the waste is narrower than the kerf, ``trim.corner`` if a round slot
+            leaves too much in a corner, ``trim.joints`` if the micro-joints leave nothing to cut,
+            ``trim.lead`` if no lead-in fits.
     """
     half_kerf = 0.5 * kerf
     middle, into_waste = offset_curve(outline.curve, face, half_kerf, outline.drops_inside)
@@ -149,7 +152,12 @@ def plan_slots(
 
 
 def _check_closed(outline: PlannedOutline, middle: FloatArray, half_kerf: float, tolerance: float) -> None:
-    """Check that a slot with the centre line ``middle`` (M, 3) closes and cuts all of the curve."""
+    """Check that a slot with the centre line ``middle`` (M, 3) [m] closes and cuts all of the curve.
+
+    Raises:
+        TandemError: ``trim.narrow`` if the slot does not close, because the waste is narrower than the kerf;
+            ``trim.corner`` if it leaves more than ``tolerance`` [m] of a corner.
+    """
     step = np.linalg.norm(np.diff(np.concatenate([middle, middle[:1]]), axis=0), axis=1) if len(middle) else 0
     # a centre line that shrinks to a point encloses nothing
     goes_round = len(middle) >= 8 and float(np.sum(step)) > MIN_LENGTH_FACTOR * half_kerf
@@ -217,8 +225,9 @@ def _build_slot(
 ) -> Slot:
     """Build the slot of a span, with its leads.
 
-    It starts half a gap after the start of its span, and ends half a gap before the next span. A slot without
-    a gap goes all the way round and ends slightly past its own start.
+    It starts half a gap after the start of its span, and ends half a gap before the next span. It then has no
+    lead-out, because it ends at a micro-joint. A slot without a gap goes all the way round, ends slightly
+    past its own start and has a lead-out.
     """
     along, ring_points, directions = centre_line.along, centre_line.point, centre_line.into_waste
     start, gap = span.start, span.gap
@@ -260,7 +269,10 @@ def _lead_in(op: Trim, end: FloatArray, into_waste: FloatArray, direction: Float
 def _lead_margin(
     op: Trim, slot: Slot, outline: PlannedOutline, others: list[PlannedOutline], half_kerf: float
 ) -> float:
-    """Return the margin [m] of a slot's pierce point and leads, negative if they are too near to a curve."""
+    """Return the margin [m] of a slot's pierce point and leads, negative if they are too near to a curve.
+
+    The pierce point has to keep its distance from all curves, the leads only from the curve of the slot.
+    """
     leads = np.concatenate([slot.point[: slot.first], slot.point[slot.last + 1 :]])
     distances = np.where(outline.in_waste(leads[:, :2]), 1.0, -1.0) * curve_distance(
         leads, outline.curve.point

@@ -134,7 +134,7 @@ class _ClosedCurve:
         return self.face.at(out[:, :2])[0]
 
     def _points_on(self, along: FloatArray) -> FloatArray:
-        """Points (N, 3) [m] of the curve itself at lengths (N,) [m]."""
+        """Return the points (N, 3) [m] of the curve itself at lengths (N,) [m]."""
         positions = along % self.length
         return np.stack(
             [np.interp(positions, self.curve.along, self._points[:, k]) for k in range(3)], axis=1
@@ -189,7 +189,9 @@ class _ClosedCurve:
 
 
 def plan_stretches(op: Trim, outline: PlannedOutline, face: SheetFace, tool: CuttingTool) -> list[Slot]:
-    """Plan the stretches of an outline that a knife cuts, each a slot without leads.
+    """Plan the stretches of an outline that a knife cuts without being lifted, each as a slot without leads.
+
+    Stretches end at sharp corners, at micro-joints, and where the blade would rotate too far in one piece.
 
     Args:
         op: Operation.
@@ -228,10 +230,10 @@ def plan_stretches(op: Trim, outline: PlannedOutline, face: SheetFace, tool: Cut
 
 
 def _find_spans(outline: PlannedOutline, ring: _ClosedCurve) -> list[_CurveSpan]:
-    """Return the stretches between corners and micro-joints.
+    """Return the stretches of an outline between its corners and micro-joints.
 
-    A curve without either starts where its heading is that of -x, so that all round curves start alike and
-    rotate by half a revolution either way.
+    A curve without either is one stretch that starts where its heading is nearest to -x. All round curves
+    then start alike, and the blade rotates by half a revolution either way from the x axis.
     """
     half_joint, joints = 0.5 * outline.spec.joint_mm * MM, _joint_centres(outline, ring)
     # length along the curve, half of the gap that is not cut there, kind
@@ -253,7 +255,9 @@ def _find_spans(outline: PlannedOutline, ring: _ClosedCurve) -> list[_CurveSpan]
 
 
 def _joint_centres(outline: PlannedOutline, ring: _ClosedCurve) -> list[float]:
-    """Return the centres [m] of micro-joints along a curve, as far from its corners as possible.
+    """Return the centres of micro-joints, as lengths [m] along a curve.
+
+    The joints are evenly spaced, and as far from the corners of the curve as possible.
 
     Raises:
         TandemError: ``trim.joints`` if they do not fit.
@@ -282,14 +286,18 @@ def _joint_centres(outline: PlannedOutline, ring: _ClosedCurve) -> list[float]:
 def _divide_spans(
     ring: _ClosedCurve, spans: list[_CurveSpan], max_rotation: float, reach: float
 ) -> list[_CurveSpan]:
-    """Divide stretches so that the heading of none rotates by more than ``max_rotation`` [rad]."""
+    """Divide stretches so that the heading of none rotates by more than ``max_rotation`` [rad].
+
+    New ends are of the kind "piece", at which the curve continues. ``reach`` [m] is that of the chords that
+    define headings.
+    """
     out = []
     for span in spans:
         lengths = ring.lengths_between(span.low, span.high)
         heading = ring.headings(lengths, span, reach)
         cuts = _division_rows(heading, max_rotation)
         # the smallest rotation that needs no more pieces makes them of similar length
-        for fraction in np.linspace(1.0, 0.5, 26)[1:]:
+        for fraction in np.linspace(1.0, 0.5, 26)[1:]:  # 0.98 down to 0.5 of the maximum
             even_cuts = _division_rows(heading, fraction * max_rotation)
             if len(even_cuts) > len(cuts):
                 break
@@ -331,10 +339,15 @@ class _BladeInSheet:
 def _build_stretch(
     op: Trim, outline: PlannedOutline, ring: _ClosedCurve, span: _CurveSpan, knife: _BladeInSheet, name: str
 ) -> Slot:
-    """Plan one stretch: where the tip enters and leaves the sheet, and the points and headings between.
+    """Plan one stretch of a knife: where its tip enters and leaves the sheet, and the points and headings.
+
+    The blade extends to both sides of its tip along the curve. Next to a corner or a micro-joint the tip
+    therefore enters late and leaves early, so that the blade ends there. At a corner it goes on by a short
+    overlap, so that the cuts of both stretches meet at both faces.
 
     Raises:
-        TandemError: ``trim.corner`` or ``trim.joints``.
+        TandemError: ``trim.corner`` if the blade cuts too far past a corner or deviates too far from the
+            curve, ``trim.joints`` if the stretch is shorter than the blade.
     """
     by, blade, depth, reach = knife.by, knife.blade, knife.depth, knife.reach
     # length of the blade before its tip at the far and at the near face
@@ -362,6 +375,7 @@ def _build_stretch(
             message += f"shorter than the blade, {(blade.end + near_front) / MM:.1f} mm"
             hint = "use fewer joints, or a narrower blade"
             raise issue_error("trim.joints", message, hint=hint)
+        # between corners a short stretch is cut with a minimal motion about its middle
         middle = 0.5 * (low + high)
         low, high = middle - 0.5 * MIN_STROKE_M, middle + 0.5 * MIN_STROKE_M
     along = ring.lengths_between(low, high)
@@ -369,13 +383,13 @@ def _build_stretch(
     max_far_tilt = float(np.arctan2(FAR_FACE_FRACTION * op.shape_tol_mm * MM, depth - by.below_mm * MM))
     normal = ring.normals(along, span, min(TILT_FRACTION * op.cone_deg * DEG, max_far_tilt))
     heading = ring.headings(along, span, reach)
-    # whole revolutions are removed, so that the headings of all stretches are near 0
+    # whole revolutions are removed, so that the middle heading of each stretch is within half a revolution
     middle_heading = 0.5 * (heading.max() + heading.min())
     heading = heading - 2.0 * np.pi * np.round(middle_heading / (2.0 * np.pi))
     overcut = _corner_overcut(
         outline, ring, span, (span.low - (low - blade.end), high + near_front - span.high)
     )
-    if overcut > by.overcut_mm * MM + overlap + 1e-9:
+    if overcut > by.overcut_mm * MM + overlap + 1e-9:  # 1e-9: rounding
         end = ring.points(np.array([span.high]), span)[0] / MM
         message = f"{name}: the blade cuts {overcut / MM:.2f} mm past a corner into the part, about "
         message += f"({end[0]:.1f}, {end[1]:.1f}) mm, allowed {by.overcut_mm:g} mm"
@@ -393,7 +407,11 @@ def _build_stretch(
 def _corner_overcut(
     outline: PlannedOutline, ring: _ClosedCurve, span: _CurveSpan, past: tuple[float, float]
 ) -> float:
-    """Return how far [m] a blade that goes ``past`` [m] both ends of a stretch cuts into the part."""
+    """Return how far [m] a blade cuts past the corners of a stretch into the part.
+
+    At both ends it goes on by the lengths ``past`` [m]. Only ends at corners count, and only points of the
+    blade where it would harm the part.
+    """
     out = 0.0
     for kind, end, sign, distance in (
         (span.start_kind, span.low, -1.0, past[0]),
@@ -420,10 +438,12 @@ def _check_blade_deviation(
     span: _CurveSpan,
     blade: tuple[Blade, float, SheetFace, float],
 ) -> None:
-    """Check that front and back of the blade stay near the curve where it is bent, at both faces.
+    """Check that all of the blade stays near the curve where it is bent, at both faces.
 
-    ``along`` (N,) [m] are the lengths of the slot's points along the curve. ``blade`` is the blade, its
-    length before the tip at the near face [m], the face, and the sheet's thickness [m].
+    Points of the blade in the waste do not count, except where it enters and leaves the sheet. Parts of the
+    blade past a corner or a micro-joint do not count either. ``along`` (N,) [m] are the lengths of the slot's
+    points along the curve. ``blade`` is the blade, its length before the tip at the near face [m], the face,
+    and the sheet's thickness [m].
 
     Raises:
         TandemError: ``trim.corner``.
@@ -443,7 +463,8 @@ def _check_blade_deviation(
     normal_change = face.at(points[:, :2])[1] - np.repeat(slot.normal, BLADE_SAMPLES, axis=0)[inside.ravel()]
     points = np.concatenate([points, points + face.side * thickness * normal_change])
     deviations = np.where(outline.in_waste(points[:, :2]), 0.0, curve_distance(points, outline.curve.point))
-    # where it enters and leaves, the whole blade has to be on the curve, also in the waste
+    # where it enters and leaves, the whole blade has to be on the curve, also in the waste; row is the index
+    # of the slot's point to which each point of the blade belongs, for both faces
     row = np.tile(np.repeat(np.arange(len(along)), BLADE_SAMPLES)[inside.ravel()], 2)
     ends = [0] * (span.start_kind != "piece") + [len(along) - 1] * (span.end_kind != "piece")
     is_end = np.isin(row, ends)

@@ -81,7 +81,10 @@ class SharpCorners:
 
 
 def find_corners(work: TrimmedSheet, curve: OutlineCurve, min_angle: float) -> SharpCorners:
-    """Return the corners of a curve, whose angles are those in the tangent plane of the face.
+    """Return the corners of a curve at which a knife is lifted or may overcut.
+
+    The angle of a corner is that between the two directions of the curve in the tangent plane of the face.
+    Corners are in order of their length along the curve.
 
     Args:
         work: Claim with the motion.
@@ -97,6 +100,7 @@ def find_corners(work: TrimmedSheet, curve: OutlineCurve, min_angle: float) -> S
     points, normal = work.sheet.at(flat[candidates])
     directions = []
     for plan_direction in (previous[candidates], following[candidates]):
+        # z component that makes the direction tangential to the face; the bound avoids a division by 0
         up = -(plan_direction * normal[:, :2]).sum(axis=1) / np.maximum(normal[:, 2], 0.02)
         along = np.column_stack([plan_direction, up])
         directions.append(along / np.linalg.norm(along, axis=1, keepdims=True))
@@ -164,7 +168,11 @@ class BladePath:
         return self._face_cut(True)
 
     def _face_cut(self, is_far: bool) -> BladeCut:
-        """Calculate the cut of one face from lines along the whole path and dense lines at its ends."""
+        """Calculate where the blade has cut one face, ``is_far`` for the far one.
+
+        ``BLADE_LINES`` lines of the blade are followed along the whole path. Where the blade reaches its
+        depth and at the last sample, lines at most ``END_SPACING_M`` apart show how far the cut extends.
+        """
         blade = self.knife.blade
         front = float(
             blade.front(min(float(self.deep.max()) + self.work.claim.height_tolerance, blade.length))
@@ -175,6 +183,7 @@ class BladePath:
         end_offsets = np.linspace(
             -blade.end, front, max(int(np.ceil((blade.end + front) / END_SPACING_M)), 2)
         )
+        # first sample at which the tip is at its depth within half of the height tolerance
         inside = int(np.argmax(self.deep >= self.deep.max() - 0.5 * self.work.claim.height_tolerance))
         ends = (np.full(len(end_offsets), row) for row in (inside, len(all_rows) - 1))
         paths += [self._cut_lines(row, end_offsets, is_far) for row in ends]
@@ -204,10 +213,11 @@ class BladePath:
         return SlotPath(points, axis, feet, self.rows[index], distances, at, np.zeros(len(index)))
 
     def heading_errors(self) -> FloatArray:
-        """Return the angle (N,) [rad] between the blade and the nearest direction of its curve.
+        """Return by which angle (N,) [rad] the blade deviates from its curve, at each sample of the path.
 
-        The directions are those of the curve within half of the blade's width on either side. Near a sharp
-        corner they are those before or those after it, whichever fit better.
+        The curve has a range of directions within half of the blade's width on either side. The result is 0
+        if the blade's direction is in this range, otherwise the angle to the nearest end of the range. Near a
+        sharp corner the range is that before or that after the corner, whichever fits better.
         """
         work, curve, blade = self.work, self.curve, self.knife.blade
         normal, foot = self.feet.normal, self.feet.foot
@@ -217,12 +227,14 @@ class BladePath:
         ).lengths
         width_in_sheet = blade.end + float(blade.front(min(float(np.max(self.deep)), blade.length)))
         reach, best = max(0.5 * width_in_sheet, MIN_CHORD_M), np.full(len(at), np.inf)
+        # low, high: section of the curve between two corners to which each sample may belong
         for low, high in _sides(at, ends, curve.length, width_in_sheet + work.edge_tolerance):
             low_angle, high_angle = np.full(len(at), np.inf), np.full(len(at), -np.inf)
             for x in np.linspace(-reach, reach, DIRECTION_SAMPLES):
                 first = np.clip(at + x - 0.5 * MIN_CHORD_M, low, high - MIN_CHORD_M)
                 last = np.maximum(np.minimum(first + MIN_CHORD_M, high), first + MIN_CHORD_M)
                 angle = _line_angles(self.ahead, curve.points_at(last) - curve.points_at(first), normal)
+                # range of the signed angles from the blade to the directions; it contains 0 if one fits
                 low_angle, high_angle = np.minimum(low_angle, angle), np.maximum(high_angle, angle)
             best = np.minimum(best, np.maximum(np.maximum(low_angle, -high_angle), 0.0))
         return best
@@ -253,7 +265,10 @@ def _sides(
 
 
 def _line_angles(ahead: FloatArray, direction: FloatArray, normal: FloatArray) -> FloatArray:
-    """Return the signed angle (N,) [rad] between lines about a normal, within a quarter revolution."""
+    """Return the signed angle (N,) [rad] from ``ahead`` to ``direction`` about a normal, all (N, 3).
+
+    Both are undirected lines, so the angle is within a quarter revolution.
+    """
     across = (np.cross(ahead, direction) * normal).sum(axis=1)
     cosine_part = (ahead * direction).sum(axis=1) - (ahead * normal).sum(axis=1) * (direction * normal).sum(
         axis=1

@@ -175,14 +175,17 @@ def slot_dialogue(claim: OperatorDialogue, trims: TrimsSheet) -> OperatorDialogu
 def resolve_claims(
     claims: Mapping[str, tuple[Claim, ...]],
 ) -> tuple[dict[str, tuple[Claim, ...]], tuple[Issue, ...]]:
-    """Resolve claims on trimming: expand drawings to outlines, and add switching at slots to dialogues.
+    """Complete claims on trimming with what the proof reads from the curves.
+
+    Drawings become one outline for each curve. The operator dialogue of an operation with a torch gets the
+    switching and waits at each slot. Other claims are returned unchanged.
 
     Args:
         claims: Claims by operation.
 
     Returns:
-        The resolved claims by operation, and issues of files that cannot be read. Their claims are not
-        resolved.
+        The resolved claims by operation, and issues of files that cannot be read. The claims on such files
+        stay as they are.
     """
     issues: list[Issue] = []
     out: dict[str, tuple[Claim, ...]] = {}
@@ -269,6 +272,7 @@ class SheetSide:
         self.side, self.height = claim.side, claim.thickness if claim.side > 0 else 0.0
         self.tolerance = sheet.tolerance
         corners = sheet.face.corners + np.array([0.0, 0.0, self.height])
+        # join corners of triangles that coincide to 0.1 nm
         vertices, index = np.unique(np.round(corners.reshape(-1, 3), 10), axis=0, return_inverse=True)
         self.faces = np.asarray(index).reshape(-1, 3)
         noise = mesh_noise(vertices, self.faces)
@@ -334,6 +338,7 @@ class OutlineCurve:
         """
         nearest = np.asarray(self._tree.query(points)[1])
         best, lengths = np.full(len(points), np.inf), np.zeros(len(points))
+        # edges before and after the nearest vertex
         for first in ((nearest - 1) % len(self.ring), nearest):
             start = self.ring[first]
             edges = self.ring[(first + 1) % len(self.ring)] - start

@@ -38,7 +38,10 @@ def noise_rotation(noise: float) -> float:
 
 
 def smooth_heights(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Return the vertices (V, 3) of a mesh with smoothed heights.
+    """Return the vertices (V, 3) [m] of a mesh with noise, with smoothed heights.
+
+    Each height is that of a second-order surface fitted to the neighbours in plan. A third of the area of a
+    triangle counts for each of its vertices.
 
     Args:
         vertices: Vertices (V, 3) [m].
@@ -68,11 +71,13 @@ def _heights(
     radius: FloatArray,
     neighbours: list[list[int]],
 ) -> FloatArray:
-    """Return heights (K,) [m] at points (K, 3) of second-order surfaces that are fitted to their neighbours.
+    """Return smoothed heights (K,) [m] at points (K, 3) [m] of a mesh with noise.
 
-    The fit is a weighted least squares fit of z = c0 + c1 x + c2 y + c3 x^2 + c4 x y + c5 y^2 with
-    coordinates relative to the point. The weight is the vertex's ``area`` (V,) [m^2] times (1 - r^2)^2, with
-    the distance r as a fraction of the ``radius`` (K,) [m]. Points with few neighbours keep their height.
+    Each height is that of a second-order surface fitted to the point's neighbours, which are given as indices
+    of vertices (V, 3) for each point. The weighted least squares fit is z = c0 + c1 x + c2 y + c3 x^2 +
+    c4 x y + c5 y^2, with coordinates relative to the point. The weight is the vertex's ``area`` (V,) [m^2]
+    times (1 - r^2)^2, with the distance r as a fraction of the ``radius`` (K,) [m] of the point. Points with
+    fewer than ``MIN_NEIGHBOURS`` neighbours keep their height.
     """
     counts = np.array([len(indices) for indices in neighbours])
     row = np.repeat(np.arange(len(points)), counts)
@@ -89,5 +94,6 @@ def _heights(
             matrix[:, a, b] = np.bincount(row, weight * terms[a] * terms[b], count)
     largest = np.trace(matrix, axis1=1, axis2=2)
     matrix += (REGULARISATION_FRACTION * largest + 1e-30)[:, None, None] * np.eye(size)
+    # coefficient c0 is the height of the surface at the point, relative to the point
     offsets = np.linalg.solve(matrix, right_side[..., None])[:, 0, 0]
     return np.asarray(points[:, 2] + np.where(counts >= MIN_NEIGHBOURS, offsets, 0.0))

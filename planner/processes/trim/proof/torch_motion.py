@@ -270,9 +270,10 @@ REST_TOLERANCE_M = 0.05e-3
 
 
 def start_row(track: ReplayedToolPath) -> int:
-    """Return the index of the last position at which a tool is still at rest at the start of its track.
+    """Return the index of the last sample before a tool leaves the start of its track.
 
-    It is 0 if the tool is not at rest.
+    Up to this sample it rests, as a torch does while it pierces. The index is 0 if the tool moves at once,
+    and the last one if it never moves.
     """
     moved = np.linalg.norm(track.tip - track.tip[:1], axis=1) > REST_TOLERANCE_M
     return max(int(np.argmax(moved)) - 1, 0) if moved.any() else len(moved) - 1
@@ -285,8 +286,9 @@ FIRST_BATCH = 256
 def longest_stay(track: ReplayedToolPath, distance: float) -> float:
     """Return the longest time [s] for which a tool stays within a distance of a position.
 
-    The first interval starts when the tool starts to move. Each ends at the first position that is farther
-    away, at which the next one starts.
+    It is compared with the time limit of the watchdog. The first interval starts when the tool starts to
+    move. Each ends at the first sample that is farther than ``distance`` from its start, at which the next
+    one starts.
 
     Args:
         track: Track of the tool.
@@ -376,13 +378,18 @@ def sheet_distance(work: TrimmedSheet, rows: IntArray) -> tuple[float, int]:
 
 
 def _body_distance(work: TrimmedSheet, rows: IntArray, body: RoundBody) -> tuple[float, int]:
-    """Return the result of :func:`sheet_distance` for one body of the tool, with the flat around the mesh."""
+    """Return the smallest distance [m] of one body of the tool from the sheet, and the track's row there.
+
+    The sheet is the mesh with the flat rectangles around it, out to the edges of the stock. The distance is
+    calculated up to ``MAX_QUERY_DISTANCE_M``.
+    """
     swept = SweptBody(work.track.tip[rows], work.track.axis[rows], body)
     corners = work.sheet.vertices[work.sheet.faces]
     low, high = corners.reshape(-1, 3)[:, :2].min(axis=0), corners.reshape(-1, 3)[:, :2].max(axis=0)
     size = 0.5 * np.asarray(work.context.stock_at(work.index).size)[:2]
     flat = []
     xs, ys = [min(-size[0], low[0]), max(size[0], high[0])], [min(-size[1], low[1]), max(size[1], high[1])]
+    # rectangles left, right, below and above the bounds of the mesh
     for x0, y0, x1, y1 in (
         (xs[0], ys[0], low[0], ys[1]),
         (high[0], ys[0], xs[1], ys[1]),

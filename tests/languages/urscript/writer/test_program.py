@@ -192,7 +192,7 @@ def test_what_no_popup_can_show_is_refused(text):
 
 
 def test_names_are_words_of_no_language():
-    assert syntax.name("Bow 650, short") == "bow_650_short"
+    assert syntax.identifier("Bow 650, short") == "bow_650_short"
     for text in ("movel", "7th", "***"):
         with pytest.raises(TandemError):
-            syntax.name(text)
+            syntax.identifier(text)

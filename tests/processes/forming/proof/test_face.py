@@ -8,7 +8,7 @@ import shapely
 
 from planner.geometry.arrays import FloatArray
 from planner.geometry.mesh import TriangleMesh
-from planner.processes.forming.plan.check import find_unreached, nearest_centres
+from planner.processes.forming.plan.check import find_unreached_region, nearest_centres
 from planner.processes.forming.plan.contact import ContactFace as PlannersFace
 from planner.processes.forming.proof import face as forming_face
 from planner.processes.forming.proof.face import ProofFace, min_ball_distance, remaining_face
@@ -99,7 +99,7 @@ def test_long_triangles_are_left_with_fillets_at_all_their_corners(monkeypatch: 
 def test_the_planner_tells_volume_place_and_share_of_a_sharp_floor() -> None:
     angle, radius = np.radians(65.0), 0.03
     forming_pass = plan_passes(cone(65.0, 0.01, radius, 120))[-1]
-    found = find_unreached(forming_pass, BALL)
+    found = find_unreached_region(forming_pass, BALL)
     assert found is not None
     near = radius - 0.01 / np.tan(angle)
     half = 0.5 * angle

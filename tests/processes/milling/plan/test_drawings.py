@@ -17,7 +17,7 @@ from planner.issues import TandemError
 from planner.processes import registry
 from planner.processes.milling.plan import point_cut
 from planner.processes.milling.plan.operation import EngraveCut
-from planner.proof.part_files.drawn_curves import split_curves
+from planner.proof.part_files.drawn_curves import explode_drawings
 from planner.reading import problem as problem_file
 from planner.reading import rhino
 from tests.processes.milling.plan import small_mill
@@ -68,7 +68,8 @@ def test_planner_and_proof_run_the_curves_alike(tmp_path: Path) -> None:
     own = cut(tmp_path, {"drawing": {"file": "pattern.3dm", "layers": ["lines"]}})
     ours = [engraved.points for engraved in point_cut._engraved_curves(own, "engrave")[0]]
     theirs = [
-        1e-3 * np.array(one.points_mm) for one in split_curves(tuple(c.to_drawn_curve() for c in own.engrave))
+        1e-3 * np.array(one.points_mm)
+        for one in explode_drawings(tuple(c.to_drawn_curve() for c in own.engrave))
     ]
     assert len(ours) == len(theirs) == 3
     begins = [(-30, -10), (-20, -12), (24, -15)]

@@ -55,7 +55,7 @@ def test_a_ball_reaches_a_round_trough_of_its_own_radius_alone() -> None:
     mesh = Mesh(grid.reshape(-1, 3), faces)
     up = TriangleMesh(mesh.vertices, mesh.faces)
     assert float(np.cross(*np.diff(up.vertices[up.faces[0]], axis=0))[2]) > 0.0
-    found = cutter_contact.find_unreached(mesh, 20e-3, 1e-4)
+    found = cutter_contact.find_unreached_region(mesh, 20e-3, 1e-4)
     assert found is not None
     assert found.area_fraction == pytest.approx(1.0, abs=0.01)
     # from the one rim the other is in the ball farthest: of the chord that joins them
@@ -64,4 +64,4 @@ def test_a_ball_reaches_a_round_trough_of_its_own_radius_alone() -> None:
     deepest = 20e-3 - float(np.linalg.norm(np.array([across, 0.0]) * -1.0 - centre))
     assert found.depth == pytest.approx(deepest, rel=0.03)
     assert found.fitting_radius is not None and found.fitting_radius == pytest.approx(pipe, rel=0.03)
-    assert cutter_contact.find_unreached(mesh, 11.9e-3, 1e-4) is None
+    assert cutter_contact.find_unreached_region(mesh, 11.9e-3, 1e-4) is None

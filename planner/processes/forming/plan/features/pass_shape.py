@@ -239,7 +239,9 @@ def depth_areas(face: Mesh, side: int, start: float, end: float) -> tuple[FloatA
 
 
 def limit_wall_angle(depth: FloatArray, areas: tuple[Any, ...], angle: float) -> AngleLimitedShape:
-    """Return the intermediate shape of a feature whose walls have at most an angle.
+    """Return the intermediate shape of a feature whose walls are at most as steep as ``angle``.
+
+    Steep features are formed through such shapes, which are never deeper than the feature itself.
 
     Args:
         depth: Depths (L,) [m].

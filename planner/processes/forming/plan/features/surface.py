@@ -188,6 +188,7 @@ def _outer_border(vertices: FloatArray, faces: IntArray, rim: IntArray) -> IntAr
 
 
 def _hole_issue(points: FloatArray) -> Issue:
+    """Return the error that the part has a hole, with the size and centre of its edge ``points`` (K, 3)."""
     centre = points.mean(axis=0)
     size = max(bounding_sides(points[:, :2])[0], float(np.ptp(points[:, 2])))
     message = (
@@ -199,6 +200,7 @@ def _hole_issue(points: FloatArray) -> Issue:
 
 
 def _border_issue(point: FloatArray, level: float, noise: float) -> Issue:
+    """Return the error that the part's edge leaves the flat at ``level`` [m]; ``point`` (3,) is the worst."""
     deviation_mm = abs(float(point[2]) - level) / MM
     message = (
         f"the edge of the part is {deviation_mm:.3f} mm away from the flat sheet at {position_text(point)}, "
@@ -257,9 +259,10 @@ def slice_levels(
 ) -> tuple[tuple[FloatArray, ...], ...]:
     """Return the level lines of a height at several levels.
 
-    A vertex at a level counts as above it, so that flats at a level do no harm. ``height`` may differ from
-    the surface's own where it is held constant. Then the position of a line between two vertices is that of
-    the surface where possible. No level line may meet the surface's border.
+    A vertex at a level counts as above it, so that a flat at a level has a line around it and none across.
+    ``height`` may differ from the surface's own z where a wall holds it constant. The position of a line
+    between two vertices is then that of the surface, if the surface has the level between them. No level line
+    may meet the surface's border.
 
     Args:
         surface: Surface.
@@ -447,7 +450,12 @@ def _sweep_tree(sweep: range, neighbours: tuple[list[int], list[int]]) -> list[i
 
 
 def _merge_trees(joined: list[int], split: list[int]) -> IntArray:
-    """Return the arcs (N - 1, 2) of the contour tree: leaves of the trees of both sweeps, taken in turn."""
+    """Return the arcs (N - 1, 2) of the contour tree, each from a vertex to its neighbour in the tree.
+
+    In each step a vertex is removed from both trees that is a leaf of one of them and has a single child in
+    the other. Its arc to the next vertex in the tree of which it is a leaf belongs to the contour tree.
+    ``joined`` and ``split`` are the trees of `_sweep_tree` from the top down and from the bottom up.
+    """
     count = len(joined)
     up, down = [0] * count, [0] * count  # number of arcs at each vertex in either tree
     for vertex in range(count):

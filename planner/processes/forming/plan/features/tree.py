@@ -135,7 +135,7 @@ class FeatureTree:
 
 @memoized
 def build_feature_tree(mesh: Mesh, step: float, noise: float = MIN_BUMP_HEIGHT_M) -> FeatureTree:
-    """Return the features of a part.
+    """Return the features of a part, which are formed one after the other, each in one or more passes.
 
     Args:
         mesh: Open surface, nearly a height field over the sheet plane, in the sheet's frame, z up, its edge
@@ -276,6 +276,7 @@ def _touching_issues(features: list[Feature], noise: float) -> tuple[Issue, ...]
 def _touch_issue(
     feature: Feature, other: Feature, outline: Polygon, other_outline: Polygon, overlaps: bool
 ) -> Issue:
+    """Return the issue that two features overlap (an error) or touch (a warning), with the place."""
     point = np.array(nearest_points(outline, other_outline)[0].coords[0])
     if overlaps:
         point = np.array(outline.intersection(other_outline).representative_point().coords[0])
@@ -419,7 +420,11 @@ def _check_order(
     selected: Sequence[int] | None,
     previous: Sequence[int],
 ) -> None:
-    """Raise ``TandemError`` (forming.order) if a custom order is invalid; arguments as in `custom_order`."""
+    """Raise ``TandemError`` (forming.order) with all faults of a custom order.
+
+    Each required feature must be named exactly once, and no other one. Unless ``translated``, a parent must
+    come before its children, or be formed before. The arguments are those of `custom_order`.
+    """
     required = set(range(1, len(tree.features) + 1)) if selected is None else set(selected)
     issues = []
     unknown = sorted(set(order) - required - {feature.id for feature in tree.features})

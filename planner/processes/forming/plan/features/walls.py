@@ -97,7 +97,9 @@ class WallFaces:
 
 
 def find_terraces(faces: WallFaces, inside: float, start: float, end: float, noise: float) -> list[Terrace]:
-    """Return the terraces of a wall, ordered from its start to its end.
+    """Return the terraces of a wall, ordered from its start to its end, at which it is divided into features.
+
+    A terrace is a run of heights at which the wall is much wider in plan than the walls before and after it.
 
     Args:
         faces: Faces of the wall.
@@ -128,10 +130,12 @@ def find_terraces(faces: WallFaces, inside: float, start: float, end: float, noi
 
 
 def _adjacent_wall_width(width: FloatArray, cells: float) -> FloatArray:
-    """Return, for each cell of height, the plan width of the steepest wall before it or after it.
+    """Return, for each cell of height, the plan width with which a terrace there is compared.
 
-    The greater of both counts. A wall is `MIN_WALL_HEIGHT_FACTOR` times the noise high and as steep as its
-    flattest cell. The width is infinite where there is no wall on a side. ``cells`` is the noise in cells.
+    A wall is a run of cells `MIN_WALL_HEIGHT_FACTOR` times the noise high, and its width is that of its
+    widest cell. The steepest wall on each side of the cell is taken, and of these two widths the greater one.
+    It is infinite if there is no wall on one side. ``width`` has the plan width [m] of each cell, and
+    ``cells`` is the number of cells per noise.
     """
     window = round(MIN_WALL_HEIGHT_FACTOR * cells)
     previous = np.full(len(width), np.inf)
@@ -232,7 +236,7 @@ def build_skeleton(
     noise: float,
     level: float,
 ) -> Skeleton:
-    """Return the skeleton of a contour tree whose root is the flat sheet.
+    """Return the skeleton of a contour tree whose root is the flat sheet, from which walls are derived.
 
     Args:
         tree: Contour tree.
@@ -246,14 +250,15 @@ def build_skeleton(
 
 
 def _float_list(values: FloatArray) -> list[float]:
-    """List of floats, whose elements are read several times faster than those of an array."""
+    """Return a list of floats, whose elements are read several times faster than those of an array."""
     return list(map(float, values))
 
 
 class _SkeletonBuilder:
-    """Builds the skeleton of a contour tree.
+    """Builder of the skeleton of a contour tree; call `build` once.
 
     A vertex is significant if the branch that starts with it leaves its parent's height by the noise or more.
+    Only significant vertices make nodes and walls.
     """
 
     def __init__(
@@ -451,7 +456,12 @@ class _SkeletonBuilder:
     def _with_wall_noise(
         self, nodes: list[SkeletonNode], element: IntArray, z: FloatArray, smooth: FloatArray
     ) -> list[SkeletonNode]:
-        """Return the nodes with deviations that include the noise of nearby vertices on adjacent walls."""
+        """Return the nodes with deviations that include the noise of nearby vertices on adjacent walls.
+
+        So the first level line of a wall is placed beyond the noise at its foot. ``z`` (N,) [m] are the
+        heights of the vertices with noise, and ``smooth`` (N,) [m] those without. ``element`` (N,) is as
+        `Skeleton.element`.
+        """
         noise_height = np.abs(z - smooth)
         noisy = np.nonzero((noise_height > 0.0) & (noise_height < self.noise))[0]
         if len(noisy) == 0:
@@ -525,7 +535,9 @@ class _WallRun:
 
 
 def find_walls(skeleton: Skeleton, surface: SheetSurface, noise: float) -> list[FeatureWall]:
-    """Return the walls of a part, each after its parent.
+    """Return the walls of a part, each after its parent; each becomes one feature.
+
+    The parent of a wall is the wall on whose flat it starts, or None for the flat sheet.
 
     Args:
         skeleton: Skeleton of the part.
@@ -551,6 +563,7 @@ def find_walls(skeleton: Skeleton, surface: SheetSurface, noise: float) -> list[
         sign = pieces[0].sign
         for node_index in (*wall_run.through, wall_run.end):
             level = skeleton.nodes[node_index].level
+            # walls that leave at a node belong to the first piece of this run that reaches its level
             fits = [k for k, piece in enumerate(pieces) if sign * (level - piece.end) < noise]
             leaving = [
                 other for other in children[node_index] if other not in (*wall_run.through, wall_run.end)
@@ -603,7 +616,10 @@ def _run_height(run: _WallRun, skeleton: Skeleton) -> tuple[FloatArray, FloatArr
 def _wall_pieces(
     run: _WallRun, skeleton: Skeleton, surface: SheetSurface, area: FloatArray, noise: float
 ) -> list[FeatureWall]:
-    """Return the walls of a run, split at its terraces, in order; their parents are set later."""
+    """Return the walls of a run, split at its terraces, in order; the caller sets their parents.
+
+    ``area`` (F,) [m^2] are the plan areas of the surface's faces, and ``noise`` [m] is that of the mesh.
+    """
     height, on_run = _run_height(run, skeleton)
     start_node, end_node = skeleton.nodes[run.start], skeleton.nodes[run.end]
     start, end = start_node.level, end_node.level

@@ -59,10 +59,11 @@ def adsif_tool_path(
     thickness: float,
     metal: SheetMetal,
 ) -> FormingToolPath:
-    """Return the paths of both tools over a feature.
+    """Return the paths of both tools over a feature in mode adsif, in which a response table places them.
 
-    The gap [m] is as commanded, that is, minus the deflection of the tools. The contact points are those of
-    the final part, not of the sheet at that instant.
+    The forming ball stays at one level and goes outward loop by loop. The table gives the position of the
+    support for the wall angle that is to result. The gap [m] is as commanded: the required one minus the
+    deflection of the tools. The contact points are those of the final part, not of the sheet at that instant.
 
     Args:
         forming_pass: Pass.
@@ -158,7 +159,11 @@ def _response_table(operation: Forming) -> ResponseTable:
 
 
 def _contact_path(forming_pass: FormingPass, radius: float, operation: Forming) -> ContactPath:
-    """Return the path of the contact, loop by loop from the feature's end to its start; one loop a level."""
+    """Return the path of the contact, loop by loop from the feature's end, its innermost level, to its start.
+
+    Each level has one loop. If its level line has several, the one with the largest area is taken. A helical
+    path blends each loop into the next one.
+    """
     mesh = TriangleMesh(forming_pass.vertices, forming_pass.faces)
     levels = _loop_levels(forming_pass, operation.adsif.pitch_mm * MM)
     smooth = corner_normals(mesh, CREASE_ANGLE_RAD)
@@ -275,9 +280,10 @@ def _sample_loop(
 
 
 def _spiral_rings(rings: list[tuple[FloatArray, FloatArray]]) -> list[tuple[FloatArray, FloatArray]]:
-    """Return the rings of one outward spiral between the first and the last loop, which stay whole.
+    """Return rings that form one outward spiral, preceded by the first loop and followed by the last one.
 
-    Each ring has points and normals (M, 3). From one loop to the next it blends both linearly.
+    Each ring is a pair of points (M, 3) [m] and normals (M, 3). A ring of the spiral blends linearly from one
+    loop to the next. Its first point is left out, because it is the last one of the ring before.
     """
     out = [rings[0]]
     for inner, outer in itertools.pairwise(rings):

@@ -84,7 +84,10 @@ class ResponseTable:
 
 
 def require_conditions(response: ResponseTable, required: ResponseConditions) -> None:
-    """Check that a table is valid for given conditions.
+    """Check that a table is valid for given conditions, because responses cannot be scaled to other ones.
+
+    The metal must be the same. Lengths, and the ratio of thickness and tool radius, must agree within
+    LENGTH_TOLERANCE_FRACTION.
 
     Args:
         response: Table.
@@ -267,7 +270,7 @@ def checked_gap_to_command(gap: ArrayLike, position: ArrayLike, deflected: Array
 def centre_distances(
     position: ArrayLike, gap: ArrayLike, radius_top: float, radius_bottom: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return x_bot - x_top outward and z_top - z_bot [m] of the balls' centres.
+    """Return by how much [m] the lower ball's centre is outward of, and below, the upper ball's centre.
 
     Args:
         position: Position angles [rad].

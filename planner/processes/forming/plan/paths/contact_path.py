@@ -45,8 +45,8 @@ _MakeTargets = Callable[[FloatArray], "ContactTargets"]
 MIN_SPACING_M: Final = 5e-5
 """Minimum spacing [m] of targets."""
 _MIN_CORNER_ANGLE_RAD: Final = np.radians(15.0)
-"""Normals that turn by more than this [rad] from point to point do so at a corner, which gets no targets
-within.
+"""Normals that turn by more than this [rad] from point to point do so at a corner, within which there are no
+targets.
 """
 _MAX_SPLIT_ROUNDS: Final = 8
 """Maximum number of times that a move is halved if it leaves the path of the ball's centre."""
@@ -95,7 +95,7 @@ class ContactTargets:
 def make_targets(
     curve: ContactCurve, face: ContactFace, creases: Creases, options: PathOptions, name: str
 ) -> ContactTargets:
-    """Return targets on a curve, at least 0.05 mm apart.
+    """Return targets on a curve, at least 0.05 mm apart, through which the ball goes on straight moves.
 
     Args:
         curve: Curve of required contact.
@@ -113,7 +113,7 @@ def make_targets(
         return _targets_at(rows, curve, face, creases, options.missed, name)
 
     initial_rows = _initial_rows(curve, face.radius, options)
-    # a few points reveal early that a tool is far too large
+    # a few points reveal early that a tool is far too large (step of the slice: the quotient rounded up)
     required, normal = curve_points(
         curve, face, creases, initial_rows[:: -(-len(initial_rows) // _EARLY_SAMPLES)]
     )
@@ -196,7 +196,13 @@ def _targets_at(
 
 
 def _initial_rows(curve: ContactCurve, radius: float, options: PathOptions) -> FloatArray:
-    """Return the positions (N,) of the initial targets on the curve, as in `ContactTargets.row`."""
+    """Return the positions (N,) of the initial targets on the curve, as in `ContactTargets.row`.
+
+    Corners of the curve, both ends of each piece, and the points that it marks become targets. Between them
+    targets are spaced so that moves keep the options: the tangent angle, the chord of the ball's centre, and
+    the longest move. The number of moves that these demand is added up along the curve, and each section
+    between fixed targets is divided into equal parts of that sum.
+    """
     point, centre = curve.point, curve.point + radius * curve.normal
     is_break = np.diff(curve.piece) != 0
     rotation, _ = _direction_changes(point, is_break)
@@ -242,7 +248,8 @@ def _initial_rows(curve: ContactCurve, radius: float, options: PathOptions) -> F
 def _direction_changes(point: FloatArray, is_break: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Return the change of direction (K,) [rad] at each point of a polyline, and its lengths (K - 1,) [m].
 
-    It is 0 at breaks (K - 1,) and around moves that are too short to have a direction.
+    A move that ``is_break`` (K - 1,) leads from one piece of the curve to the next. The change is 0 next to
+    such a move, and moves that are too short to have a direction are skipped.
     """
     move = np.diff(point, axis=0)
     length = np.linalg.norm(move, axis=1)
@@ -259,10 +266,10 @@ def _direction_changes(point: FloatArray, is_break: BoolArray) -> tuple[FloatArr
 
 
 def _trim_corners(targets: ContactTargets, make_at: _MakeTargets) -> ContactTargets:
-    """Return the targets with ends at the sections from which creases keep the ball away.
+    """Return the targets with additional ones at the ends of sections from which creases keep the ball away.
 
-    The ends are the last points that the ball reaches on either side, and get targets. Targets in between are
-    dropped where both ends are at nearly the same position.
+    The ends are the last points that the ball reaches on either side. If the ball is at nearly the same
+    position at both ends, as in a sharp corner, the targets in between are dropped.
     """
     same_piece = targets.piece[1:] == targets.piece[:-1]
     section_ends = np.flatnonzero(same_piece & (targets.missed[1:] != targets.missed[:-1]))
@@ -291,7 +298,9 @@ def _split_moves(
 ) -> ContactTargets:
     """Return the targets with others inserted where a straight move leaves the path of the centre.
 
-    Moves are halved until they deviate, cut into the face and are long only as far as the options allow.
+    Each move is halved while its middle deviates from the path by more than ``chord``, it cuts into the face
+    by more than ``cut``, or it is longer than ``longest``. Moves that are too short for a further target are
+    not halved. Where a crease keeps the ball away from the middle, the deviation does not count.
     """
     check = np.ones(len(targets.row) - 1, dtype=np.bool_)
     for _ in range(_MAX_SPLIT_ROUNDS):
@@ -383,13 +392,17 @@ def _merge_targets(first: ContactTargets, second: ContactTargets) -> ContactTarg
 
 
 def _drop_close_targets(targets: ContactTargets) -> ContactTargets:
-    """Return the targets without those less than 0.05 mm after the previous one; ends of pieces stay."""
+    """Return the targets without those less than 0.05 mm after the previous one.
+
+    The ends of pieces stay. Of two close targets, the one that the curve requires stays.
+    """
     while len(targets.row) > 2:
         is_near = np.linalg.norm(np.diff(targets.centre, axis=0), axis=1) < MIN_SPACING_M
         same_piece = targets.piece[1:] == targets.piece[:-1]
         if not (is_near & same_piece).any():
             break
         close_moves = np.flatnonzero(is_near & same_piece)
+        # the first target of a close move is dropped if the second one ends its piece or is required
         drops_first = np.append(~same_piece, True)[close_moves + 1] | (
             targets.kept[close_moves + 1] & ~targets.kept[close_moves]
         )
@@ -441,7 +454,14 @@ def make_contact_path(forming_pass: FormingPass, radius: float, options: PathOpt
 
 
 def _ball_path(forming_pass: FormingPass, radius: float, options: PathOptions) -> ContactPath:
-    """Return the path of `make_contact_path`, or raise `TooNarrow` where the face is too narrow."""
+    """Return the path of `make_contact_path` for one radius [m] of the ball.
+
+    Level lines that the ball reaches are joined to a curve, on which targets are then placed.
+
+    Raises:
+        TooNarrow: if the face is too narrow for the ball; the caller then tries smaller ones.
+        TandemError: ``forming.no_contour``, ``forming.open_contour``.
+    """
     # a face that is formed from below is mirrored in z, so that the ball is always above it
     vertices = forming_pass.vertices if forming_pass.side > 0 else forming_pass.vertices * MIRROR
     start, end = forming_pass.side * forming_pass.start, forming_pass.side * forming_pass.end
@@ -511,9 +531,11 @@ def _feature_region(forming_pass: FormingPass) -> Polygon:
 def _assemble_path(
     targets: ContactTargets, curve: ContactCurve, face: ContactFace, options: PathOptions, side: int
 ) -> ContactPath:
-    """Return the path through the targets and the moves between pieces, on the side ``side`` that forms.
+    """Return the path through the targets and the moves between pieces of the curve.
 
-    Between pieces the ball is lifted above everything, or, at a transition "step", moves level and then down.
+    At a transition "lift" the ball is lifted above the whole face, crosses, and comes down; these moves do
+    not form. At a transition "step" it moves level along the sheet, which does not form, and then down. The
+    face was mirrored if ``side`` is -1, so the result is mirrored back.
     """
     point, normal, centre, loop = targets.point, targets.normal, targets.centre, targets.loop
     working = np.ones(len(point), dtype=np.bool_)

@@ -144,7 +144,7 @@ def closed_loops(segments: LevelSegments, region: Polygon | None, name: str) -> 
 
     Args:
         segments: Segments.
-        region: Region in plan in which lines must lie; None for all.
+        region: Region in plan in which at least 99 % of the points of a line must lie; None for all lines.
         name: Name of the pass, for messages.
 
     Raises:
@@ -229,7 +229,11 @@ def _successors(segments: LevelSegments, region: Polygon | None, name: str) -> t
 
 
 def _make_loop(segments: LevelSegments, members: IntArray) -> LevelLoop | None:
-    """Return the loop of consecutive segments with its creases subdivided, or None if it is too short."""
+    """Return the loop of consecutive segments, or None if it is too short.
+
+    At a crease the normal turns at one point. The loop gets several points there, between which the normal
+    turns by at most `_FAN_STEP_RAD`. ``members`` (M,) are the indices of the segments, in order.
+    """
     point = np.stack([segments.start[members], segments.stop[members]], axis=1).reshape(-1, 3)
     normal = np.stack([segments.start_normal[members], segments.stop_normal[members]], axis=1).reshape(-1, 3)
     point, normal = np.concatenate([point, point[:1]]), np.concatenate([normal, normal[:1]])
@@ -303,11 +307,11 @@ def flattest_wall(segments: LevelSegments, region: Polygon | None, count: int) -
 def scallop_levels(
     mesh: TriangleMesh, normals: FloatArray, region: Polygon | None, start: float, end: float, width: float
 ) -> FloatArray:
-    """Return levels whose lines are a given width apart along the face.
+    """Return the descending levels of a path whose lines are about ``width`` apart along the face.
 
-    A step is ``width`` times the sine of the flattest wall of both its lines. Where the face becomes so flat
-    that this is small, lines are at least half of ``width`` apart along the face instead, because more of
-    them gain nothing.
+    A step in height is ``width`` times the smallest sine of the wall angles between its two lines. Where the
+    face is so flat that this step becomes small, lines are at least half of ``width`` apart along the face
+    instead, because more lines would not reduce the ridges.
 
     Args:
         mesh: Face, F triangles.
@@ -364,10 +368,10 @@ _LINE_NEIGHBOURS: Final = 32
 def ridge_heights(mesh: TriangleMesh, radius: float, step: float, fraction: float) -> FloatArray:
     """Return the height (F,) [m] of the ridges that a ball leaves on the triangles of a face.
 
-    On a wall at angle a paths are dz / sin a apart. Where the wall bends, the flattest point within that
-    distance counts, because the paths on both sides of a ridge are about there. Where it is nearly flat no
-    step is small enough. There the height is that at the angle that the walls exceed except for (1 -
-    fraction) / 2 of their area.
+    On a wall at angle a the paths are dz / sin(a) apart. Where the wall bends, the flattest point within that
+    distance counts, because the paths on both sides of a ridge are about there. Angles have a lower bound,
+    because no step is small enough for a nearly flat wall. It is the angle below which (1 - fraction) / 2 of
+    the walls' area lies, and at least MIN_WALL_ANGLE_RAD.
 
     Args:
         mesh: Face.

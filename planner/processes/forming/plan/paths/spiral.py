@@ -27,9 +27,10 @@ class PathOptions:
     """Options for the path of the contact over a face.
 
     Attributes:
-        kind: "contour": closed loops, joined by a diagonal step along the face at the seam. "alternating":
-            the same with every other loop reversed. "stepped": at the seam first level, along the sheet as it
-            is then, and then straight down. "helical": one spiral between a flat first and a flat last loop.
+        kind: Kind of the path. "contour": closed loops, joined by a diagonal step along the face at the seam.
+            "alternating": such loops, of which every other one is reversed. "stepped": closed loops; at the
+            seam the ball moves level along the sheet and then straight down. "helical": one spiral between a
+            flat first and a flat last loop.
         stepdown: Distance [m] from level to level. Either this or ``scallop`` is stated.
         scallop: Height [m] of the ridges left between loops.
         tangent_angle: Turn [rad] of the contact's path after which there is a target; corners always get one.
@@ -96,10 +97,11 @@ class ContactCurve:
 def start_at_seam(
     loop: LevelLoop, centre: FloatArray, angle: float, previous_end: FloatArray | None
 ) -> LevelLoop:
-    """Return the loop, starting where it meets the ray from a centre.
+    """Return the loop, starting where it meets the ray from a centre, so that seams are in one line.
 
-    If it meets the ray several times, it starts at the point nearest to ``previous_end``, or at the outermost
-    one. A loop that misses the ray starts at its point nearest to ``previous_end``, or nearest to the ray.
+    If it meets the ray several times, it starts at the crossing nearest to ``previous_end``, or at the
+    outermost one if ``previous_end`` is None. A loop that misses the ray starts at its point nearest to
+    ``previous_end``, or nearest to the ray if that is None.
 
     Args:
         loop: Loop.
@@ -138,8 +140,10 @@ def order_loops(
 ) -> tuple[list[LevelLoop], list[LoopTransition]]:
     """Return all loops in the order of forming, and the transition from each to the next.
 
-    Each loop starts at its seam and has the direction in which it is formed. Several loops of a level follow
-    one another by distance.
+    Each loop starts at its seam and has the direction in which it is formed. If a level has several loops,
+    the one nearest to the end of the previous loop comes next; the very first loop is the longest one. A loop
+    is joined to the previous one if both are the only ones of their levels and one lies inside the other.
+    Between other loops the tool lifts.
 
     Args:
         levels: Loops of each level, in the order of forming.
@@ -207,8 +211,9 @@ def spiral_curve(
 ) -> ContactCurve:
     """Return one spiral through all loops that are joined.
 
-    It is flat along the first loop, then goes from each to the next by p = (1 - s) C_i(s) + s C_i+1(s), with
-    s the fraction of the loops' length, and is flat along the last loop.
+    The spiral is flat along the first and along the last loop. Between them it goes from each loop C_i to the
+    next by p = (1 - s) C_i(s) + s C_i+1(s), with s the fraction of the loops' length. Loops that are not
+    joined are separate pieces, each with its own spiral.
 
     Args:
         loops: Loops in the order of forming.
@@ -238,7 +243,14 @@ def spiral_curve(
 
 
 def _spiral_piece(loops: Sequence[LevelLoop], number: int, piece: int, seams: bool) -> ContactCurve:
-    """Return the spiral through joined loops as one piece; ``number`` is that of its first loop."""
+    """Return the spiral through joined loops as one piece of a curve, as `spiral_curve` describes it.
+
+    Args:
+        loops: Joined loops.
+        number: Number of the first loop of the spiral.
+        piece: Number of the piece.
+        seams: Whether the last point of each loop must become a target.
+    """
     fractions = [_length_fractions(loop) for loop in loops]
     point = [loops[0].point]
     normal = [loops[0].normal]

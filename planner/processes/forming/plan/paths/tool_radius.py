@@ -44,9 +44,12 @@ _MAX_WALL_ANGLE_RAD: Final = np.radians(85.0)
 
 
 class Creases:
-    """Concave creases and vertices of a face, and the reach of a ball near them.
+    """Concave creases and vertices of a face, near which a ball does not reach the face.
 
-    The reach is the distance around them within which the face's ball may not touch the face.
+    Concave edges with an angle of at least ``CREASE_ANGLE_RAD`` are creases, which are represented by points
+    along them. Concave vertices are such points, too. Each point has a reach: the distance from it within
+    which the ball of ``face`` may be kept away from the face. If the ball misses a point within a reach, the
+    crease is the reason. Elsewhere the face is too narrow for the ball.
     """
 
     def __init__(self, face: ContactFace) -> None:
@@ -69,7 +72,7 @@ class Creases:
             np.maximum.at(self._facet_angle, directed[first[is_smooth], end], edge_angle[is_smooth])
         is_crease = is_concave & ~is_smooth
         points, half_angle = [], []
-        step = 0.1 * face.radius
+        step = 0.1 * face.radius  # maximum spacing of the points along a crease
         edge_start, edge_end = (mesh.vertices[directed[first[is_crease], end]] for end in range(2))
         part_count = np.maximum(np.ceil(np.linalg.norm(edge_end - edge_start, axis=1) / step), 1).astype(
             np.int64
@@ -98,6 +101,7 @@ class Creases:
         self._points = np.concatenate(points)
         tangent = np.tan(np.minimum(np.concatenate(half_angle), _MAX_WALL_ANGLE_RAD))
         # a ball of radius R in a crease with half angle b touches its planes R tan b from the crease
+        # 5 % more, plus the spacing of the points, so that the reaches of neighbouring points overlap
         self._reach = 1.05 * face.radius * tangent + step
         self._tree = cKDTree(self._points) if len(self._points) else None
 
@@ -114,21 +118,24 @@ class Creases:
         return result
 
     def misses(self, required: FloatArray, contact: Contact) -> BoolArray:
-        """Return whether (N,) a crease keeps the ball away from each required point (N, 3) [m]."""
+        """Return whether (N,) a crease keeps the ball away from each required point (N, 3) [m].
+
+        That is so if the ball is pushed aside by more than `MAX_PUSH_M` and the point is near a crease.
+        """
         out = contact.pushed > MAX_PUSH_M
         out[out] = self.is_near(required[out])
         return np.asarray(out)
 
     def is_too_narrow(self, required: FloatArray, contact: Contact, missed: float) -> BoolArray:
-        """Return whether (N,) the face is too narrow for the ball at each smooth point.
+        """Return whether (N,) the face is too narrow for the ball at each required point.
 
-        It is if the ball fits nowhere near, or if it stays farther away than ``missed`` and than the facets
-        of the mesh cause. Points near a crease are not smooth.
+        It is too narrow if the ball fits nowhere nearby, or if it stays farther away than
+        `allowed_distance`. The result is False near a crease, which always keeps a ball away.
 
         Args:
             required: Required points (N, 3) [m].
-            contact: Ball positions for them.
-            missed: Allowed distance [m].
+            contact: Ball positions for them. ``clear`` (N,) says whether the ball was found to fit.
+            missed: Allowed distance [m] without the effect of facets.
         """
         out = ~contact.clear | (contact.gap > missed)
         out[out] = ~self.is_near(required[out])
@@ -173,28 +180,34 @@ def reachable_loops(
     wider: ContactFace | None = None,
     missed: float = np.inf,
 ) -> list[list[LevelLoop]]:
-    """Return the loops of each level that the ball reaches.
+    """Return the loops of each level that the ball reaches, along which it then forms the wall.
 
-    Loops from which a crease, as around a flat floor, keeps the ball away all along are left out. The first
-    level without any is replaced by the lowest loop that the ball reaches.
+    A loop is left out if a crease keeps the ball away from all of it, as around a flat floor. The first level
+    without loops below one with loops gets the lowest loops that the ball reaches between both. The lowest
+    loops are raised if the floor would push the ball off the wall.
 
-    Loops along which a ``wider`` ball is pushed aside farther are left out, too: a fillet that just admits
-    the ball counts as a crease, because a few micrometres aside the ball touches another point of it, where
-    the sheet has another thickness. No fillet counts where the ball would then stay farther away than the
-    foot of a wall requires, as in a hollow that is round all over, nor if the fillet is so narrow that the
-    ball itself stays away by more than ``missed``, which is reported.
+    With a ``wider`` ball a loop is also left out if that ball is pushed aside noticeably more than the ball
+    itself. A fillet that just admits the ball thus counts as a crease: a few micrometres aside the ball
+    touches another point of the fillet, where the sheet has another thickness. There are two exceptions:
+
+    - The ball would then not come down to the end of the wall, as in a hollow that is round all over. Then no
+      fillet counts as a crease.
+    - The ball itself stays away by more than ``missed``. Such a loop is kept, so that it is reported.
 
     Args:
         slices: Level lines of the face.
         face: Face.
         creases: Its creases.
         chord: Maximum deviation [m] of straight moves from the loops.
-        wider: Face with a wider ball, or None.
+        wider: The same face with a wider ball, or None.
         missed: Distance [m] from which a ball that stays away is reported.
+
+    Returns:
+        Reached loops of each level, from the top level down; empty lists where none are left.
     """
 
     def fits(loop: LevelLoop, max_push: float = MAX_PUSH_M) -> bool:
-        """Return whether the ball reaches a loop, and whether a wider ball is pushed aside hardly more."""
+        """Return whether a loop is kept: the ball reaches it, and a fillet there is not nearly too narrow."""
         if wider is None or creases.is_near(_sample_loop(loop)[0]).all():
             return _is_reached(loop, face, creases, max_push)
         push = _min_push(loop, face)
@@ -235,7 +248,7 @@ def reachable_loops(
 
 
 def _reaches_end(groups: list[list[LevelLoop]], radius: float, end: float) -> bool:
-    """Return whether a ball on the lowest loops comes down to about the level ``end`` [m]."""
+    """Return whether a ball of ``radius`` [m] on the lowest loops comes down to about the height ``end``."""
     group = next((group for group in reversed(groups) if group), [])
     lowest = [float((loop.point[:, 2] + radius * loop.normal[:, 2]).min()) for loop in group]
     return bool(lowest) and min(lowest) - radius <= end + MAX_FLOOR_CLEARANCE_M
@@ -275,7 +288,10 @@ def _lift_off_floor(
 
 
 def _corner_points(loops: list[LevelLoop], face: ContactFace) -> FloatArray:
-    """Return points (K, 2) [m] in plan where another wall pushes a ball aside, on loops above any floor."""
+    """Return points (K, 2) [m] in plan where another wall pushes a ball aside.
+
+    The ``loops`` are so high that no floor does.
+    """
     samples = [_sample_loop(loop, _DENSE_SAMPLES) for loop in loops]
     pushed_points = [
         points[face.pushed(points, normal, beyond=CREASE_ANGLE_RAD) > 0.0, :2] for points, normal in samples
@@ -297,7 +313,10 @@ def _max_other_push(loop: LevelLoop, face: ContactFace, corners: FloatArray) -> 
 
 
 def _is_reached(loop: LevelLoop, face: ContactFace, creases: Creases, max_push: float = MAX_PUSH_M) -> bool:
-    """Return whether the ball reaches some point of a loop to ``max_push`` [m]; true away from creases."""
+    """Return whether the ball reaches a loop: at some point it is pushed aside by at most ``max_push`` [m].
+
+    A loop that is not near creases all along counts as reached.
+    """
     return not creases.is_near(_sample_loop(loop)[0]).all() or _min_push(loop, face) <= max_push
 
 
@@ -364,13 +383,15 @@ class TooNarrow(Exception):  # noqa: N818
 def largest_fitting_radius(
     first: TooNarrow, path: Callable[[float], object], min_radius: float
 ) -> float | None:
-    """Return the largest of the tested radii for which ``path`` computes the whole path, or None.
+    """Return the first of several decreasing radii [m] for which ``path`` computes the whole path, or None.
 
-    Radii are whole hundredths of a mm, above a minimum. Paths of other balls have other targets, perhaps at
-    narrower points.
+    The user is advised to take a ball of this radius. Radii are whole hundredths of a mm. A radius that fits
+    at the points of ``first`` may fail on its own path, which has other targets, perhaps at narrower points.
+    Then the next one is smaller, by a step that grows. The search ends after ``_RADIUS_TRIALS`` radii, or at
+    ``min_radius``.
 
     Args:
-        first: Error of the original ball.
+        first: Error of the original ball, with a radius that fits at its narrowest points.
         path: Computes the path for a radius [m].
         min_radius: Lower bound [m] of the radius.
     """
@@ -394,18 +415,19 @@ def too_narrow_error(
 ) -> TooNarrow:
     """Return the error that points of a face are too narrow for its ball.
 
-    It has the worst point, and the largest ball that fits at a few of them.
+    It has the point from which the ball stays farthest away, and the radius of the largest ball that fits at
+    about ``_NARROW_SAMPLES`` of the points.
 
     Args:
         name: Name of the pass.
         face: Face.
         required: Points (N, 3) [m].
         normal: Unit normals (N, 3).
-        gap: Distances (N,) [m] of the ball.
+        gap: Distances (N,) [m] of the ball from the points.
         missed: Allowed distance [m].
     """
     order = np.argsort(-gap)
-    samples = order[:: -(-len(order) // _NARROW_SAMPLES)]
+    samples = order[:: -(-len(order) // _NARROW_SAMPLES)]  # step: the quotient rounded up
     low = 0.0
     box = np.stack([required[:, :2].min(axis=0), required[:, :2].max(axis=0)])
     nearby_mesh = ContactFace(face.mesh, face.radius, box).mesh

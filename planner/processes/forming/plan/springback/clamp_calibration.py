@@ -141,6 +141,8 @@ def plate_response(
 ) -> PlateResponse:
     """Return the response of a plate to a range of forces, from shells of its ordered thickness.
 
+    The response is dimensionless, so that other thicknesses within the tolerance can be evaluated with it.
+
     Args:
         plate: Plate.
         max_force: Largest force [N].
@@ -223,7 +225,10 @@ class ClampCalibration:
 
 
 def calibrate(plate: TestPlate, readings: PlateReadings, response: PlateResponse) -> ClampCalibration:
-    """Estimate the border, the thickness and kappa, each with its interval, from the readings of a test."""
+    """Estimate the border, the thickness and kappa, each with its interval, from the readings of a test.
+
+    The posterior distribution is evaluated on a grid, which is refined twice to the range that matters.
+    """
     spread = 0.5 * plate.tolerance
     grip_range = (0.0, 1.0)
     thickness_range = (plate.thickness - 4.0 * spread, plate.thickness + 4.0 * spread)
@@ -261,7 +266,17 @@ class _PosteriorGrid:
         grips: tuple[float, float],
         thicks: tuple[float, float],
     ) -> "_PosteriorGrid":
-        """Return the distribution between the ends of ranges of borders and thicknesses [m]."""
+        """Return the posterior distribution on a grid over ranges of borders and thicknesses.
+
+        The model of a reading is kappa times the deflection of the plate, plus normal errors.
+
+        Args:
+            plate: Plate.
+            readings: Readings.
+            response: Response of the plate.
+            grips: Lowest and highest border, 0 to 1.
+            thicks: Lowest and highest thickness [m].
+        """
         grip, thick = np.linspace(*grips, GRID_SHAPE[0]), np.linspace(*thicks, GRID_SHAPE[1])
         inverse_variance = 1.0 / (readings.error**2 + (MODEL_ERROR_FRACTION * readings.dial) ** 2)
         # deflection (n, g, h) [m] for kappa = 1
@@ -353,10 +368,12 @@ class _PosteriorGrid:
 
 
 def _interval(values: FloatArray, weight: FloatArray, prior_width: float, best: float) -> IntervalEstimate:
-    """Return the best value with the shortest interval of probability `INTERVAL_PROBABILITY`.
+    """Return the best value with the interval of probability `INTERVAL_PROBABILITY` around the likely values.
 
-    It counts as determined if the interval is shorter than `MAX_DETERMINED_FRACTION` of ``prior_width``.
-    ``values`` (N,) are equidistant, with the posterior ``weight`` (N,).
+    The interval includes the values of largest weight until their sum has that probability. The quantity
+    counts as determined if the interval is shorter than `MAX_DETERMINED_FRACTION` of ``prior_width``, the
+    width of the interval before the test. ``values`` (N,) are equidistant, with the posterior weights
+    ``weight`` (N,).
     """
     order = np.argsort(-weight, kind="stable")
     count = int(np.searchsorted(np.cumsum(weight[order]), INTERVAL_PROBABILITY * weight.sum())) + 1
@@ -480,7 +497,16 @@ def read_readings(path: Path, error: float) -> PlateReadings:
 
 
 def _require_plausible(path: Path, forces: FloatArray, dials: FloatArray) -> None:
-    """Raise ``TandemError`` (forming.plate_test) if readings (n,), by force, cannot be those of a test."""
+    """Raise ``TandemError`` (forming.plate_test) if readings cannot be those of a test.
+
+    There must be enough readings at enough different forces, and the dial must rise with the force. The
+    stiffness must be between 2 and 20 000 N/mm; other values indicate another unit.
+
+    Args:
+        path: File, for messages.
+        forces: Forces (n,) [N], ascending.
+        dials: Dial readings (n,) [m].
+    """
     count, different_count = len(forces), len(np.unique(forces))
     if count < MIN_READINGS or different_count < MIN_DIFFERENT_FORCES:
         message = f"{count} readings at {different_count} forces, required: {MIN_READINGS} at "

@@ -157,12 +157,15 @@ def shift_path(
 ) -> tuple[ShiftedPath, FloatArray]:
     """Return a path with shifts, and what remains of the springback at its targets.
 
+    The required shift is limited in slope and then averaged over the ball's radius on either side. The path
+    gets additional targets where the shift is not linear along a move.
+
     Args:
         name: Name of the pass.
         path: Tool path.
         radius: Radius [m] of the ball.
-        springback_at: Required shift (N,) [m] at contact points (N, 3) [m] on walls at angles (N,) [rad], at
-            arc lengths (N,) [m].
+        springback_at: Function that returns the required shifts (N,) [m]. Its arguments are contact points
+            (N, 3) [m], wall angles (N,) [rad] and arc lengths (N,) [m].
         slope: Maximum slope of the shifts.
         first: Shift [m] at the start.
 
@@ -186,10 +189,11 @@ def shift_path(
 
 
 def _limit_slope(grid: FloatArray, required: FloatArray, slope: float, first: float) -> FloatArray:
-    """Return the largest curve (N,) [m] that is nowhere above ``required`` (N,) or steeper than ``slope``.
+    """Return the largest shift (N,) [m] that is nowhere above ``required`` (N,) or steeper than ``slope``.
 
-    It starts at ``first`` [m], and is above ``required`` only where it cannot have come down yet. Values of
-    ``required`` below 0 count as 0. ``grid`` (N,) are arc lengths [m].
+    The shift starts at ``first`` [m]. If that is above ``required``, it first decreases at the permitted
+    slope, and is above ``required`` until it has come down. Values of ``required`` below 0 count as 0.
+    ``grid`` (N,) are ascending arc lengths [m].
     """
     bound = np.maximum(required, 0.0)
     bound[0] = first
@@ -226,11 +230,11 @@ def _added_arcs(arc: FloatArray, grid: FloatArray, shift: FloatArray, step: floa
 
 
 def _target_numbers(arc: FloatArray, added: FloatArray) -> FloatArray:
-    """Return fractional numbers (K,) of all targets of a path, with additional ones at ``added`` (M,) [m].
+    """Return ascending fractional numbers (K,) of the targets of a path and of M additional ones.
 
-    The targets are at ``arc`` (N,) [m] and keep their whole numbers. The fraction of an additional one is
-    that of the move on which it lies. Numbers, not arc lengths, identify targets, because several of them are
-    at one position where one tool dwells.
+    The N targets at the arc lengths ``arc`` (N,) [m] keep their whole numbers 0 to N - 1. The additional ones
+    at ``added`` (M,) [m] have the number of the target before them plus the fraction of the move on which
+    they lie. Arc lengths would not identify targets, because several are at one position where a tool dwells.
     """
     previous = np.clip(np.searchsorted(arc, added, side="right") - 1, 0, max(len(arc) - 2, 0))
     fraction = (added - arc[previous]) / np.maximum(arc[previous + 1] - arc[previous], 1e-12)
@@ -238,7 +242,11 @@ def _target_numbers(arc: FloatArray, added: FloatArray) -> FloatArray:
 
 
 def _refine_path(path: FormingToolPath, number: FloatArray) -> FormingToolPath:
-    """Return a path with the targets that fractional numbers (K,) of `_target_numbers` identify."""
+    """Return a path with the K targets that ``number`` (K,), the result of `_target_numbers`, identifies.
+
+    Values at a fractional number are interpolated between the targets before and after it. The loop, and
+    whether the move forms, are those of the target after it.
+    """
     previous = np.minimum(number.astype(np.int64), len(path.forming_centre) - 1)
     fraction = number - previous
     following = np.minimum(previous + 1, len(path.forming_centre) - 1)
@@ -282,7 +290,10 @@ def shift_at_targets(shifted: ShiftedPath, path: FormingToolPath) -> FloatArray:
 def apply_shifts(
     paths: Sequence[tuple[FormingPass, FormingToolPath]], given: Sequence[ShiftedPath]
 ) -> list[tuple[FormingPass, FormingToolPath]]:
-    """Return the paths of both tools with the given shifts, and with the targets that these have.
+    """Return the paths of both tools shifted into the sheet, so that it springs back to the part.
+
+    Both tools are shifted along z, in the direction of forming. The paths get additional targets where the
+    given shifts have some.
 
     Args:
         paths: Passes with their tool paths.
@@ -408,8 +419,9 @@ def _wall_between_loops(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return points (K, 3) [m] of a path, and wall angles (K,) [rad] there without and with the shifts.
 
-    A wall angle is that of the line from the nearest point in plan of the previous loop to the point. Points
-    up to the end of the section on which the shift grows from 0 are left out.
+    The wall angle at a point is the slope of the line to it from the nearest point in plan of the previous
+    loop, averaged along the path. Points are left out on the first loop, on loops that nearly coincide with
+    the previous one, and up to the end of the section on which the shift grows from 0.
     """
     arc = arc_length(shifted.point)
     grows = (shifted.shift >= GROWING_FRACTION * slope * arc) & (arc > 0.0)
@@ -460,9 +472,10 @@ def _wall_of_level(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return points (K, 3) [m] of a level, and wall angles (K,) [rad] there without and with the shifts.
 
-    The level above ends at the shift with which this one starts, and is deeper by at most the slope times the
-    distance from there. So the walls are at least as steep as this result. It is empty where no wall is
-    formed or where the shift still grows from 0.
+    The path of the previous level is not known. It ends at the shift with which this level starts, and its
+    shift elsewhere is larger by at most the slope times the distance from that end. So the walls are at least
+    as steep as this result. The result is empty if the level forms no wall or if its shift still grows from
+    0. ``step`` is the step-down [m].
     """
     no_walls = np.zeros((0, 3)), np.zeros(0), np.zeros(0)
     start_depth, end_depth = level_depths(forming_pass, step, level.number)

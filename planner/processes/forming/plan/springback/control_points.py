@@ -100,9 +100,10 @@ class ControlPoints:
 def choose_control_points(
     point: FloatArray, angle: FloatArray, loop: IntArray, radius: float, max_points: int = MAX_CONTROL_POINTS
 ) -> ControlPoints:
-    """Return the control points of a path: the middle of each cluster on some levels.
+    """Return the points of a path at which springback is solved: the middle of each cluster on some levels.
 
-    The levels are evenly spaced in depth and wall angle.
+    A cluster is a section of a loop with similar wall angle and curvature, whose springback the point
+    represents. The levels are evenly spaced in depth and wall angle.
 
     Args:
         point: Contact points (N, 3) [m] of the targets.
@@ -142,9 +143,15 @@ def _choose_levels(
 ) -> IntArray:
     """Return the indices of the loops that get control points: the first, the last, and others between.
 
-    By mean ``depth`` z (M,) [m] and ``mean_angle`` of the wall (M,) [rad] together they are evenly spaced,
-    because force and sheet change with both. They have at most ``max_points`` ``clusters`` (M,) as far as
-    `MIN_LEVELS` permits.
+    The loops are evenly spaced in the sum of the changes of depth and wall angle, because force and sheet
+    change with both. They are on average at least LEVEL_SPACING_M apart in depth.
+
+    Args:
+        depth: Mean height z (M,) [m] of each loop.
+        mean_angle: Mean wall angle (M,) [rad] of each loop.
+        clusters: Number (M,) of clusters of each loop.
+        max_points: Maximum number of clusters of all chosen loops together. It does not reduce the number of
+            loops below `MIN_LEVELS`.
     """
     distance_down = np.abs(depth - depth[0])
     total_depth = max(float(distance_down.max()), 1e-12)
@@ -284,8 +291,8 @@ def curvature_in_plan(xy: FloatArray, window: int) -> FloatArray:
 def curvature_across(rings: Sequence[ClusterRing]) -> list[FloatArray]:
     """Return the curvatures (N,) [1/m] of the wall across each ring.
 
-    Positive where the wall becomes steeper inward: the change of its angle from the previous ring to the next
-    one, divided by the distance between them.
+    A curvature is the change of the wall angle from the previous ring to the next one, divided by the
+    distance between them. It is positive where the wall becomes steeper inward.
     """
     out = []
     for k, ring in enumerate(rings):
@@ -314,12 +321,13 @@ def ring_clusters(
 ) -> IntArray:
     """Return the clusters (N,) of the points of a ring, counted along it from the one with the first point.
 
-    Each cluster is one arc of the ring.
+    Each cluster is one arc of the ring. Neighbouring arcs are merged in turn. The number of clusters is the
+    one with the largest index of Calinski and Harabasz, which compares the spread between and within them.
 
     Args:
         features: Features (N, D) of the points.
         max_clusters: Maximum number of clusters.
-        floor: Spread that counts as none.
+        floor: Standard deviation of the features up to which all points belong to one cluster.
     """
     n = len(features)
     spread = float(((features - features.mean(axis=0)) ** 2).sum())

@@ -113,7 +113,7 @@ def forecast_points(
     paths: Sequence[tuple[FormingPass, FormingToolPath]],
     max_points: int = MAX_CONTROL_POINTS,
 ) -> list[tuple[ControlPoints, list[SpringbackPoint]]]:
-    """Return the control points of each pass, and the points to solve at them.
+    """Return the control points of each pass, and the points with forces at which springback is solved.
 
     Args:
         work: Work of the operation.
@@ -141,9 +141,8 @@ def forecast_points(
 def _nearby_force(control: ControlPoints, loop: IntArray, force: FloatArray) -> FloatArray:
     """Return, for each level with control points, the largest force (L,) [N] on its loop and those nearby.
 
-    These are the loops from the previous level with control points to the next one.
-
-    ``loop`` (N,) and ``force`` (N,) [N] are those of the path's targets.
+    Nearby are the loops from the previous level with control points to the next one, both included. ``loop``
+    (N,) and ``force`` (N,) [N] are those of the path's targets.
     """
     ends = np.concatenate([control.loop[:1], control.loop, control.loop[-1:]])
     neighbours = zip(ends[:-2], ends[2:], strict=True)
@@ -256,7 +255,11 @@ def make_forecast(
 
 
 def forecast_issues(forecasts: Sequence[PassSpringback]) -> list[Issue]:
-    """Return what the user must know about a forecast: forming.springback, forming.limit_load."""
+    """Return warnings about a forecast: the largest springback, and points at which the sheet snaps.
+
+    There is at most one warning forming.springback, for the largest value above REPORTED_SPRINGBACK_MM, and
+    one warning forming.limit_load for each pass with points at which the sheet does not bear the force.
+    """
     out: list[Issue] = []
     worst_pass = max(forecasts, key=lambda item: float(np.nanmax(item.springback, initial=0.0)))
     max_mm = float(np.nanmax(worst_pass.springback, initial=0.0)) / MM
@@ -335,13 +338,14 @@ class SpringbackEstimate:
 def estimate_springback(
     work: FormingWork, paths: Sequence[tuple[FormingPass, FormingToolPath]]
 ) -> SpringbackEstimate | None:
-    """Estimate springback for a plan: two points of the deepest pass, on coarse sheets.
+    """Estimate springback for a plan at two points of the deepest pass, on coarse meshes.
 
-    A point takes about half a second.
+    The points are those under the largest force on the middle loop and on the last loop. A point takes about
+    half a second.
 
     Returns:
-        None if the mode has no forecast. The result has no points if the sheet snaps or is too coarse;
-        `tandem springback` reports the remedy.
+        Estimate, or None if the mode has no forecast. Points at which the sheet snaps, or for which the mesh
+        is too coarse, are left out, so the estimate may be empty; `tandem springback` reports the remedy.
     """
     if work.operation.mode not in FORECAST_MODES:
         return None
@@ -376,7 +380,7 @@ def estimate_springback(
 def estimate_issues(
     work: FormingWork, paths: Sequence[tuple[FormingPass, FormingToolPath]], estimate: SpringbackEstimate
 ) -> list[Issue]:
-    """Return what the user must know about an estimate (forming.springback)."""
+    """Return a warning (forming.springback) if the estimate is empty or above REPORTED_SPRINGBACK_MM."""
     forming_pass, path = paths[estimate.number]
     field = "force_n" if work.operation.force_by is None else "force_by"
     if not estimate.rows:

@@ -56,10 +56,11 @@ def shifted_level_path(
     level: Level,
     step: float,
 ) -> ShiftedPath:
-    """Return the path of a level with its shifts.
+    """Return the path of a level with its shifts, by which it is formed deeper to compensate springback.
 
     The shifts start from the one at which the previous level ends, and approach the offsets of the ring as
-    fast as the level's slope permits.
+    fast as the level's slope permits. The offset at a point of the path is that of the nearest point of the
+    ring in plan.
 
     Args:
         forming_pass: Pass.

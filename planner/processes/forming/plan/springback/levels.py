@@ -69,7 +69,11 @@ def loop_file_data(
 def _level_data(
     work: FormingWork, forming_pass: FormingPass, path: FormingToolPath, pass_springback: PassSpringback
 ) -> list[dict[str, Any]]:
-    """Return the data of each level of a pass: its depth, the ring of its path, and its measuring points."""
+    """Return the data of each level of a pass: its depth, the ring of its path, and its measuring points.
+
+    At each measuring point the control loop measures the force while the level is formed. The data has the
+    curve of springback over force there, and the expected force.
+    """
     contact = path.contact
     out = []
     interpolator = _CurveInterpolator(pass_springback)

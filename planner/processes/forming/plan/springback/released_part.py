@@ -190,8 +190,9 @@ def _released_exhibit(
 ) -> dict[str, Any]:
     """Return the exhibit of the formed and the released part over a grid in plan.
 
-    ``target_springback`` and ``target_shifts`` (N,) [m] at the targets are by the names of passes. Where the
-    first is missing, the deviation is unknown; where the second is missing, the shift is 0.
+    ``target_springback`` and ``target_shifts`` have for each pass, by its name, the springback and the shift
+    (N,) [m] at its targets. The deviation is NaN where a pass has no springback. A pass without shifts counts
+    as not shifted. ``note`` states the origin of the values.
     """
     grid = _PlanGrid(work, paths)
     springback = grid.values_at_points(target_springback)

@@ -215,7 +215,7 @@ _MIN_NORM = 1e-12
 def insert_targets(
     contact: ContactPath, radius: float, side: int, row: IntArray, fraction: FloatArray
 ) -> ContactPath:
-    """Return the path with more targets.
+    """Return the path with more targets, at which the second tool then gets its own positions.
 
     The centre of the forming ball stays on the straight move. The normal rotates evenly, and the contact is
     where that normal leaves the ball.

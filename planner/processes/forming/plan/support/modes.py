@@ -96,11 +96,12 @@ def heat_path(
     slack: float,
     refine: bool = True,
 ) -> tuple[ContactPath, FloatArray, FloatArray]:
-    """Return the path with added targets, the heated points and the nozzle axes, for a forming tool above.
+    """Return the path of mode heat with added targets, the heated points and the axes of the nozzle.
 
-    The heated point is across the sheet from the ball. The nozzle tilts as the wall does, as far as it stays
-    under the flat and clear of the clamp. Both follow the smooth face that the ball touches, not its
-    facets. Targets are added where the nozzle rotates.
+    The forming tool is above the sheet. The heated point is across the sheet from the ball. The nozzle tilts
+    as the wall does, as far as it stays under the flat and clear of the clamp. Both follow the smooth face
+    that the ball touches, not its facets. Targets are added where the nozzle rotates too far in one move, or
+    where the heated point would not be opposite the ball at mid-move.
 
     Args:
         pass_contact: Pass with the path of the contact.
@@ -146,11 +147,12 @@ def heat_path(
 
 
 def _nozzle_pieces(opposite: OppositePath, across: FloatArray) -> IntArray:
-    """Return the number (N,) of pieces into which the move to each target is split, at least 1.
+    """Return the number (N,) of pieces that the line from the heated point to the ball demands of each move.
 
-    There are two pieces if at its middle the line ``across`` (N, 3) from the heated point to the ball
-    deviates from what the ball touches there; where the ball dwells, as many as the rotation of the line
-    requires.
+    ``count[i]`` is that of the move to target i, at least 1. A move is halved if at its middle the line
+    deviates by more than MAX_MIDWAY_ANGLE_RAD from the normals that the ball touches there, unless the move
+    is short. A move on which the ball dwells has as many pieces as the rotation of the line requires.
+    ``across`` (N, 3) [m] points from the heated point to the ball.
     """
     direction = across / np.linalg.norm(across, axis=1, keepdims=True)
     line = interpolate(direction[:-1], direction[1:], np.full(len(direction) - 1, 0.5))
@@ -261,10 +263,15 @@ def _last_loop_centre(contact: ContactPath) -> FloatArray:
 def _arc_by_ray(
     ring: FloatArray, arc: FloatArray, middle: FloatArray, points: FloatArray
 ) -> FloatArray | None:
-    """Return the arc length (N,) [m] at which the rays from ``middle`` (2,) through points meet the border.
+    """Return the arc lengths (N,) [m] of the border at which the support is opposite the ball.
 
-    It is counted on from round to round. None if some ray meets the border more than once. ``ring`` (K, 3)
-    [m] is the closed border, with the arc lengths ``arc`` (K,) [m].
+    There the rays from ``middle`` (2,) [m] through the contact ``points`` (N, 3) [m] meet the border. The
+    arc length continues beyond the length of the border when the contact goes around more than once. At
+    ``middle`` itself the ray is that of the previous point. ``ring`` (K, 3) [m] is the closed border, and
+    ``arc`` (K,) [m] are its arc lengths.
+
+    Returns:
+        Arc lengths, or None if some ray meets the border more than once.
     """
     offset = ring[:, :2] - middle
     bearing = np.unwrap(np.arctan2(offset[:, 1], offset[:, 0]))
@@ -291,9 +298,12 @@ def _arc_by_ray(
 
 
 def _arc_by_fraction(ring: FloatArray, arc: FloatArray, contact: ContactPath) -> FloatArray:
-    """Return the arc length (N,) [m] along the border, by the fraction of each loop that is done.
+    """Return the arc lengths (N,) [m] of the border at each target, if rays do not determine them.
 
-    It starts at the point of the border nearest to the start of the first loop.
+    The support goes around the border once for each loop of the contact, in the same direction. It has
+    covered the same fraction of the border as the ball has of its loop. It starts at the point of the border
+    nearest to the start of the first loop. ``ring`` (K, 3) [m] is the closed border, and ``arc`` (K,) [m] are
+    its arc lengths.
     """
     border = shapely.LineString(ring[:, :2])
     origin = float(border.project(shapely.Point(contact.point[0, :2])))
@@ -319,11 +329,20 @@ def _arc_by_fraction(ring: FloatArray, arc: FloatArray, contact: ContactPath) ->
 def _border_corners(
     ring: FloatArray, arc: FloatArray, along: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Return the corners of the border that moves between arc lengths ``along`` (N,) [m] would cut.
+    """Return the corners of the border that moves of the support would cut, so that targets are added there.
 
-    For each corner: the index (M,) of the target at which its move ends, the fraction (M,) of the move, and
-    the arc length (M,) [m] of the corner. ``ring`` (K, 3) [m] is the closed border, with arc lengths ``arc``
-    (K,) [m].
+    Only moves that deviate from a corner by more than MAX_BEND_DEVIATION_M count. Corners that are nearer
+    than that to a target are left out.
+
+    Args:
+        ring: Closed border (K, 3) [m].
+        arc: Its arc lengths (K,) [m].
+        along: Arc length (N,) [m] at each target. It continues beyond the border's length on further rounds,
+            and may decrease.
+
+    Returns:
+        For each of M corners: index (M,) of the target at which its move ends, fraction (M,) of the move at
+        which the corner is, and arc length (M,) [m] of the corner.
     """
     line = shapely.LineString(ring[:, :2])
     kept_coordinates = shapely.get_coordinates(line.simplify(0.5 * MAX_BEND_DEVIATION_M))[:-1]
@@ -376,10 +395,11 @@ def make_mode_path(
     sheet: MountedSheet,
     refinement: TargetRefinement = DEFAULT_REFINEMENT,
 ) -> FormingToolPath:
-    """Return the paths of both tools, for all modes except adsif (`adsif_path.adsif_tool_path`).
+    """Return the paths of both tools in all modes except adsif, which has `adsif_path.adsif_tool_path`.
 
-    The contact of the result has more targets where straight moves would let the gap, or the support's path
-    along the border, deviate too much.
+    In spif and tpif one tool works alone. In dpif_p the support goes along the border, in heat a nozzle is
+    opposite the ball, and in the other modes a second ball is. Targets are added where the second tool would
+    deviate too much on a straight move.
 
     Args:
         pass_contact: Pass with the path of the contact.

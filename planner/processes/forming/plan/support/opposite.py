@@ -57,11 +57,13 @@ from planner.tooling import FormingHead
 NEAREST_TOLERANCE_M: Final = 2e-5
 """Facets farther from the centre by this [m] than the nearest one have no weight."""
 FULL_WEIGHT_ANGLE_RAD: Final = 5.0 * DEG
-"""Facets that turn from the nearest one by more than this [rad] count only up to a smaller distance: that by
-which the ball has moved along.
+"""Facets whose normals differ from that of the nearest one by more than this [rad] lose their weight at a
+smaller distance than `NEAREST_TOLERANCE_M`.
 """
 TIE_TOLERANCE_M: Final = 4e-6
-"""The gap is between those at the points that are equally near within this [m]."""
+"""Touched points whose distances from the ball differ by at most this [m] are equally near: the mean gap is
+clipped to the range of their gaps.
+"""
 MAX_SMOOTH_ANGLE_RAD: Final = 8.0 * DEG
 """Facets represent a smooth face while its normal deviates from theirs by less than this [rad]."""
 CREASE_THICKNESS_FRACTION: Final = 0.15
@@ -97,10 +99,11 @@ class TouchedFace:
         return TouchedFace(*(np.insert(mine, row, new, axis=0) for mine, new in pairs))
 
     def angle_to(self, line: FloatArray) -> FloatArray:
-        """Return the angles (N,) [rad] of lines to the fan between the touched normals and the vertical.
+        """Return the angles (N,) [rad] by which lines between both balls leave the permitted fan.
 
-        The normals are those of the directions or of the smooth face, whichever are nearer. ``line`` (N, 3)
-        are unit vectors.
+        One fan spans the two touched directions to the ball's centre and the vertical, another one the two
+        normals of the smooth face and the vertical. The smaller of both angles counts. ``line`` (N, 3) are
+        unit vectors.
         """
         return np.minimum(*(angle_to_fan(line, self.ends[:, k], self.ends[:, k + 1]) for k in (0, 2)))
 
@@ -135,8 +138,9 @@ class BallContactFace:
     def touched_at(self, centres: FloatArray) -> TouchedFace:
         """Return the face that balls at ``centres`` (N, 3) [m] touch.
 
-        If two walls, or a wall and a floor, of different thickness are touched, it is the thinner one. The
-        values are weighted means over all facets that are nearly as near as the nearest one.
+        The values are weighted means over all facets that are nearly as near as the nearest one. If the ball
+        touches two walls of different thickness, or a wall and a floor, only the facets of the thinner one
+        count.
         """
         point, face, weights, foot, distance = self._face.touched(centres, NEAREST_TOLERANCE_M)
         ends = self._ends(point, centres[point] - foot, face, weights, distance)
@@ -266,8 +270,9 @@ class OppositePath:
         touched: Touched face at the targets.
         dwells: Whether (N,) the forming ball does not move on the way to the target.
         middle: Touched face at the middle of the move to each target; the first row has no meaning.
-        lift: (N,) 1 where the ball crosses, off the face but not in the air, 0 on it, and between during the
-            transition.
+        lift: Fraction (N,) from 0 to 1: 0 where the ball is on the face, 1 where it crosses from one place to
+            another off the face but not in the air, and in between on added targets of a move that leads from
+            one state to the other. The support is vertically below the ball where it is 1.
     """
 
     contact: ContactPath
@@ -302,7 +307,12 @@ def make_opposite_path(
     thickness: float,
     refinement: TargetRefinement = DEFAULT_REFINEMENT,
 ) -> FormingToolPath:
-    """Return the paths of both tools over a pass that is formed from above, for dsif and dpif_l.
+    """Return the paths of both tools over a pass that is formed from above, in mode dsif or dpif_l.
+
+    The support is across the sheet from the forming ball, at the required gap. It is rotated toward the
+    vertical where it would otherwise cut into the sheet. In each round the support is placed at all targets,
+    and moves on which the gap or the line of the tools deviates too much are split. The rounds end when no
+    move is left to split.
 
     Args:
         pass_contact: Pass with the path of the contact.
@@ -311,6 +321,10 @@ def make_opposite_path(
         support: Working end of the support.
         thickness: Thickness [m] of the flat sheet.
         refinement: How targets are added.
+
+    Returns:
+        Paths of both tools at N targets. ``gap`` (N,) is NaN where the forming ball is in the air, and
+        ``unresolved`` (N,) marks moves that would still have to be split.
     """
     forming_pass, contact = pass_contact.forming_pass, pass_contact.contact
     refine = refinement.enabled
@@ -383,15 +397,18 @@ def make_opposite_path(
 def add_dwells(
     contact: ContactPath, touched_face: BallContactFace, slack: float, spread: float = 0.0
 ) -> OppositePath:
-    """Return the path with two targets at one position wherever the touched face jumps.
+    """Return the path with two targets at one position wherever the touched face jumps, as in a sharp corner.
 
-    One target is for the arrival, the other for the departure.
+    The ball arrives at the first target and dwells until the second one, while the support or nozzle moves
+    from the direction of the one wall to that of the other.
 
     Args:
-        contact: Path of the contact.
+        contact: Path of the contact, N targets.
         touched_face: Face.
         slack: Distance [m] from the face within which the ball counts as touching it.
-        spread: Distance [m] of the two targets before and after the corner.
+        spread: Distance [m] before and after the corner at which the touched faces of the two targets are
+            evaluated. Both targets are at the corner itself. With 0 the faces are those right before and
+            right after the jump.
     """
     is_crossing = _is_crossing(contact, touched_face, slack)
     touched = touched_face.touched_at(contact.centre)
@@ -454,7 +471,10 @@ def add_dwells(
 
 
 def without_dwells(contact: ContactPath, touched_face: BallContactFace, slack: float) -> OppositePath:
-    """Return the path with the targets of ``contact`` alone, without dwells where the touched face jumps."""
+    """Return the path with the targets of ``contact`` alone, without dwells where the touched face jumps.
+
+    Such a path is not refined, so ``middle`` is not evaluated and has the values at the targets.
+    """
     touched = touched_face.touched_at(contact.centre)
     no_dwells = np.zeros(len(contact.centre), dtype=np.bool_)
     return OppositePath(
@@ -475,11 +495,14 @@ def _select(condition: BoolArray, when_true: TouchedFace, when_false: TouchedFac
 
 
 def _line_pieces(opposite: OppositePath, across: FloatArray, radii: float, tolerance: float) -> IntArray:
-    """Return the number (N,) of pieces into which the move to each target is split.
+    """Return the number (N,) of pieces that the gap and the line of the tools at mid-move require.
 
-    There are more than one if at its middle the gap deviates by more than ``tolerance`` [m] or the line by
-    too much, or where the forming ball dwells; then as many as the rotation of the line requires. ``across``
-    (N, 3) [m] points from the support to the forming ball.
+    ``count[i]`` is that of the move to target i; that of target 0 is 1. A move is split if at its middle the
+    gap deviates by more than ``tolerance`` [m], or the line between the tools by too large an angle, unless
+    both tools move at most `_SHORT_MOVE_M`. It then has at least two pieces, and as many as the rotation of
+    the line requires. A move on which the forming ball dwells has as many as the rotation requires, at least
+    one. ``across`` (N, 3) [m] points from the support to the forming ball, and ``radii`` [m] is the sum of
+    both radii.
     """
     length = np.linalg.norm(across, axis=1)
     middle_across = 0.5 * (across[1:] + across[:-1])
@@ -506,10 +529,12 @@ def _line_pieces(opposite: OppositePath, across: FloatArray, radii: float, toler
 def _gap_pieces(
     opposite: OppositePath, across: FloatArray, radii: float, tolerance: float, touched_face: BallContactFace
 ) -> IntArray:
-    """Return the number (N,) of pieces into which the move to each target is split.
+    """Return the number (N,) of pieces, 1 or 2, that changes of the required gap within a move demand.
 
-    There are two if the required gap changes on it by more than ``tolerance`` [m], and deviates as much at a
-    quarter of it from either end.
+    ``count[i]`` is that of the move to target i. It is 2 if the required gap at both ends differs by more
+    than ``tolerance`` [m], and the planned gap deviates from the required one by more than that at one or
+    three quarters of the move. Short moves, and those on which the ball dwells, are not split. ``across``
+    (N, 3) [m] points from the support to the forming ball, and ``radii`` [m] is the sum of both radii.
     """
     gap, centre = opposite.touched.gap, opposite.contact.centre
     moves = np.flatnonzero(np.abs(np.diff(gap)) > tolerance) + 1
@@ -527,11 +552,11 @@ def _gap_pieces(
 def _drift_pieces(
     centre: FloatArray, across: FloatArray, distance: FloatArray, sync_interval: int, tolerance: float
 ) -> IntArray:
-    """Return the number (N,) of pieces into which the move to each target is split.
+    """Return the number (N,) of pieces that two controllers require which meet only every few moves.
 
-    Moves are split because two controllers are not synchronised between their meetings. With one arm up to
-    ``sync_interval`` moves ahead of the other, the distance of the balls may deviate from ``distance`` (N,)
-    [m] by at most ``tolerance`` [m].
+    ``count[i]`` is that of the move to target i. Between the meetings either arm may be up to
+    ``sync_interval`` moves ahead of the other. Even then the distance of the balls may deviate from the
+    nominal ``distance`` (N,) [m] by at most ``tolerance`` [m].
     """
     support_centre = centre - across
     count = np.ones(len(centre), dtype=np.int64)
@@ -555,7 +580,11 @@ def _drift_pieces(
 
 
 def split_moves(opposite: OppositePath, count: IntArray, touched_face: BallContactFace) -> OppositePath:
-    """Return the path with the move to each target split into ``count`` (N,) equal pieces."""
+    """Return the path with the move to each target i split into ``count[i]`` equal pieces.
+
+    At an added target the touched face is evaluated anew. If the ball dwells on the move, its normal and gap
+    are interpolated instead, because the face jumps there.
+    """
     row, fraction = subdivision(count)
     dwells = opposite.dwells[row]
     normal = interpolate_rotation(opposite.touched.normal[row - 1], opposite.touched.normal[row], fraction)
@@ -598,9 +627,10 @@ def _angle_between(first: FloatArray, second: FloatArray) -> FloatArray:
 def _retract_support(
     support_centre: FloatArray, air: BoolArray, forming_pass: FormingPass, thickness: float, radius: float
 ) -> None:
-    """Retract the support straight down while the forming tool crosses through the air, in place.
+    """Retract the support from the sheet while the forming tool crosses through the air, in place.
 
-    It returns straight up. ``support_centre`` (N, 3) [m] is changed where ``air`` (N,) is true.
+    The support goes straight down from its last target on the face, below the whole sheet to the next one,
+    and straight up to it. ``support_centre`` (N, 3) [m] is changed where ``air`` (N,) is true.
     """
     if not air.any() or air.all():
         return

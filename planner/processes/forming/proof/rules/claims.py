@@ -137,7 +137,11 @@ _PASS_CLAIMS = (
 
 
 def _number_issues(part: FormsPart, group: Sequence[Claim]) -> Iterator[Issue]:
-    """Check the radii, tolerances, feeds, steps and ridges in the claims on passes."""
+    """Check that the numbers in the claims on passes are those of the problem, which ``part`` states.
+
+    These are radii, tolerances, feeds, steps and ridges. Claims on the sheet's state may allow the tools to
+    be as deep in the sheet as they have to press into it, in addition to the gouge tolerance.
+    """
     radius_by_arm = dict(zip(part.arms, part.radii, strict=True))
     ridge = _ridge_function(part)
     for claim in group:
@@ -175,10 +179,10 @@ def _number_issues(part: FormsPart, group: Sequence[Claim]) -> Iterator[Issue]:
 
 
 def _pressed_by_table(state: SheetState, group: Sequence[Claim]) -> float:
-    """Maximum depth [m] to which the response table requires the second tool to press into the flat sheet.
+    """Return the maximum depth [m] to which the second tool must press into the flat sheet.
 
-    Both tools stay at the level of the flat sheet while it is formed, so the sheet was pressed like this,
-    too, when the table was measured. The depth is 0 without a table.
+    The response table requires it. Both tools stay at the level of the flat sheet while it is formed, so the
+    sheet was pressed like this, too, when the table was measured. The depth is 0 without a table.
     """
     max_depth = 0.0
     for claim in group:
@@ -191,7 +195,7 @@ def _pressed_by_table(state: SheetState, group: Sequence[Claim]) -> float:
 
 
 def _differing_fields(claim: Any, **expected: Any) -> list[str]:
-    """Names of the fields of a claim that differ from the expected values by more than rounding."""
+    """Return names of the fields of a claim that differ from the expected values by more than rounding."""
     out = []
     for name, value in expected.items():
         actual = getattr(claim, name)
@@ -225,9 +229,12 @@ def _ridge_function(part: FormsPart) -> Callable[[FloatArray, float], FloatArray
 def _ridges_are_valid(
     part: FormsPart, claim: FormsSheet, ridge: Callable[[FloatArray, float], FloatArray]
 ) -> bool:
-    """Whether the scallops that a pass claims exceed the ridges between its steps at most by certain factors.
+    """Return whether the scallops that a pass claims are not much higher than the ridges between its steps.
 
-    Of the walls the flattest ones are left out that need not be formed within tolerance.
+    The mean over the walls may be higher by MAX_MEAN_RIDGE_FACTOR, and the largest scallop by
+    MAX_RIDGE_FACTOR. Ridges on nearly flat walls are very high, so angles have a lower bound: the angle below
+    which half of the area lies that need not be formed within tolerance. ``ridge`` is the result of
+    `_ridge_function`.
     """
     corners = claim.vertices[claim.faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -253,9 +260,14 @@ def _gap_issues(part_shapes: PartShapes, claim: ToolGap) -> tuple[float, list[Is
     """Compare a claimed gap with the sheet's thickness by the sine law, from the walls of its pass and of
     previous passes of the feature.
 
+    The sine law gives a thickness of t0 cos(a) for the wall angle a. After previous passes the smallest
+    thickness counts, because a sheet that was thinned stays thin. Where several walls meet, any gap between
+    the smallest and the largest result is accepted. The floor is not checked.
+
     Returns:
         Deviation as a fraction of the flat sheet's thickness, minus the additional tolerance for previous
-        passes, and issues. With previous passes `GAP_EXCEPTION_FRACTION` of the walls are left out.
+        passes, and at most one issue. With previous passes the `GAP_EXCEPTION_FRACTION` of the walls with the
+        largest deviations is left out. The deviation is infinite if the claim belongs to no pass or face.
     """
     part = part_shapes.part
     shapes, own_shape = _shapes_up_to(part_shapes, claim.segment)
@@ -318,7 +330,7 @@ def _gap_issues(part_shapes: PartShapes, claim: ToolGap) -> tuple[float, list[Is
 def _shapes_up_to(
     part_shapes: PartShapes, segment: Segment
 ) -> tuple[tuple[FormedShape, ...], FormedShape | None]:
-    """The shapes of a feature up to the one that a segment forms, and that one, or None."""
+    """Return the shapes of a feature up to the one that a segment forms, and that one, or None."""
     for feature in part_shapes.features:
         for k, shape in enumerate(feature.shapes):
             if any(claim.segment == segment for claim in shape.claims):
@@ -327,16 +339,16 @@ def _shapes_up_to(
 
 
 def _wall_cosine(shape: FormedShape) -> FloatArray:
-    """Cosines (T, 3) of the wall's angle at the corners of a face, smooth except over creases."""
+    """Return the cosines (T, 3) of the wall angle at the corners of a face, smooth except over creases."""
     claim = shape.claim
     normal = corner_normals(TriangleMesh(claim.vertices, claim.faces), CREASE_ANGLE_RAD)
     return np.clip(normal[:, :, 2], 0.0, 1.0)
 
 
 def _wall_cosine_range(shape: FormedShape, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Minimum and maximum cosine (N,) of the wall's angle at points in plan (N, 2); 1 outside of the shape.
+    """Return the minimum and maximum cosine (N,) of the wall's angle at points in plan (N, 2).
 
-    They differ where several triangles are at a point, as on edges.
+    It is 1 outside of the shape. They differ where several triangles are at a point, as on edges.
     """
     corner = _wall_cosine(shape)[shape.moved]
     row, triangle, weight = shape.lookup.locate(points, _PLAN_TOLERANCE_M)
@@ -357,7 +369,8 @@ def _missing_claim_issues(
 ) -> Iterator[Issue]:
     """Check that each pass has exactly the claims that its mode requires.
 
-    Also checks the claims on the border, the heat source and the clamp of its feature.
+    Otherwise the rule of a missing claim would find nothing to check. The claims on the border, the heat
+    source and the clamp of each feature are also compared with the feature.
     """
     required: dict[type, bool] = {
         FormingFeed: True,
@@ -437,7 +450,10 @@ LEVEL_TOLERANCE_M = 1e-5
 
 
 def _plan_distance(corners: FloatArray, ring: FloatArray) -> FloatArray:
-    """Distances (K,) [m] in plan of points of a ring (K, 3) from the nearest of some triangles (T, 3, 3)."""
+    """Return the distances (K,) [m] in plan of a ring's points (K, 3) from triangles (T, 3, 3).
+
+    Each is the distance from the nearest triangle.
+    """
     tree = shapely.STRtree(shapely.polygons(corners[:, [0, 1, 2, 0], :2]))
     points = shapely.points(ring[:, :2])
     return np.asarray(tree.query_nearest(points, return_distance=True, all_matches=False)[1])
@@ -482,7 +498,12 @@ class FormedSheetPoints:
 
 
 def _state_issues(part_shapes: PartShapes, group: Sequence[Claim]) -> Iterator[Issue]:
-    """Check that the claims on the sheet's state include all formed sheet and the surrounding flat."""
+    """Check that the claims on the sheet's state include all formed sheet and the surrounding flat.
+
+    The tools are checked only against the sheet in these claims. Formed sheet outside of a feature is fixed.
+    Formed sheet of features inside it is carried, because it sinks with the floor of this one. Parts over a
+    male die are not checked, because only flat sheet surrounds their single feature.
+    """
     part = part_shapes.part
     claimed_states = {claim.segment: claim for claim in group if isinstance(claim, SheetState)}
     points = spread_points(part.vertices[part.faces], _PART_POINTS)[0]
@@ -501,6 +522,7 @@ def _state_issues(part_shapes: PartShapes, group: Sequence[Claim]) -> Iterator[I
         is_in_feature = np.abs(moved[k]) > FLAT_NOISE_M
         sheet_points = FormedSheetPoints(points, height, formed & ~is_in_feature, carried & is_in_feature)
         for number, shape in enumerate(feature.shapes):
+            # displacement along z at which the previous shape, or the previous run of this one, ended
             sunk = 0.0 if number == 0 else feature.shapes[number - 1].end_level - shape.base
             for claim in shape.claims:
                 state = claimed_states.get(claim.segment)
@@ -514,7 +536,10 @@ def _state_issues(part_shapes: PartShapes, group: Sequence[Claim]) -> Iterator[I
 
 
 def _surrounding_flat(part_shapes: PartShapes, k: int, feature: FormedFeature) -> FloatArray:
-    """Points (N, 3) [m] of the flat sheet around feature ``k``; none if it is inside an earlier feature."""
+    """Return the points (N, 3) [m] of the flat sheet around feature ``k``.
+
+    The result is empty if the feature is inside an earlier one.
+    """
     if part_shapes.inside[k, :k].any():
         return np.zeros((0, 3))
     rim = feature.final.rim

@@ -127,7 +127,11 @@ def _file_issues(context: Context, level: SingleLevel) -> Iterator[Issue]:
 
 
 def _height_issues(context: Context, level: SingleLevel, formed: FormedPass) -> tuple[float, list[Issue]]:
-    """Return how far [m] beyond the heights of its level the ball touches the face, and issues."""
+    """Return how far [m] beyond the heights of its level the ball touches the face, and at most one issue.
+
+    It is an issue if the ball touches the face more than MAX_EXCESS_STEPS steps beyond these heights, does
+    not reach the level's end, or on a helical path does not start at the level's start.
+    """
     claim: FormsSheet = formed.claim
     nearest = formed.nearest
     is_touch = formed.track.is_forming[formed.knots[nearest.row]] & formed.is_touching[nearest.row]

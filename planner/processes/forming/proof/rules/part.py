@@ -144,7 +144,11 @@ def _operation_issues(forming: FormingFacts) -> Iterator[Issue]:
 
 
 def _protrusion_issues(context: Context, part_shapes: PartShapes) -> Iterator[Issue]:
-    """Check that the sheet stays, after each feature, inside the solids that bodies keep clear of."""
+    """Check that the sheet stays, after each feature, inside the solids that bodies keep clear of.
+
+    The collision checks use these solids in place of the sheet, so formed sheet outside of them would be
+    missed. Sheet that is not moved off the flat is not checked.
+    """
     sheet = context.problem.stock.sheet
     hulls = [] if sheet is None else [solid for solid in sheet.formed if solid.vertices is not None]
     hull_equations = [ConvexHull(transform(solid.pose, hull_points(solid))).equations for solid in hulls]
@@ -199,9 +203,13 @@ def stated_tolerance(context: Context) -> float | None:
 def _noisy_part_issues(part_shapes: PartShapes) -> tuple[float, list[Issue]]:
     """Compare the vertices of a part with noise with the sheet that all features form together.
 
-    Issues arise if 1 % of the vertices are beyond the tolerance, or one is beyond two and a half tolerances;
-    if the mean at some location deviates by more than noise permits; or if many adjacent vertices deviate to
-    one side.
+    Each of these conditions is an issue:
+
+    - More than 1 % of the vertices deviate by more than the tolerance.
+    - One vertex deviates by more than two and a half tolerances.
+    - The mean deviation at some location is larger than noise permits.
+    - More than `MAX_GROUP` adjacent vertices deviate to one side.
+    - The edge of the part is off the flat sheet.
 
     Returns:
         Deviation [m] that `WITHIN_FRACTION` of the vertices do not exceed, and issues.
@@ -295,9 +303,10 @@ def _whole_part_issues(part_shapes: PartShapes) -> tuple[float, list[Issue]]:
 
 
 def _side_issues(shapes: PartShapes, feature: FormedFeature) -> Iterator[Issue]:
-    """Check that the tool on the correct side forms a feature, and that its walls are monotonic.
+    """Check that the tool on the correct side forms a feature, and that its walls go in one direction.
 
-    The wall of each shape has to go in one direction and end at the claimed level.
+    The wall of each shape has to lead from the surrounding flat away from the tool that forms it, or toward
+    it over a male die, without turning back. It has to end at the claimed level.
     """
     part = shapes.part
     for shape in feature.shapes:
@@ -321,7 +330,7 @@ def _side_issues(shapes: PartShapes, feature: FormedFeature) -> Iterator[Issue]:
 
 
 def _level_issues(part_shapes: PartShapes, k: int, feature: FormedFeature) -> Iterator[Issue]:
-    """Check that the shapes of feature ``k`` start at the sheet around it, as earlier features leave it."""
+    """Check that the shapes of feature ``k`` start at the sheet as features 0 to k - 1 leave it around it."""
     points = feature.final.rim
     if not len(points):
         yield _part_issue(f"{feature.final.claim.segment} starts nowhere on the sheet", feature)
@@ -336,7 +345,11 @@ def _level_issues(part_shapes: PartShapes, k: int, feature: FormedFeature) -> It
 
 
 def _order_issues(part_shapes: PartShapes) -> Iterator[Issue]:
-    """Check that features come in the required order: the user's own, or that of their nesting."""
+    """Check that features come in the required order: the user's own, or that of their nesting.
+
+    Without an order of the user's own, inner features come first in the strategy virgin, and outer ones
+    otherwise. Features of earlier operations are not checked.
+    """
     numbers = [feature.number for feature in part_shapes.features]
     if part_shapes.part.order is not None:
         own_numbers = numbers[part_shapes.first :]
@@ -359,8 +372,8 @@ def _order_issues(part_shapes: PartShapes) -> Iterator[Issue]:
 def _numbering_issues(part_shapes: PartShapes) -> Iterator[Issue]:
     """Check that features have the numbers that are shown to users.
 
-    Each comes before those inside it, and siblings are numbered by size, the largest first. Siblings of
-    nearly equal size may be exchanged.
+    A feature has a lower number than those inside it. Features directly inside the same one are numbered by
+    area, the largest first. Those of nearly equal area may be exchanged.
     """
     count = len(part_shapes.features)
     parents = []
@@ -431,9 +444,11 @@ def _intermediate_issues(part: FormsPart, feature: FormedFeature) -> Iterator[Is
 
 
 def _angle_issues(part: FormsPart, feature: FormedFeature, angles: list[float]) -> Iterator[Issue]:
-    """Check the wall angles [rad] of a feature's shapes.
+    """Check the wall angles [rad] of a feature's shapes, so that no pass stretches the metal too far.
 
-    They have to be the user's own, or may increase by one angle step from shape to shape.
+    In mode adsif and over a male die a feature has one shape only. If the user states angles, the shapes have
+    these angles, as far as they are below that of the final shape. Otherwise the first shape may have the
+    metal's limit, and each further one an angle step more than the one before, or the limit if that is more.
     """
     if part.mode == "adsif" or part.male:
         if len(angles) != 1:
@@ -468,7 +483,11 @@ def _angle_issues(part: FormsPart, feature: FormedFeature, angles: list[float]) 
 
 
 def _flattened_fraction(shape: FormedShape, final: FormedShape, angle: float, sign: float) -> float:
-    """Fraction of a shape's area that is less deep than the final shape and flatter than ``angle`` [rad]."""
+    """Return the fraction of a shape's area that is flatter than ``angle`` [rad] but not at its final depth.
+
+    ``final`` is the shape with the final depths. ``sign`` is -1 if the feature goes down, and +1 if it goes
+    up. Triangles count as flatter if their angle is smaller by more than MAX_FLATTENING_RAD.
+    """
     corners = shape.corners[shape.moved]
     triangle_angle, area = shape.angles_and_areas
     middle = corners.mean(axis=1)

@@ -132,7 +132,10 @@ def check_springback(context: Context) -> RuleOutcome:
 
 
 def _unclaimed_issues(context: Context, forming: FormingFacts) -> Iterator[Issue]:
-    """Check that each operation with a springback file has a claim for it, which covers all of its passes."""
+    """Check that each operation with a springback file has a claim for it, which covers all of its passes.
+
+    Without the claim no other check of this rule would apply to the operation.
+    """
     claimed = {compensation.claim.operation: compensation for compensation in forming.compensations}
     for operation in context.problem.operations:
         if getattr(operation, "springback", None) is not None and operation.name not in claimed:
@@ -179,7 +182,7 @@ def _identity_issues(context: Context, compensation: CompensationClaim) -> Itera
 
 
 def _limit_issues(compensation: CompensationClaim) -> Iterator[Issue]:
-    """Check that shifts go into the sheet, as far and as fast as the problem allows."""
+    """Check that shifts go into the sheet, and keep the maximum and the slope that the problem allows."""
     stated = compensation.operation.springback
     for name, file_path in ({} if compensation.file is None else compensation.file.paths).items():
         for fault, got, limit, unit in file_path.faults(float(stated.slope), float(stated.most_mm) * MM):
@@ -190,7 +193,11 @@ def _limit_issues(compensation: CompensationClaim) -> Iterator[Issue]:
 def _file_passes(
     context: Context, forming: FormingFacts, compensation: CompensationClaim
 ) -> Iterator[FilePass]:
-    """Yield the file's data of each claimed pass, with the points at which its tool touches the face."""
+    """Yield the file's data of each claimed pass, sampled at points along its path, for the checks below.
+
+    At each point they have the touched point of the face, the wall angle, the force, the ring of the path,
+    and the rise. Passes that the file does not have, or for which it has no control points, are left out.
+    """
     for formed in forming.formed:
         claim = formed.claim
         if (
@@ -207,6 +214,7 @@ def _file_passes(
         nearest = formed.face.nearest(centre)
         up = np.abs(centre[:, 2] - nearest.point[:, 2]) / np.maximum(nearest.distance, 1e-9)
         stated = compensation.operation.stepdown_mm
+        # rise: by how much the touched points of a ring differ in height, at most two steps or the radius
         max_rise = claim.radius if stated is None else 2.0 * float(stated) * MM
         rise = np.zeros(len(arc))
         for k in np.unique(ring):
@@ -235,8 +243,11 @@ def _scan_issues(
 ) -> tuple[float, list[Issue]]:
     """Compare the shifts of a file of adjustments with those that the proof calculates from the scan.
 
-    The position of the scan is checked, too. Returns the maximum deviation as a fraction of the allowed one,
-    and issues.
+    The position of the scan is checked by its flat, which must be at the flat of the sheet, and by its marks,
+    which must fit hardly worse than in the best fit.
+
+    Returns:
+        Maximum deviation as a fraction of the allowed one, and issues.
     """
     springback_data, stated = compensation.file, compensation.operation.springback
     stock = context.setups[compensation.index].stock
@@ -299,8 +310,12 @@ def _pass_scan_issues(
 ) -> tuple[float, list[Issue]]:
     """Compare the shifts of one pass with those that follow from the scan.
 
-    A pass that does not form the part's own face has to keep the shifts of the scanned part. Returns the
-    maximum deviation as a fraction of the allowed one, and issues.
+    A pass that does not form the part's own face, such as one over an intermediate shape, has to keep the
+    shifts with which the scanned part was formed. ``thickness`` is that of the flat sheet [m].
+
+    Returns:
+        Maximum deviation as a fraction of the allowed one, infinite if the shifts cannot be compared, and at
+        most one issue.
     """
     claim, springback_data = formed.claim, compensation.file
     name = claim.segment.name
@@ -336,6 +351,7 @@ def _pass_scan_issues(
     expected = np.clip(actual, minimum, maximum)
     deviation = np.abs(actual - expected)
     allowed = (
+        # last term: change of the shift over half of the spacing of the points
         SCAN_TOLERANCE_M + INTERPOLATION_TOLERANCE_FRACTION * np.abs(expected) + 0.5 * slope * POINT_SPACING_M
     )
     worst_index = int(np.argmax(deviation / allowed))
@@ -352,11 +368,18 @@ def _pass_scan_issues(
 
 
 def _control_point_issues(compensation: CompensationClaim, passes: Sequence[FilePass]) -> Iterator[Issue]:
-    """Check the control points of a file.
+    """Check that the control points of a file represent the passes on which its shifts are interpolated.
 
-    They have to be where the forming tool touches the part, on walls with the stated angles. The points of a
-    level have to be on one loop, and the levels have to cover the height of the pass. Of some faults only the
-    first one in a pass is reported.
+    For each pass these conditions are checked:
+
+    - The forming tool touches the part at each control point. If it does not, the other conditions of this
+      pass are not checked.
+    - The wall there has the stated angle, if forces follow by formula from the angle.
+    - The points of a level are on one loop.
+    - No point occurs twice, and no two levels have the same height.
+    - The levels cover the height of the pass.
+
+    Of wrong angles and of points off their loop only the first one in a pass is reported.
     """
     for file_pass in passes:
         tree = cKDTree(file_pass.touch)
@@ -432,7 +455,11 @@ def _control_point_issues(compensation: CompensationClaim, passes: Sequence[File
 
 
 def _shift_issues(compensation: CompensationClaim, passes: Sequence[FilePass]) -> Iterator[Issue]:
-    """Check that shifts are the springback between control points, limited in slope and averaged."""
+    """Check that the shifts of a file follow from its control points, one issue for each pass.
+
+    The expected shift is the springback that is interpolated between the control points, then limited in
+    slope, and then averaged over the ball's radius on either side.
+    """
     slope = float(compensation.operation.springback.slope)
     for file_pass in passes:
         low, high, _ = file_pass.springback_bounds
@@ -497,11 +524,14 @@ def _wall_issues(context: Context, forming: FormingFacts, compensation: Compensa
 def _elastic_issues(
     context: Context, forming: FormingFacts, compensation: CompensationClaim, passes: Sequence[FilePass]
 ) -> tuple[float, list[Issue]]:
-    """Recalculate the springback at randomly drawn points with an elastic sheet.
+    """Recalculate the springback at randomly drawn points with an elastic sheet, independently of the file.
 
-    First the control points around the drawn points are compared with it, then the interpolated springback
-    and the shifts at some of the drawn points themselves. Returns the maximum deviation as a fraction of the
-    allowed one, and issues.
+    In the first loop the springback that the file states at the control points around the drawn points is
+    compared with the result. In the second loop the interpolated springback at the first
+    `RECALCULATED_POINTS` drawn points is compared, and the shift there unless the slope limits it.
+
+    Returns:
+        Maximum deviation as a fraction of the allowed one, and issues.
     """
     springback_data, shapes_of_part = compensation.file, _part_shapes(forming, compensation)
     stock = context.setups[compensation.index].stock
@@ -654,10 +684,11 @@ class _DrawnPoint:
 def _control_points_to_solve(
     controls: tuple[FileControlPoint, ...], points: list[_DrawnPoint]
 ) -> Iterator[tuple[int, FileControlPoint]]:
-    """Yield the control points around the drawn points, each with its index among all.
+    """Yield the control points around the drawn points, each with its index among ``controls``.
 
-    If a curve continues far beyond the force of its point, because tools press more nearby, its end follows
-    as a second control point with the same index.
+    A control point has a curve of springback over force. If the curve continues far beyond the force of its
+    point, because tools press more nearby, the end of the curve follows as a second control point with the
+    same index.
     """
     index_by_id = {id(control): k for k, control in enumerate(controls)}
     for k in sorted({index_by_id[id(control)] for point in points for control in point.around}):
@@ -677,11 +708,13 @@ def _control_points_to_solve(
 def _draw_points(
     context: Context, compensation: CompensationClaim, passes: Sequence[FilePass]
 ) -> list[_DrawnPoint]:
-    """Points drawn at random on the paths of all passes, each equally likely.
+    """Draw points at random on the paths of all passes, at which the springback is recalculated.
 
-    Points are drawn instead of control points, so that crowded control points on a short section of the path
-    are not checked more often than others. `RECALCULATED_POINTS` points are drawn, and more until they have
-    `MIN_RECALCULATED` control points around them.
+    All points of the paths are equally likely, except that the start of each path is left out. Points are
+    drawn instead of control points, so that crowded control points on a short section of the path are not
+    checked more often than others. The first `RECALCULATED_POINTS` points are all kept. More points are kept
+    if they add control points, until there are `MIN_RECALCULATED` control points around them or `MAX_DRAWS`
+    points are drawn.
     """
     slope = float(compensation.operation.springback.slope)
     candidate_rows = [np.flatnonzero(file_pass.arc > 2.0 * file_pass.claim.radius) for file_pass in passes]
@@ -689,6 +722,7 @@ def _draw_points(
     rows = np.concatenate([*candidate_rows, np.zeros(0, dtype=np.int64)])
     bounds = {k: file_pass.springback_bounds for k, file_pass in enumerate(passes)}
     slope_reduction = {
+        # by how much the limit on the slope reduces the shift at each point of the pass
         k: np.maximum(
             low - springback_bounds.limit_slope(passes[k].arc, low, slope),
             high - springback_bounds.limit_slope(passes[k].arc, high, slope),
@@ -728,10 +762,10 @@ def _draw_points(
 def _force_at(
     context: Context, compensation: CompensationClaim, file_pass: FilePass, k: int
 ) -> tuple[float, float]:
-    """The force [N] at point ``k`` of a pass that the problem states or a formula gives, and its uncertainty.
+    """Return the force [N] at point ``k`` of a pass, as stated or by a formula, and its uncertainty.
 
-    The second value is relative to the force. The uncertainty of a force by formula is due to that of the
-    wall angle, that of a stated force is due to that of the position.
+    The uncertainty is a fraction of the force. For a force by formula it is due to the uncertain wall angle,
+    for a stated force to the uncertain position.
     """
     operation, setup = compensation.operation, context.setups[compensation.index]
     if operation.force_n is not None or operation.force_by is not None:
@@ -753,7 +787,7 @@ def _recalculate(
     clamped_sheet: elastic_sheet.ClampedSheet,
     control: FileControlPoint,
 ) -> tuple[float, float]:
-    """Springback [m] of an elastic sheet at a control point, and its uncertainty [m].
+    """Return the springback [m] of an elastic sheet at a control point, and its uncertainty [m].
 
     If it differs from that of the file, a mesh with more points decides, and half of the difference of both
     meshes is the uncertainty.

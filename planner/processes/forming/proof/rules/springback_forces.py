@@ -41,7 +41,11 @@ MIN_FORCE_FRACTION = 0.01
 
 
 def force_issues(context: Context, compensation: CompensationClaim) -> Iterator[Issue]:
-    """Check that the forces at control points of a file are those of the problem, or by formula."""
+    """Check that the forces at control points of a file are those that the problem states, or by formula.
+
+    Springback follows from these forces. The formula may use the radius of either tool of the operation. At
+    most one issue for each pass is returned.
+    """
     setup, operation = context.setups[compensation.index], compensation.operation
     springback_data = compensation.file
     sheet = setup.stock.sheet
@@ -137,7 +141,10 @@ NEIGHBOUR_STEPS, NEIGHBOUR_ANGLE_RAD = 2, np.deg2rad(0.3)
 
 
 def _neighbour_values(value: FloatArray) -> FloatArray:
-    """Values (P, 2 `NEIGHBOUR_STEPS` + 1) at each point of a path and its neighbours, from values (P,)."""
+    """Return for each point of a path the values (P, 2 `NEIGHBOUR_STEPS` + 1) at it and at its neighbours.
+
+    ``value`` (P,) has the values at the points. Beyond the ends of the path the value at the end is repeated.
+    """
     return np.lib.stride_tricks.sliding_window_view(
         np.pad(value, NEIGHBOUR_STEPS, mode="edge"), 2 * NEIGHBOUR_STEPS + 1
     )

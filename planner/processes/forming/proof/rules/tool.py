@@ -158,7 +158,10 @@ def check_formed(context: Context) -> RuleOutcome:
 
 
 def _lifted_fraction(formed: FormedPass) -> float:
-    """Fraction of the path of a pass on which the ball is off the face by more than the scallop."""
+    """Return the fraction of the path of a pass on which the ball is too far from the face.
+
+    Its distance exceeds the scallop there.
+    """
     use = formed.track.is_forming[formed.pieces.first]
     first, last = formed.pieces.first[use], formed.pieces.last[use]
     length = np.linalg.norm(formed.track.centre[last, 0] - formed.track.centre[first, 0], axis=1)
@@ -290,7 +293,7 @@ def check_tilt(context: Context) -> RuleOutcome:
 def first_of_runs(is_bad: BoolArray) -> IntArray:
     """Return the first index of each run of bad values (N,), at most `MAX_SHOWN_ISSUES` of them."""
     rows = np.flatnonzero(is_bad)
-    first = rows[np.diff(rows, prepend=-2) > 1]
+    first = rows[np.diff(rows, prepend=-2) > 1]  # -2, so that a run from index 0 on has a first index, too
     return first[:MAX_SHOWN_ISSUES]
 
 
@@ -397,8 +400,9 @@ def _inside_tool(
         points_by_face: Cache of points all over faces, by the ``id`` of the face.
 
     Returns:
-        Pending depths in the tool's head (with fixed and carried sheet also its ball), and depths in the ball
-        of the tool that does not form. Those of the forming ball follow from verify.gouge.
+        Pending depths of fixed and carried sheet in the whole tool, and of the face in its head. Then the
+        depths of the face in the ball of the tool that does not form. There are none of the forming ball,
+        which verify.gouge checks.
     """
     state, number = tool.state, tool.number
     profile = state.heads[number]
@@ -436,11 +440,11 @@ def _inside_tool(
 
 
 def _unformed_depths(forming: FormingFacts, formed: FormedPass, tool: ToolInSheet) -> list[TrackDepths]:
-    """Depth [m] of a tool in sheet that is not formed yet.
+    """Return the depth [m] of a tool in sheet that is not formed yet, on one or more parts of its track.
 
-    The forming tool is checked on all of its path. A second tool that holds the sheet with it is checked on
-    its approach and retreat, against the level of the face's far end, because there is no sheet beyond it at
-    any time.
+    The forming tool is checked on all of its path. A second tool that holds the sheet with the forming one
+    is checked on its approach and retreat, where its ball must stay beyond the end of the face: no sheet is
+    there at any time. Other tools are not checked.
     """
     claim, state = formed.claim, tool.state
     column = formed.track.arms.index(state.arms[tool.number])
@@ -456,7 +460,7 @@ def _unformed_depths(forming: FormingFacts, formed: FormedPass, tool: ToolInShee
 
 
 def _knot_values_at(formed: FormedPass, level: FloatArray, rows: IntArray) -> FloatArray:
-    """Values at rows (M,) of the track of a pass, from values ``level`` (K + 1,) at its knots.
+    """Return the values at rows (M,) of the track of a pass, from values ``level`` (K + 1,) at its knots.
 
     The value at a row is that of the knot at or after it.
     """
@@ -466,15 +470,20 @@ def _knot_values_at(formed: FormedPass, level: FloatArray, rows: IntArray) -> Fl
 def _wrong_side_depths(
     formed: FormedPass, centre: VectorRows, ball: float, state: SheetState, level: FloatArray | None
 ) -> list[tuple[FloatArray, IntArray]]:
-    """Depth [m] of the other tool's ball in the sheet, or beyond it, with rows of the track.
+    """Return the depth [m] of the other tool's ball in the sheet, or beyond it, with rows of the track.
 
     Args:
         formed: Pass with its track.
         centre: TCPs (T, 3) [m] of the other tool.
         ball: Radius [m] of its ball.
         state: Claim on the sheet's state, with the tolerance of this tool.
-        level: Heights (K + 1,) [m] down to which the face exists at the knots; the sheet is flat before any
-            of it does. None if all of the face exists.
+        level: Heights (K + 1,) [m], ``side`` times z, down to which the face is formed at each knot. Before
+            the forming ball has formed any of it, the tool is compared with the flat sheet. None to compare
+            it with the whole face at all times.
+
+    Returns:
+        Depths at the knots with the rows of the knots, and depths on the pieces between them with the last
+        rows of the pieces. Only pieces whose ends do not exclude a depth beyond the tolerance are evaluated.
     """
     first, last, deviation = formed.pieces.first, formed.pieces.last, formed.pieces.deviation
     start_knot, end_knot = np.searchsorted(formed.knots, first), np.searchsorted(formed.knots, last)
@@ -501,7 +510,7 @@ def _wrong_side_depths(
 
 
 def _carried_displacement(tool_track: ToolTrack, state: SheetState, formed_depth: float) -> FloatArray:
-    """Displacement (T,) [m] along z of the sheet that sinks with the forming ball.
+    """Return the displacement (T,) [m] along z of the sheet that sinks with the forming ball, at each row.
 
     It is that of the farthest level from the start that the tip of the forming ball has reached, and at least
     ``formed_depth`` [m], to which previous levels formed the sheet.
@@ -558,7 +567,7 @@ class _SignalEdge:
 
 
 def _signal_edges(context: Context, claim: SinksHolder) -> list[_SignalEdge]:
-    """Edges of the signal of a clamp in order of time, from off at the start.
+    """Return the edges of the signal of a clamp in order of time, from off at the start.
 
     Clamps react to edges alone, so repeated values are left out.
     """

@@ -72,9 +72,10 @@ def check_gap(context: Context) -> RuleOutcome:
 
 
 def _distance_range(tool_track: ToolTrack, first: IntArray, last: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Minimum and maximum distance (K,) [m] between the first two arms' centres within straight pieces.
+    """Return the minimum and maximum distance (K,) [m] between the centres of both tools on each of K pieces.
 
-    The pieces go from the rows ``first`` (K,) of the track to ``last`` (K,).
+    A piece is straight for both tools, from row ``first[k]`` of the track to row ``last[k]``. The tools are
+    those of the first two arms of the track.
     """
     start = tool_track.centre[first, 0] - tool_track.centre[first, 1]
     end = tool_track.centre[last, 0] - tool_track.centre[last, 1]
@@ -105,7 +106,10 @@ _KNOTS_AT_ONCE = 16_384
 def _line_angle(
     tool_track: ToolTrack, knots: IntArray, face: ProofFace, nearest: NearestPoints, side: int, upright: bool
 ) -> FloatArray:
-    """Angle (K,) [rad] of the line through both centres to the face's normal, as in `_direction_angle`."""
+    """Return the angle (K,) [rad] of the line through both centres to the face's normal.
+
+    It is measured as in `_direction_angle`.
+    """
     between = tool_track.centre[knots, 0] - tool_track.centre[knots, 1]
     between /= np.maximum(np.linalg.norm(between, axis=1, keepdims=True), 1e-12)
     out = np.empty(len(knots))
@@ -120,14 +124,17 @@ def _line_angle(
 def _direction_angle(
     line: FloatArray, centre: FloatArray, face: ProofFace, nearest: NearestPoints, side: int, upright: bool
 ) -> FloatArray:
-    """Angle (K,) [rad] of directions to the face's normal, or to the directions between it and the vertical.
+    """Return the angle (K,) [rad] of directions to the face's normal.
 
-    Of all points that the ball touches, one has to fit: by the direction from there to the ball's centre, or
-    by the normal of the smooth face that the facets represent, whose own normals flicker.
+    If ``upright``, it is the angle to the nearest direction between the normal and the vertical instead.
 
-    Where the ball touches two points at once, the sheet extends around it from one to the other, so its
-    normal there is any between theirs: the line may be along those, or between them and the vertical. This
-    occurs in a sharp crease, and where facets represent a hollow that is hardly wider than the ball.
+    The smallest angle over all points that the ball touches is returned. Each point has two normals: the
+    direction from it to the ball's centre, and the normal of the smooth face that the facets represent. The
+    normals of the facets themselves are not used, because they jump from one facet to the next.
+
+    Where the ball touches two points at once, the sheet extends around it from one to the other. Its normal
+    is then any direction between the normals at both points. This occurs in a sharp crease, and where facets
+    represent a hollow that is hardly wider than the ball.
 
     Args:
         line: Unit directions (K, 3).
@@ -152,7 +159,7 @@ def _direction_angle(
 
 
 def _most_different_normals(unit: FloatArray, row: IntArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Of the touched points of each of ``count`` K balls, the two unit normals (K, 3) that differ the most.
+    """Return for each of K balls the two unit normals (K, 3) at its touched points that differ the most.
 
     ``unit`` (M, 3) are the normals at all touched points, ``row`` (M,) their balls, ascending.
     """
@@ -166,7 +173,7 @@ def _most_different_normals(unit: FloatArray, row: IntArray, count: int) -> tupl
 
 
 def _triangle_angle(line: FloatArray, a: FloatArray, b: FloatArray, up: float) -> FloatArray:
-    """Angles (K,) [rad] of unit vectors ``line`` (K, 3) to spherical triangles, 0 inside of them.
+    """Return the angles (K,) [rad] of unit vectors ``line`` (K, 3) to spherical triangles, 0 inside of them.
 
     The corners of the triangles are ``a`` (K, 3), ``b`` (K, 3) and the vertical, +1 or -1 along z.
     """
@@ -180,7 +187,7 @@ def _triangle_angle(line: FloatArray, a: FloatArray, b: FloatArray, up: float) -
 
 
 def _rotation_rows(tool_track: ToolTrack, knots: IntArray) -> IntArray:
-    """Rows of a track at which the direction of its second arm's tool is checked.
+    """Return the rows of a track at which the direction of its second arm's tool is checked.
 
     They are the knots, and a row after each ``MAX_CHECK_ROTATION_RAD`` by which that tool rotates.
     """
@@ -193,7 +200,10 @@ def _rotation_rows(tool_track: ToolTrack, knots: IntArray) -> IntArray:
 
 
 def _arc_angle(line: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
-    """Angles (N,) [rad] of unit vectors to the nearest direction on the shorter arcs between two others."""
+    """Return the angles (N,) [rad] of unit vectors to arcs.
+
+    Each is the angle to the nearest direction on the shorter arc between two other directions.
+    """
     ends = [np.arccos(np.clip(dots(line, end), -1.0, 1.0)) for end in (first, second)]
     pole = np.cross(first, second)
     length = np.linalg.norm(pole, axis=1)
@@ -305,9 +315,10 @@ def _densify(points: FloatArray) -> tuple[FloatArray, IntArray]:
 
 
 def _border_distance(points: FloatArray, border: FloatArray) -> tuple[FloatArray, np.ndarray]:
-    """Distances (N,) [m] of points (N, 3) from a closed polyline (K, 3), and whether they are inside in plan.
+    """Return the distances (N,) [m] of points (N, 3) from a closed polyline (K, 3).
 
-    A point is inside if a ray along x crosses the polyline an odd number of times.
+    The second result is whether the points are inside of it in plan. A point is inside if a ray along x
+    crosses the polyline an odd number of times.
     """
     a = border
     b = np.roll(border, -1, axis=0)
@@ -500,7 +511,12 @@ def _check_conditions(findings: Findings, claim: FormsByTable, table: TableSolut
 
 
 def _check_coverage(findings: Findings, path: AccumulativePath, touched: FloatArray) -> None:
-    """Check that the touched points (K, 3) pass all of the wall, inside out, in the required direction."""
+    """Check that the forming ball passes all of the wall, from the inside out, in the required direction.
+
+    A point of the wall is missed if it is farther from the path than adjacent loops permit. The path may go
+    back toward the inside by at most `MAX_BACKWARD_LOOPS` loops. ``touched`` (K, 3) [m] are the points that
+    the ball touches, NaN where it touches no wall.
+    """
     claim = path.claim
     touched = touched[np.isfinite(touched[:, 0])]
     if len(touched) < 2:

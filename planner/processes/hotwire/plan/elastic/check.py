@@ -82,6 +82,8 @@ class TargetFigures:
 def measure_targets(route: WireRoute, wire: HeatedWire, box: FloatArray) -> TargetFigures:
     """Compute stability, curvature, sensitivity, sag and clearance of the wire at every target.
 
+    `check_job` compares these figures with their limits, and the report shows them.
+
     Args:
         route: Wires of the job.
         wire: The wire.
@@ -92,8 +94,8 @@ def measure_targets(route: WireRoute, wire: HeatedWire, box: FloatArray) -> Targ
     points = wires.points(shape)
     distance = box_distance(points, box)
     inside = distance < 0.0
-    # Sensitivity counts in the window from the first to the last point in the block, at least 6 % of the
-    # wire.
+    # Sensitivity counts in the window from the first to the last point in the block, which is at least 6 % of
+    # the wire. It is 0 at targets where no point is in the block.
     arc_length = np.linspace(0.0, wires.length, points.shape[1])
     first = np.where(inside, arc_length, wires.length).min(axis=1)
     last = np.where(inside, arc_length, 0.0).max(axis=1)
@@ -173,9 +175,9 @@ def _end_clearance_issues(op: ElasticWire, route: WireRoute, figures: TargetFigu
 
 
 def _taut_issues(op: ElasticWire, route: WireRoute) -> Iterator[Issue]:
-    """Yield ``wire.end_error`` if the wire is almost straight.
+    """Yield ``wire.end_error`` for the straightest target if its wire is almost straight.
 
-    The smallest error of the arms would then tear it or make it slack.
+    There the smallest error of the arms would tear the wire or make it slack.
     """
     shape = route.wires.shapes(3)
     distance_fraction = np.linalg.norm(shape.end[:, :2] - shape.start[:, :2], axis=1) / route.wires.length
@@ -215,7 +217,10 @@ def _curvature_issues(wire: HeatedWire, route: WireRoute, figures: TargetFigures
 
 
 def _stability_issues(route: WireRoute, figures: TargetFigures) -> Iterator[Issue]:
-    """Yield ``wire.unstable``, in and out of the plane: an error beyond buckling, a warning close to it."""
+    """Yield ``wire.unstable`` for the least stable target, in and out of the wire's plane.
+
+    It is an error at or beyond buckling, and a warning close to it.
+    """
     for margin, where, remedy in (
         (
             figures.in_plane,
@@ -248,7 +253,7 @@ def _stability_issues(route: WireRoute, figures: TargetFigures) -> Iterator[Issu
 def face_tolerances(
     op: ElasticWire, route: WireRoute, cut: ElasticCut, figures: TargetFigures
 ) -> tuple[float, float, float]:
-    """Return the distances [m] within which the required fraction of a face is cut.
+    """Return the distances [m] within which the required fraction of a face's area is cut.
 
     Args:
         op: Operation with its wire and sweep.
@@ -260,6 +265,7 @@ def face_tolerances(
         Three distances, each with one more cause of deviation: the shape of the wire, its weight across the
         planes, and errors of its ends.
     """
+    # per section: residuals of the fit, plus sag and end errors interpolated from the targets over the sweep
     segment = Segment("cut", cut.face.name)
     residual = np.abs(cut.fit.residual)
     rows = np.nonzero(np.array(route.segment) == segment)[0]
@@ -268,7 +274,7 @@ def face_tolerances(
     def at_sections(values: FloatArray) -> FloatArray:
         return np.interp(cut.sections.p, route.sweep_position[order], values[order])[:, None]
 
-    lean = normal_component(cut.mesh, cut.face.spine)
+    lean = normal_component(cut.mesh, cut.face.spine)  # sag is across the planes, so only this part counts
     with_sag = residual + lean * at_sections(figures.sag)
     with_end_errors = with_sag + op.end_error_mm * MM * at_sections(figures.sensitivity)
     by_shape, by_sag, by_end_errors = (
@@ -281,9 +287,10 @@ def face_tolerances(
 def _tolerance_issues(
     op: ElasticWire, wire: HeatedWire, route: WireRoute, cut: ElasticCut, figures: TargetFigures
 ) -> Iterator[Issue]:
-    """Yield ``wire.weight`` if the sag exceeds the tolerance, else ``wire.end_error`` if the end errors do.
+    """Yield ``wire.weight`` or ``wire.end_error`` if a face is not within the tolerance (`face_tolerances`).
 
-    `check_shape` has checked the shape alone.
+    ``wire.weight`` is yielded if shape and sag together exceed it, else ``wire.end_error`` if the end errors
+    do in addition. `check_shape` has checked the shape alone.
     """
     tol = op.shape_tol_mm * MM
     within = face_tolerances(op, route, cut, figures)
@@ -292,6 +299,7 @@ def _tolerance_issues(
         worst = float(figures.sag[rows].max())
         remaining = max(tol - within[0], 0.1 * tol)
         lean = normal_component(cut.mesh, cut.face.spine)
+        # the sag falls with the square of the thickness
         suggested_thickness = wire.thickness * np.sqrt(lean * worst / remaining)
         is_unbounded = worst > 1.0  # a sag of 1 m: the wire is not stable
         actual = f"{within[1] * 1e3:.2f} mm" if within[1] < 1.0 else "no bound"
@@ -363,7 +371,10 @@ def misfit_issues(
 def _air_clearance_issues(
     op: ElasticWire, wire: HeatedWire, route: WireRoute, box: FloatArray
 ) -> Iterator[Issue]:
-    """Yield ``wire.touches`` if the wire comes closer to the block in air than half of the margin."""
+    """Yield ``wire.touches`` if the wire comes closer to the block in air than half of the margin.
+
+    Targets of all segments except cuts count.
+    """
     is_air = np.array([segment.kind != "cut" for segment in route.segment])
     wires = route.wires
     clearance = box_distance(wires.points(wires.shapes(65)), box).min(axis=1) - 0.5 * wire.thickness
@@ -409,14 +420,16 @@ def is_constant(curve: KerfCurve) -> bool:
 def relative_speeds(face: FaceCut, box: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return points of a face's wires over its sweep, and how fast each moves relative to the fastest one.
 
+    The width of the slot follows from these speeds.
+
     Args:
         face: The face.
         box: Lower and upper corner of the block (2, 3) [m].
 
     Returns:
-        S points on each of P wires (P, S, 3) [m], and their speeds across the wire (P, S) as a fraction of
-        that of the wire's fastest point inside the block. If no point is inside, the fastest point of all
-        counts.
+        S points on each of P = `SPEED_SAMPLES` wires (P, S, 3) [m], and their speeds across the wire (P, S)
+        as a fraction of that of the fastest point of the same wire inside the block. If no point of a wire is
+        inside, its fastest point of all counts.
     """
     p = np.linspace(face.family.lower, face.family.upper, SPEED_SAMPLES)
     wires = face.wires(p)
@@ -494,6 +507,7 @@ def check_heat(op: ElasticWire, passed: list[FaceSpeeds], curve: KerfCurve) -> I
     low, high = op.kerf_range_mm
     for face in passed:
         width = curve.at(face.speed) / MM
+        # the widest and the narrowest slot of the face
         for code, worst, limit, effect in (
             ("kerf.too_hot", int(np.argmax(width)), high, "burns the foam"),
             ("kerf.too_cold", int(np.argmin(width)), low, "drags: it is too cold"),
@@ -528,10 +542,10 @@ class FaceMotion:
 def check_driven(
     op: ElasticWire, face_speeds: FaceSpeeds, curve: KerfCurve, motion: FaceMotion, allowed_deviation: float
 ) -> Iterator[Issue]:
-    """Yield ``kerf.too_hot`` if the arms move the wire too slowly.
+    """Yield ``kerf.too_hot`` if the planned timing moves the wire so slowly that its slot becomes too wide.
 
-    The arms may drive the wire so much slower than its feed that the slot leaves its range, or that a larger
-    fraction of the face than allowed deviates by more than ``allowed_deviation``.
+    It is too wide if it exceeds the usable range anywhere, or if a larger fraction of the face than the
+    operation allows is cut more than ``allowed_deviation`` too deep.
 
     Args:
         op: Operation with its wire and sweep.
@@ -553,6 +567,7 @@ def check_driven(
     width = curve.at(feed_fraction * face_speeds.speed)
     extra_offset = 0.5 * (width - curve.at(face_speeds.speed))
     high = op.kerf_range_mm[1] * MM
+    # allowed width at each vertex: the range, and the width at which the face deviates as much as allowed
     limit = np.minimum(high, width - 2.0 * (extra_offset - allowed_deviation))
     if width.max() <= high and (extra_offset > allowed_deviation).mean() <= 1.0 - op.share:
         return
@@ -586,7 +601,9 @@ def suggest_heat(
 ) -> str:
     """Return a hint with a power or a feed at which all slots are within the range, or that none was found.
 
-    Of all values that work, the one in the middle of the range (geometric mean) is suggested.
+    Values of `HEAT_FACTORS` are tried for power and feed separately, at the speeds of the existing wires. Of
+    the values that work, the geometric mean of the smallest and the largest is suggested, rounded to 2 or
+    else 3 digits, if it also passes with newly fitted wires.
 
     Args:
         op: Operation with its wire and sweep.

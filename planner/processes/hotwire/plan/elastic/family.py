@@ -146,7 +146,8 @@ def sweep_direction(degrees: float) -> FloatArray:
 def make_spine(face: TriangleMesh, direction: FloatArray, normal: bool) -> Spine:
     """Return planes across the sweep over a face: upright, or normal to the face's spine.
 
-    The spine is a smoothing spline through the mean heights of the face's upright sections.
+    The spine is a least-squares spline through the mean heights of the face's upright sections. Sections
+    shorter than half the median length do not count.
 
     Args:
         face: Surface of the face.
@@ -392,6 +393,7 @@ def fit_family(
     unit = _state_units(length)
     # even knots beyond both ends too, so that equal differences of coefficients form a straight line
     knots = lower + (upper - lower) / cells * np.arange(-3, cells + 4, dtype=np.float64)
+    # knots[3] to knots[-4] is the range of the spline: set exactly, so that rounding excludes no section
     knots[3], knots[-4] = lower, upper
     table = BSpline.design_matrix(sections.p, knots, 3).toarray()
     has_section = sections.length > 0.0
@@ -417,12 +419,16 @@ def fit_family(
 
 
 def _state_units(length: float) -> FloatArray:
-    """Return the factors (6,) from a state in wire lengths to one in metres."""
+    """Return the factors (6,) that convert a state (x, y, theta, k, Fx, Fy) from wire lengths to metres."""
     return np.array([length, length, 1.0, 1.0 / length, length**-2, length**-2])
 
 
 def _smoothing_coefficients(table: FloatArray, values: FloatArray) -> FloatArray:
-    """Return coefficients (c, 6) of the smoothing spline through values (K, 6)."""
+    """Return coefficients (c, 6) of the smoothing spline near values (K, 6), the first guess of a family.
+
+    ``table`` (K, c) has the basis functions of the spline at the values. Squared second differences of the
+    coefficients are penalised with a factor of 1e-2.
+    """
     count = table.shape[1]
     second_difference = np.diff(np.eye(count), 2, axis=0)
     normal_matrix = table.T @ table + 1e-2 * second_difference.T @ second_difference
@@ -432,8 +438,9 @@ def _smoothing_coefficients(table: FloatArray, values: FloatArray) -> FloatArray
 def _smoothness_matrix(knots: FloatArray, first: float, last: float) -> FloatArray:
     """Return the matrix (6 c, 6 c) of the quadratic penalty on differences of the c spline coefficients.
 
-    Second differences are penalised everywhere. First differences of angle, curvature and force are penalised
-    where there is no face.
+    The penalty keeps the shapes of neighbouring wires alike. Second differences are penalised everywhere.
+    First differences of angle, curvature and force are penalised only more than two spline cells beyond the
+    face.
 
     Args:
         knots: Knots of the spline [m].
@@ -443,6 +450,7 @@ def _smoothness_matrix(knots: FloatArray, first: float, last: float) -> FloatArr
     count = len(knots) - 4
     second_difference = np.diff(np.eye(count), 2, axis=0)
     first_difference = np.diff(np.eye(count), 1, axis=0)
+    # sweep position of each coefficient: the mean of the inner knots of its basis function
     positions = np.array([knots[i + 1 : i + 4].mean() for i in range(count)])
     cell = positions[1] - positions[0]  # the first two cells beyond the face continue smoothly
     is_uncovered = ((positions[1:] < first - 2.0 * cell) | (positions[:-1] > last + 2.0 * cell)).astype(
@@ -458,10 +466,14 @@ def _smoothness_matrix(knots: FloatArray, first: float, last: float) -> FloatArr
 
 
 def _gauss_newton(job: _FamilyProblem, coefficient: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Minimise the cost from a first guess of the coefficients (c, 6).
+    """Fit the family: minimise its cost from a first guess of the spline coefficients (c, 6).
+
+    The ends beyond the sections, whose curvature the cost penalises, follow from the first guess and stay
+    fixed.
 
     Returns:
-        Coefficients (c, 6), signed distances (K, m) and arc lengths of nearest points from the middle (K, m).
+        Coefficients (c, 6), signed distances of the sections' points from the wires (K, m), and arc lengths
+        of the nearest points from the middles of the wires (K, m). Lengths are in wire lengths.
     """
     # Levenberg-Marquardt: (H + damp diag H) step = -gradient
     damping = 1e-6
@@ -473,7 +485,7 @@ def _gauss_newton(job: _FamilyProblem, coefficient: FloatArray) -> tuple[FloatAr
         damped = hessian + np.diag(damping * scale + 1e-13 * scale.max())
         step = -np.linalg.solve(damped, gradient).reshape(coefficient.shape)
         trial = _evaluate(job, coefficient + step, foot)
-        if trial[0] < cost:
+        if trial[0] < cost:  # the first item is the cost
             decrease = (cost - trial[0]) / cost
             coefficient = coefficient + step
             cost, gradient, hessian, residual, foot = trial
@@ -488,7 +500,15 @@ def _gauss_newton(job: _FamilyProblem, coefficient: FloatArray) -> tuple[FloatAr
 
 
 def _coarse_nearest_points(job: _FamilyProblem, state: FloatArray) -> FloatArray:
-    """Return the arc length from the middle (K, m) of the wire's points nearest to the sections' points."""
+    """Return the arc lengths (K, m) of the wires' points nearest to the sections' points, as a first guess.
+
+    They are counted from the middle of each wire, in wire lengths, and accurate to 1/240: the nearest of 121
+    points along the wire is taken.
+
+    Args:
+        job: Sections and wires.
+        state: States at the middles of the wires (K, 6).
+    """
     sigma = np.linspace(0.0, 1.0, 121)
     wire = integrate_wire(state, np.ones(len(state)), job.load, anchor=0.5)
     points = wire.at(sigma)[..., :2]
@@ -499,10 +519,19 @@ def _coarse_nearest_points(job: _FamilyProblem, state: FloatArray) -> FloatArray
 def _evaluate(
     job: _FamilyProblem, coefficient: FloatArray, foot: FloatArray
 ) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Evaluate the cost of the coefficients.
+    """Evaluate the cost of spline coefficients and its derivatives, for one iteration of the fit.
+
+    The cost is the sum of weighted squared distances of the sections' points, of squared curvature of the
+    free ends, of squared displacements of the middles from the centre, and of the penalty on differences.
+
+    Args:
+        job: Sections, weights and penalties.
+        coefficient: Coefficients (c, 6).
+        foot: Guess of the arc lengths of the nearest points from the middles of the wires (K, m).
 
     Returns:
-        Cost, gradient, Gauss-Newton matrix, distances (K, m) and arc lengths of nearest points (K, m).
+        Cost (infinite if the wires diverge), half of its gradient (6 c,), Gauss-Newton matrix (6 c, 6 c),
+        signed distances (K, m), and improved arc lengths of the nearest points (K, m).
     """
     # residuals n.(p - r) at the nearest points, and their derivatives with respect to the middle states
     state = job.table @ coefficient
@@ -520,7 +549,7 @@ def _evaluate(
         sin[..., None] * position_derivatives[..., :4] - cos[..., None] * position_derivatives[..., 4:]
     )
     weight = np.ones(distance.shape[1])
-    weight[[0, -1]] = job.end_weight
+    weight[[0, -1]] = job.end_weight  # first and last point of each section
     point_weight = job.weight[:, None] * (weight / weight.sum())
 
     # per section: distances, curvature of the ends beyond the section, offset of the middle from the centre
@@ -553,11 +582,21 @@ def _evaluate(
 def _nearest_points(
     points: FloatArray, wire: WireSolution, foot: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Find the points of the wires nearest to points (K, m, 2), by two Newton steps from arc lengths (K, m).
+    """Find the points of wires that are nearest to the points of their sections, by two Newton steps.
+
+    The fit measures its residuals at these points. All lengths are in wire lengths. A nearest point is given
+    by its arc length from the middle of its wire ("foot"), -0.5 to 0.5.
+
+    Args:
+        points: Points of the sections (K, m, 2).
+        wire: The wires, solved on n Gauss nodes.
+        foot: Guess of the arc lengths of the nearest points (K, m).
 
     Returns:
-        Arc lengths from the middle (K, m), distances along the normal (K, m), x, y, theta, k there (K, m, 4),
-        and the values of the Legendre polynomials there (K, m, n), which interpolate coefficients.
+        ``foot``, the improved arc lengths (K, m); signed distances along the wire's normal (K, m);
+        ``at_foot``, the states (x, y, theta, k) of the wire there (K, m, 4); and ``table`` (K, m, n), the
+        values of the n Legendre polynomials there. The product of ``table`` with the Legendre coefficients of
+        a function of arc length interpolates this function to the nearest points.
     """
     series = gauss_nodes(wire.count).to_coefficients @ np.stack(
         [wire.x, wire.y, wire.theta, wire.curvature], axis=-1
@@ -570,6 +609,9 @@ def _nearest_points(
         distance = gap[..., 1] * cos - gap[..., 0] * sin
         if iteration < 2:
             along = gap[..., 0] * cos + gap[..., 1] * sin
+            # Newton for along = 0 with d(along)/ds = -(1 - k distance). Near the centre of curvature the
+            # derivative vanishes or changes its sign, so 1 - k distance is limited to 0.3 or more, and the
+            # step to 0.1 wire lengths (both chosen).
             newton_scale = np.maximum(1.0 - at_foot[..., 3] * distance, 0.3)
             foot = np.clip(foot + np.clip(along / newton_scale, -0.1, 0.1), -0.5, 0.5)
     return foot, distance, at_foot, table

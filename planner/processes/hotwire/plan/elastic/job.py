@@ -158,7 +158,7 @@ def exhibits(
 def section_points(cut: ElasticCut) -> tuple[FloatArray, FloatArray]:
     """Return nominal sections and the wires' nearest points, each (S, m, 3) [m] in the stock frame.
 
-    Only planes that meet the face are included.
+    The report draws both. S planes meet the face, the others are left out. Each section has m points.
     """
     has_section = cut.sections.length > 0.0
     planes = cut.face.spine.frames(cut.sections.p[has_section])
@@ -335,6 +335,7 @@ class ElasticJob(Job[ElasticWire]):
         if op.power_w is None or edge is None:
             return tuple(out)
         kinds = np.array([segment.key for segment in targets.segment])
+        # what weight, shape and end errors leave of the tolerance, at least a tenth
         allowed_deviation = max(op.shape_tol_mm * MM - attempt.within, 0.1 * op.shape_tol_mm * MM)
         for face_speeds in _face_speeds(op, attempt.cuts, screen.nominal_faces, self.setup):
             cut_targets = np.flatnonzero(kinds == Segment("cut", face_speeds.name).key)
@@ -355,10 +356,13 @@ class ElasticJob(Job[ElasticWire]):
 
 
 def _attempt(op: ElasticWire, nominal_faces: Mapping[str, Mesh], setup: Setup) -> WireAttempt:
-    """Plan everything except motion for an operation with a wire and sweep.
+    """Plan everything except the arms' motion for an operation with a wire and sweep.
+
+    `choose_wire` calls it for each candidate. The checks run before `refine` adds targets, because they are
+    fast there, and again for the refined route.
 
     Raises:
-        TandemError: If the wire cannot cut the faces.
+        TandemError: If the wire cannot cut the faces, with the issues of the first checks that fail.
     """
     stock = setup.stock
     wire = _make_wire(op)
@@ -399,8 +403,8 @@ def _drive_limits(op: ElasticWire, setup: Setup) -> tuple[FloatArray, float]:
 def _fit_cuts(op: ElasticWire, nominal_faces: Mapping[str, Mesh], setup: Setup) -> list[ElasticCut]:
     """Fit wires to all faces, offset by half of the local slot.
 
-    The first fit assumes the slot at the feed. Iterations then use the slot at the speeds of the fitted
-    wires.
+    The first fit assumes the slot at the feed. `_KERF_ITERATIONS` more then use the slot at the speeds of the
+    fitted wires, unless the slot has one width at every speed.
     """
     stock, curve = setup.stock, _kerf_curve(op, setup)
     feed = FEED_FRACTION * op.feed_mm_s * MM
@@ -514,6 +518,9 @@ def _fit_cut(
 ) -> ElasticCut:
     """Fit a family of wires to one face.
 
+    Single sections are fitted first, because they show early whether a wire meets the face at all. A finer
+    spline is tried if the coarse one misses a point by more than 0.3 of the tolerance.
+
     Args:
         op: Operation with its wire and sweep.
         name: Name of the face.
@@ -578,13 +585,15 @@ def _drive_issues(
 ) -> Iterator[Issue]:
     """Yield ``wire.between_targets`` for the first move on which the wire deviates or cannot be computed.
 
+    Deviations of more than half the tolerance count, in cuts only.
+
     Args:
         op: Operation with its wire and sweep.
         route: The route with N targets.
         deviation: Deviation halfway along the move to each target (N,) [m].
         end_error: Error of the solver there over the wire's length (N,).
     """
-    has_failed = np.array([not m < 1e-6 for m in end_error], dtype=np.bool_)
+    has_failed = np.array([not m < 1e-6 for m in end_error], dtype=np.bool_)  # NaN counts as failed
     cutting = np.array([segment.kind == "cut" for segment in route.segment], dtype=np.bool_)
     is_too_far = cutting & (deviation > 0.5 * op.shape_tol_mm * MM)
     if not (has_failed | is_too_far).any():

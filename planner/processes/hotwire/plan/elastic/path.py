@@ -89,7 +89,10 @@ class WireSet:
 
 
 def planar_pose(pose: FloatArray) -> FloatArray:
-    """Return poses (..., 4, 4) in a plane's frame for planar poses x, y, theta (..., 3)."""
+    """Return poses (..., 4, 4) in a plane's frame for planar poses x, y, theta (..., 3).
+
+    Their x axis has the angle theta in the plane, z is the plane's normal.
+    """
     c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     zero, one = np.zeros_like(c), np.ones_like(c)
     rotation = np.stack(
@@ -134,6 +137,8 @@ def interpolate_wires(a: WireSet, b: WireSet, t: FloatArray) -> WireSet:
 
 def drive_wires(a: WireSet, b: WireSet, t: float) -> tuple[WireSet, FloatArray, FloatArray]:
     """Return the wires when both ends have moved a fraction of a straight move from a to b.
+
+    `refine` compares them with the nominal wires, because the wire follows its ends between two targets.
 
     Args:
         a: Wires at the start of the move (N).
@@ -238,8 +243,8 @@ class WireRoute:
 def cut_range(face: FaceCut, box: FloatArray, margin: float, radius: float) -> tuple[float, float]:
     """Return the first and the last sweep position p [m] of the cut of a face.
 
-    Between them the wire passes the block. At both it is outside the block by ``margin`` or slightly more. If
-    the wire never comes closer, the range of the wire family is returned.
+    Between them the wire passes the block. At both it is outside the block by ``margin`` or slightly more: p
+    is searched in steps of 2 mm. If the wire never comes closer, the range of the wire family is returned.
 
     Args:
         face: The face.
@@ -270,6 +275,7 @@ def cut_positions(face: FaceCut, lower: float, upper: float, box: FloatArray, st
         box: Lower and upper corner of the block (2, 3) [m].
         step: Maximum travel between positions [m].
     """
+    # travel is measured on a grid four times as coarse as _TRAVEL_STEP_M and interpolated
     p = np.linspace(lower, upper, max(3, int(np.ceil((upper - lower) / _TRAVEL_STEP_M)) // 4 + 1))
     wires = face.wires(p)
     travelled = np.concatenate([[0.0], np.cumsum(max_travel(wires, box)[1:])])
@@ -278,9 +284,10 @@ def cut_positions(face: FaceCut, lower: float, upper: float, box: FloatArray, st
 
 
 def max_travel(wires: WireSet, box: FloatArray) -> FloatArray:
-    """Return the distance (N,) [m] of the fastest point in the block from the previous wire to each one.
+    """Return the move (N,) [m] of the fastest point in the block from the previous wire to each one.
 
-    If no point is in the block, it is the distance of the fastest point of the wire. The first value is 0.
+    Points count that are in the block at one of both wires. If there are none, it is the distance of the
+    fastest point of the wire. The first value is 0.
     """
     points = wires.points(wires.shapes())
     inside = box_distance(points, box) < 0.0
@@ -295,7 +302,9 @@ def plan_route(
 ) -> WireRoute:
     """Plan the route through all faces.
 
-    The first cut sweeps along increasing p. The cuts alternate in direction unless ``two_runs`` is set.
+    The route consists of mount, transit, approach, then the cuts with links between them, retreat and
+    unmount. The first cut sweeps along increasing p. The cuts alternate in direction unless ``two_runs`` is
+    set.
 
     Args:
         faces: The faces, in order.
@@ -338,6 +347,7 @@ def plan_route(
             for leg in link:
                 add(Segment("link"), leg)
                 stops.append(len(segments) - 1)
+        # the first wire of the cut is the last one of the lead-in or link
         add(Segment("cut", face.name), wires[1:], p[1:])
         stops.append(len(segments) - 1)
     # retreat: the last wire of the last cut, shifted on along the sweep
@@ -355,10 +365,18 @@ def plan_route(
 def _link_legs(
     a: WireSet, b: WireSet, box: FloatArray, margin: float, radius: float, over_block: bool
 ) -> list[WireSet]:
-    """Return the wires on each straight leg in air from wire a to wire b, without a and the starts of legs.
+    """Return the wires on each straight leg in air from wire a to wire b.
 
-    With ``over_block`` the wire is raised above the block, moved across and lowered, because a and b are on
-    opposite sides of it.
+    The first wire of each leg is left out, because it is a or the last wire of the previous leg.
+
+    Args:
+        a: First wire (1 wire).
+        b: Last wire (1 wire).
+        box: Lower and upper corner of the block (2, 3) [m].
+        margin: Distance to the block [m].
+        radius: Radius of the wire [m].
+        over_block: Whether a and b are on opposite sides of the block. The wire is then raised above it,
+            moved across and lowered, on three legs. Otherwise there is one leg.
     """
     waypoints = [a, b]
     if over_block:
@@ -379,7 +397,11 @@ def _link_legs(
 
 
 def _lift_height(wire: WireSet, box: FloatArray, margin: float) -> float:
-    """Return by how much [m] to raise a wire so that its part over the block is ``margin`` above it."""
+    """Return by how much [m] to raise a wire (1 wire) so that its part over the block is ``margin`` above it.
+
+    The part over the block is estimated along the wire's direction. It is 0 if the wire is already high
+    enough.
+    """
     points = wire.points(wire.shapes(65))[0]
     half_extent = np.abs(box[:, :2]).max(axis=0) + margin
     axis = wire.frame[0, :2, 0] / np.linalg.norm(wire.frame[0, :2, 0])
@@ -393,8 +415,8 @@ def refine(
 ) -> tuple[WireRoute, FloatArray, FloatArray]:
     """Insert targets until the wire halfway along every move is within a tolerance of the nominal one.
 
-    Halfway, the wire is the equilibrium between ends that have moved halfway along straight moves. Moves are
-    halved at most 4 times.
+    Halfway, the wire is the equilibrium between ends that have moved halfway along straight moves. A move is
+    also halved if the solver finds no such equilibrium. Moves are halved at most 4 times.
 
     Args:
         route: Route through all faces.
@@ -404,7 +426,8 @@ def refine(
 
     Returns:
         The route with N targets, the deviation (N,) [m] halfway along the move to each target, and the
-        largest error of the solver there over the length (N,). Both are 0 for the first target.
+        largest error of the ends' poses in the solution there over the length (N,), infinite if the solver
+        fails. Both are 0 for the first target.
     """
     by_name = {Segment("cut", face.name): face for face in faces}
     for iteration in range(5):
@@ -419,7 +442,10 @@ def refine(
 
 
 def _halfway_wires(route: WireRoute, by_name: dict[Segment, FaceCut]) -> tuple[WireSet, FloatArray]:
-    """Return the nominal wires halfway along all M moves, and their sweep positions (M,) [m], NaN in air."""
+    """Return the nominal wires halfway along all M moves, and their sweep positions (M,) [m], NaN in air.
+
+    In a cut they are wires of the fitted family, elsewhere they are interpolated.
+    """
     count = len(route.wires) - 1
     middle = interpolate_wires(route.wires[:-1], route.wires[1:], np.full(count, 0.5))
     frame, bend, p = middle.frame.copy(), middle.curvature_and_force.copy(), np.full(count, np.nan)
@@ -486,8 +512,9 @@ def slack_freedom(
 ) -> TableFreedom | None:
     """Return the freedom of each wire to slide along itself, or None if no reach is possible.
 
-    The reach is halved at most 3 times until the wires are stable and within the curvature limit at both ends
-    of their slides.
+    Each wire may slide as far as its ends keep their distance from the block. The reach is halved at most 3
+    times until the wires are stable and within the curvature limit at both ends of their slides. The first
+    and the last wire do not slide.
 
     Args:
         wires: N wires.
@@ -536,7 +563,10 @@ def _free_range(nodes: FloatArray, free: BoolArray) -> tuple[FloatArray, FloatAr
 
 
 def _is_stable(wires: WireSet, slide: FloatArray, section: StiffnessRatios, max_curvature: float) -> bool:
-    """Return whether wires that slid along themselves by (N,) [m] are stable and not bent too sharply."""
+    """Return whether wires that slid along themselves by (N,) [m] are stable and not bent too sharply.
+
+    Every `_STABILITY_STRIDE`-th wire is checked, with ten times the smallest stable margin.
+    """
     sampled = wires[slice(0, None, _STABILITY_STRIDE)]
     shifted = heavy.slide(sampled.shapes(3), slide[::_STABILITY_STRIDE], 33)
     min_margin = min(float(shifted.margin_in_plane.min()), float(shifted.margin_out_of_plane(section).min()))

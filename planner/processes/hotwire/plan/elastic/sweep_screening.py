@@ -175,6 +175,7 @@ class SweepScreen:
         """Screen one wire along one direction [deg].
 
         The screening ends early if the wire is too short, would snap, or cannot take the shape of the face.
+        The sections of all faces count that are longer than half the longest one.
         """
         op = self.op.with_wire(wire_file)
         wire = wires.make_wire(
@@ -241,7 +242,8 @@ class SweepScreen:
     def shape_only(self, wire_file: WireFile, degrees: float) -> tuple[float, float]:
         """Screen the shape alone, with weightless elasticas that end with the sections.
 
-        A wire with free ends and weight does not do better along this direction.
+        A wire with free ends and weight does not do better along this direction. Whether such an elastica
+        would snap is also noted, for `screen`.
 
         Returns:
             Distance within which the required fraction of the sections is [m], and the length of the longest
@@ -277,13 +279,16 @@ class SweepScreen:
 
 
 def _count_inflections(fitted: CurveFit) -> IntArray:
-    """Return the number (B,) of inflections of a wire along a section."""
+    """Return the number (B,) of inflections of each fitted wire, counted as changes of the curvature's sign.
+
+    Curvatures below 2 % of the largest one keep the previous sign.
+    """
     curvature = heavy.from_middle(
         fitted.middle, fitted.length, np.zeros((len(fitted.length), 2)), 65
     ).curvature
     min_curvature = 0.02 * np.abs(curvature).max(axis=1, keepdims=True)
     sign = np.where(np.abs(curvature) > min_curvature, np.sign(curvature), 0.0)
-    for k in range(1, sign.shape[1]):  # nearly straight pieces keep the previous sign
+    for k in range(1, sign.shape[1]):
         sign[:, k] = np.where(sign[:, k] == 0.0, sign[:, k - 1], sign[:, k])
     return np.asarray((sign[:, 1:] * sign[:, :-1] < 0.0).sum(axis=1), dtype=np.int64)
 
@@ -322,7 +327,8 @@ def _cut_probe_sections(face: TriangleMesh, degrees: float, normal: bool) -> tup
 def normal_component(mesh: TriangleMesh, spine: Spine) -> float:
     """Return which fraction of a displacement across the planes is normal to the surface.
 
-    It is the 95 % quantile over the area of the face.
+    Sag across the planes moves the cut surface by this fraction of it. It is the 95 % quantile over the area
+    of the face.
     """
     centre = mesh.vertices[mesh.faces].mean(axis=1)
     planes = spine.frames(centre @ spine.direction)

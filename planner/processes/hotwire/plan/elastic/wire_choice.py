@@ -87,6 +87,9 @@ def choose_wire(
 ) -> tuple[WireAttempt, list[SweepCandidate]]:
     """Return the first wire and sweep that succeed, and the candidates that were screened.
 
+    At most `_MAX_FULL_FITS` candidates are fitted to whole faces, in order of preference: those that screen
+    within `_MAX_FIT_FACTOR` times the tolerance, or else the one with the least score alone.
+
     Args:
         screen: Screen of the candidates.
         fit: Fits a candidate to whole faces.
@@ -174,9 +177,11 @@ def _refusal_issues(
 def _hints(
     screen: SweepScreen, fit: FitCandidate, tried: list[SweepCandidate], issues: list[Issue]
 ) -> list[str]:
-    """Return changes that were tried and help: another wire or sweep, else a cut line, then a tolerance.
+    """Return changes of the problem that were tried and help, as text.
 
-    Nothing is returned if an issue has another cause than the wire.
+    The first hint names another wire or sweep, or else a cut line through the panel. A second one names a
+    larger tolerance if this can resolve all issues. If nothing helps, one text says so. The list is empty if
+    an issue has another cause than the wire.
     """
     codes = {issue.code for issue in issues}
     best = min(tried, key=lambda s: s.score)
@@ -197,7 +202,8 @@ def _wire_hints(
 ) -> Iterator[str]:
     """Yield hints on other wires and sweeps that were tried and work, the smallest change first.
 
-    Each ``yield`` is reached only if the caller asks for a further hint, because each one costs fits.
+    The order is: available wires along all directions, other lengths of the best wire, other diameters of it.
+    Fits cost time. The caller therefore takes the first hint only, and later changes are not tried then.
     """
     op = screen.op
     # available wires along all directions
@@ -278,18 +284,20 @@ def _wire_hints(
 
 
 def _split_hints(screen: SweepScreen, fit: FitCandidate, tried: list[SweepCandidate]) -> Iterator[str]:
-    """Yield cut lines across the wire whose two sides can be cut as separate panels.
+    """Yield hints on cut lines across the wire whose two sides can be cut as separate panels.
 
-    Each side is cut in its own part of the block.
+    Each side is cut in its own part of the block. The three lines that screen best are tried. No line is
+    tried if the best candidate misses by more than `_MAX_SPLIT_FACTOR` times the tolerance.
     """
     tol = screen.op.shape_tol_mm * MM
     best = min(tried, key=lambda s: s.score)
     base = best.wire
+    # a score of 1 m and more stands for a wire that cannot be held, which a split may still remedy
     if base is None or tol * _MAX_SPLIT_FACTOR < best.score < 1.0:
         return
     lines: list[tuple[float, str, float, list[SweepScreen]]] = []
     for degrees in EDGE_ANGLES:
-        axis = int(degrees == 0.0)  # the wire is along y if the sweep is along x
+        axis = int(degrees == 0.0)  # 1 (y) for a sweep along x, because the wire is then along y
         low, high = screen.setup.stock.box[:, axis]
         for fraction in _SPLIT_FRACTIONS:
             position = float(np.round(low + fraction * (high - low), 3))
@@ -345,7 +353,7 @@ def _attempt_side(side: SweepScreen, fit: FitCandidate, base: WireFile, degrees:
     sharply.
     """
     tol = side.op.shape_tol_mm * MM
-    thinner = (1.0, 0.7, 0.45, 0.25) if base.diameter_mm is not None else (1.0,)
+    thinner = (1.0, 0.7, 0.45, 0.25) if base.diameter_mm is not None else (1.0,)  # factors on the diameter
     for factor in thinner:
         size = {} if factor == 1.0 else {"diameter_mm": round(factor * (base.diameter_mm or 0.0), 1)}
         available = [*side.op.candidate_wires(side.setup.cell.wires)] if factor == 1.0 else []
@@ -367,7 +375,11 @@ def _attempt_side(side: SweepScreen, fit: FitCandidate, base: WireFile, degrees:
 def _tolerance_hint(
     screen: SweepScreen, fit: FitCandidate, sweep: SweepCandidate, issues: list[Issue]
 ) -> str:
-    """Return a hint with a larger tolerance at which a candidate succeeds, or an empty text."""
+    """Return a hint with a larger tolerance at which a candidate succeeds, or an empty text.
+
+    Multiples of the largest deviation that an issue states are tried, up to `_MAX_TOLERANCE_FACTOR` times the
+    tolerance.
+    """
     largest_deviation = max((issue.value for issue in issues if issue.value is not None), default=np.inf)
     for factor in (1.01, 1.25, 1.6):  # meeting the first bound may reveal further ones
         tol = float(np.ceil(100.0 * factor * largest_deviation) / 100.0)
@@ -422,9 +434,11 @@ def _long_enough_wires(
 def _best_attempt(
     screen: SweepScreen, fit: FitCandidate, candidates: list[SweepCandidate], base: WireFile | None = None
 ) -> WireAttempt | None:
-    """Return the attempt of the best candidate that succeeds on whole faces, or None. At most two are fitted.
+    """Return the attempt of the best candidate that succeeds on whole faces, or None.
 
-    Candidates with a margin to the tolerance are better, then those closest to ``base``, then by score.
+    The two best candidates are fitted at most. Those with a margin to the tolerance (`_MARGIN_FRACTION`) are
+    better than others, then those with the diameter and the length closest to ``base``, then those with the
+    least score.
     """
     tol = screen.op.shape_tol_mm * MM
     valid = [s for s in candidates if not s.reason and s.score < tol]

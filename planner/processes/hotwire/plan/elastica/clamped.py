@@ -124,6 +124,8 @@ def min_constrained_eigenvalue(form: FloatArray, constraints: FloatArray, barrie
 def project_form(form: FloatArray, constraints: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Project quadratic forms H on the spaces orthogonal to their constraints, by the projector P.
 
+    Stability counts only motions that the clamps allow.
+
     Args:
         form: Symmetric matrices H of the quadratic forms (B, n, n).
         constraints: Vectors to which the spaces are orthogonal (B, c, n).
@@ -174,6 +176,8 @@ def in_plane_margin(shape: QuadratureShape) -> FloatArray:
 def out_of_plane_form(shape: QuadratureShape, section: StiffnessRatios) -> FloatArray:
     """Return the second variation of the energy out of the plane as matrices (B, 2m, 2m), in units of EI/L.
 
+    Its smallest eigenvalue decides stability, and its inverse gives the sag.
+
     The module docstring has the formula. The unknowns are the m bump amplitudes of wt, then those of wn.
     """
     theta, force, length = shape.theta, shape.force, shape.length
@@ -202,7 +206,7 @@ def out_of_plane_form(shape: QuadratureShape, section: StiffnessRatios) -> Float
 
 
 def out_of_plane_margin(shape: QuadratureShape, section: StiffnessRatios) -> FloatArray:
-    """Return the stability margin (B,) of shapes against leaving their plane."""
+    """Return the margin (B,) of stability out of the plane: 1 without force, 0 at buckling."""
     form = out_of_plane_form(shape, section)
     return min_constrained_eigenvalue(form, out_of_plane_constraint(form.shape[0]))
 
@@ -418,9 +422,10 @@ def _make_solution(
 def amplitudes_of(
     node_theta: FloatArray, sigma: FloatArray, weight: FloatArray, modes: int = CLAMPED_MODES
 ) -> FloatArray:
-    """Return the bump amplitudes (B, modes) of theta at Gauss nodes.
+    """Return the bump amplitudes (B, modes) of wires whose angles are given at Gauss nodes.
 
-    The slope is projected on the basis by partial integration.
+    They convert a guess to the form that `solve_newton` expects. The slope of theta is projected on the
+    slopes psi_j of the basis by partial integration.
 
     Args:
         node_theta: Angles at the nodes (B, n).
@@ -485,6 +490,8 @@ def refine_state(
     state: FloatArray, start: FloatArray, end: FloatArray, length: FloatArray, weight: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Refine the states at the middles of wires by Newton's method, so that both ends take given poses.
+
+    At most 4 steps are taken, and of all states the one with the least deviation is returned for each wire.
 
     Args:
         state: States at s = L/2 (B, 6).

@@ -196,6 +196,7 @@ def node_counts(
     force = np.hypot(state[:, 4], state[:, 5]) + 0.5 * np.hypot(weight[:, 0], weight[:, 1]) * length
     waves = np.sqrt(force + 0.25 * state[:, 3] ** 2) * length
     waves = np.nan_to_num(np.minimum(waves, 100.0))
+    # in multiples of 16, so that few sizes occur and their matrices stay cached
     need = 16 * np.ceil((base + per_wave * waves) / 16.0)
     return np.asarray(np.clip(need, 32, 192), dtype=np.int64)
 

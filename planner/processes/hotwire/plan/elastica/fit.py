@@ -37,7 +37,8 @@ def first_guess(
 ) -> tuple[FloatArray, FloatArray]:
     """Guess the state at the middle of each curve by a linear least-squares fit of its angle.
 
-    Works in the units of the points. It is most accurate if the curves are about 1 long.
+    The result is the first guess of the fit. Lengths have the unit of the points. The guess is most accurate
+    if the curves are about 1 long.
 
     Args:
         points: Curves (B, m, 2).
@@ -45,8 +46,8 @@ def first_guess(
         weight: Weight q of the wires (B, 2).
 
     Returns:
-        States (B, 6) at the middles of the curves, and arc lengths (B, m) of the points from the middles,
-        negative before them.
+        States (x, y, theta, k, Fx, Fy) (B, 6) at the middles of the curves, and arc lengths (B, m) of the
+        points from the middle of their curve, negative before it.
     """
     fine = _refine(points)
     delta = np.diff(fine, axis=1)
@@ -106,7 +107,11 @@ def _refine(points: FloatArray) -> FloatArray:
 
 
 def _interpolate_at_zero(arc_length: FloatArray, values: FloatArray) -> FloatArray:
-    """Interpolate values (B, m, c) at the increasing arc lengths (B, m) to arc length 0: (B, c)."""
+    """Interpolate values (B, m, c), given at the increasing arc lengths (B, m), linearly to arc length 0.
+
+    Returns:
+        Values (B, c) at the middle of each curve.
+    """
     wires = np.arange(arc_length.shape[0])
     right = np.clip(np.sum(arc_length < 0.0, axis=1), 1, arc_length.shape[1] - 1)
     a, b = arc_length[wires, right - 1], arc_length[wires, right]
@@ -219,7 +224,8 @@ def fit_curves(
         raise ValueError(
             "split: got a value outside [0, 1]; give the fraction of the free length before the target"
         )
-    # Half of the modelled wire: half of the target and the longer free end, with some margin.
+    # Half of the modelled wire, in target lengths: half of the target (0.5) with a margin of 10 %, and the
+    # longer free end with a margin of 2 %.
     if length is None:
         reach = np.full(batch, 0.55)
     else:
@@ -273,28 +279,37 @@ def _nearest_points(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Improve the points of each wire that are nearest to its target's points, by one Newton step.
 
+    The fit measures its residuals at these points. The caller repeats the step as the fit proceeds. All
+    lengths are in target lengths. A nearest point is given by its arc length from the middle of its wire
+    ("foot").
+
     Args:
-        wire: The wires.
-        task: The targets.
-        foot: Guess of the arc lengths of the nearest points from the wire's middle (B, m).
+        wire: The wires, solved on n Gauss nodes.
+        task: The targets, with m points each.
+        foot: Guess of the arc lengths of the nearest points (B, m).
 
     Returns:
-        Improved arc lengths (B, m), x, y, theta and k there (B, m, 4), and the values (B, m, n) of the
-        Legendre polynomials there, which interpolate coefficients to these points.
+        ``foot``, the improved arc lengths (B, m); ``at_foot``, the states (x, y, theta, k) of the wire there
+        (B, m, 4); and ``table`` (B, m, n), the values of the n Legendre polynomials there. The product of
+        ``table`` with the Legendre coefficients of a function of arc length interpolates this function to the
+        nearest points.
     """
     values = np.stack([wire.x, wire.y, wire.theta, wire.curvature], axis=-1)
     reach = task.reach[:, None]
     series = gauss_nodes(wire.count).to_coefficients @ values
     for iteration in range(2):
+        # the wire covers arc lengths -reach to reach, the polynomials 0 to 1
         table = legendre(foot / (2.0 * reach) + 0.5, wire.count)
         at_foot = table @ series
-        if iteration == 1:
+        if iteration == 1:  # only evaluates the improved points
             break
         gap = task.points - at_foot[..., :2]
         cos, sin = np.cos(at_foot[..., 2]), np.sin(at_foot[..., 2])
         along = gap[..., 0] * cos + gap[..., 1] * sin
         across = gap[..., 1] * cos - gap[..., 0] * sin
-        # Newton for the nearest point: d(along)/ds = -(1 - k across), bounded away from 0
+        # Newton for the nearest point: along = 0 with d(along)/ds = -(1 - k across). Near the centre of
+        # curvature the derivative vanishes or changes its sign, so 1 - k across is limited to 0.3 or more,
+        # and the step to 0.2 target lengths (both chosen).
         bend = np.maximum(1.0 - at_foot[..., 3] * across, 0.3)
         foot = np.clip(foot + np.clip(along / bend, -0.2, 0.2), -reach, reach)
     return foot, at_foot, table
@@ -305,8 +320,9 @@ def _evaluate(
 ) -> _FitState:
     """Compute the residuals at given states, and their derivatives with respect to the states.
 
-    The residuals of a wire are its distances from the m points, the displacement of its state along the wire
-    from the middle of the target, and its curvature at the Gauss nodes beyond the target.
+    One iteration of the fit uses the result. The residuals of a wire are its weighted distances from the m
+    points, the displacement of its state along the wire from the middle of the target, and its weighted
+    curvature at the Gauss nodes (0 within the target). These are r = m + 1 + count residuals.
 
     Args:
         task: Targets and wires.
@@ -364,7 +380,10 @@ def _evaluate(
 
 
 def _rms_distance(task: _CurveFitTask, state: FloatArray, foot: FloatArray) -> FloatArray:
-    """Return the RMS distance (B,) of the points in target lengths."""
+    """Return the weighted RMS distance (B,) of the target's points from each wire, in target lengths.
+
+    It decides whether a fit is repeated from another first guess, and which of both is kept.
+    """
     start = PicardStart(count=_max_node_count(task, state))
     wire = integrate_wire(state, 2.0 * task.reach, task.weight, anchor=0.5, start=start)
     _, at_foot, _ = _nearest_points(wire, task, foot)
@@ -384,6 +403,7 @@ def _fit_growing_part(task: _CurveFitTask) -> tuple[FloatArray, FloatArray, IntA
     state = foot = np.empty(0)
     rounds = np.zeros(task.reach.size, dtype=np.int64)
     for part in (0.4, 0.6, 0.8, 1.0):
+        # points beyond the part keep a tiny weight, so that the problem stays determined
         is_active = np.abs(arc_length) <= 0.5 * part + 1e-12
         point_weight = task.point_weight * np.where(is_active, 1.0, 1e-9)
         point_weight /= point_weight.sum(axis=1, keepdims=True)
@@ -442,7 +462,10 @@ def _search_all(
 def _levenberg_marquardt(
     task: _CurveFitTask, state: FloatArray, foot: FloatArray, count: int, limit: int
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Minimise the cost of all wires at once. A wire leaves the iteration when it has converged.
+    """Minimise the cost of all wires at once.
+
+    A wire leaves the iteration if an accepted step decreases its cost by a fraction below `_COST_TOLERANCE`,
+    its step or cost is negligible, or its damping has grown beyond 1e8 because no step improves it.
 
     Args:
         task: Targets and wires.
@@ -505,11 +528,14 @@ def _make_fit(
     has_weight: BoolArray,
     rounds: IntArray,
 ) -> CurveFit:
-    """Return the fit in metres, with distances over the points that ``has_weight`` (B, m) selects."""
+    """Cut the fitted curves to the lengths of the wires and return the fit in metres.
+
+    RMS and largest distance count only the points that ``has_weight`` (B, m) selects.
+    """
     size, length = lengths.target, lengths.wire
     start = PicardStart(count=_max_node_count(task, state))
     wire = integrate_wire(state, 2.0 * task.reach, task.weight, anchor=0.5, start=start)
-    for _ in range(2):
+    for _ in range(2):  # two more Newton steps, because the last step of the fit has moved the wires
         foot, at_foot, _ = _nearest_points(wire, task, foot)
     # the wire starts ``split`` of its free length before the point nearest to the start of the target
     first, last = foot[:, 0], foot[:, -1]
@@ -517,6 +543,7 @@ def _make_fit(
     wire_start = first - lengths.split * (wire_length - (last - first)) if length is not None else first
     sigma = (wire_start + 0.5 * wire_length) / (2.0 * task.reach) + 0.5
     middle = wire.at(sigma[:, None])[:, 0]
+    # from target lengths to metres, for x, y, theta, k, Fx, Fy
     unit = np.stack([size, size, np.ones_like(size), 1.0 / size, size**-2, size**-2], axis=1)
     gap = task.points - at_foot[..., :2]
     residual = (gap[..., 1] * np.cos(at_foot[..., 2]) - gap[..., 0] * np.sin(at_foot[..., 2])) * size[:, None]

@@ -192,7 +192,10 @@ def fit(
 
 
 def solve(wires: ClampedWires, guess_params: FloatArray, n: int = 101, strict: bool = True) -> HeavyShape:
-    """Solve for the equilibrium between clamps next to a guess: Newton, on the guess's branch, stable or not.
+    """Solve for the equilibrium between clamps next to a guess, stable or not, by Newton's method.
+
+    Where Newton's method fails directly, the clamps are moved from those of the guess in `_HOMOTOPY_STEPS`
+    steps.
 
     Args:
         wires: Wires between their clamps.
@@ -220,8 +223,9 @@ def solve(wires: ClampedWires, guess_params: FloatArray, n: int = 101, strict: b
 def _solve_by_homotopy(clamped_wires: ClampedWires, params: FloatArray, steps: int) -> FloatArray:
     """Solve for the states at the middles of wires, by homotopy from the guess's end poses.
 
-    A guess that meets the required end better without weight is taken for a wire without weight, and its
-    weight grows along the homotopy.
+    In equal steps the end poses move from those of the guess to the required ones, and each step starts from
+    the solution of the previous one. A guess whose end meets the required one better without weight counts as
+    a wire without weight, and its weight grows along the homotopy.
 
     Args:
         clamped_wires: Wires between their clamps.
@@ -245,6 +249,7 @@ def _solve_by_homotopy(clamped_wires: ClampedWires, params: FloatArray, steps: i
         states.append(clamped.amplitudes_of(wire.theta, grid.sigma, grid.weight))
     amplitude = np.where(pick_weightless, states[1], states[0])
     force = params[:, 4:] * (length**2)[:, None]
+    # reversed: np.where expects the wire without weight first
     guess_end = np.where(pick_weightless, *(wire.at(np.array([1.0]))[:, 0, :3] for wire in reversed(wires)))
     initial_weight = np.where(pick_weightless, zero_weight, weight)
     # Homotopy of clamps and weight. A step that fails keeps the previous shape.
@@ -375,8 +380,8 @@ class EndSensitivity:
 def end_sensitivity(shape: HeavyShape, window: FloatArray | None = None) -> EndSensitivity:
     """Compute how far wires move in their planes if clamps or length have unit errors, linearised.
 
-    The result is the maximum over all nodes inside the window. For a window between two nodes it is the value
-    at the nearest node.
+    Multiplied by the stated end errors, the result tells how far the cut surface deviates. It is the maximum
+    over all nodes inside the window. For a window between two nodes it is the value at the nearest node.
 
     Args:
         shape: The wires.

@@ -474,6 +474,9 @@ def convection_width(
 ) -> FloatArray:
     """Return the kerf [m] of the convection model. It can be negative.
 
+    A wire of diameter d that moves at v emits the heat q0 + q1 sqrt(v) into foam of thickness h and melting
+    heat e per volume. The kerf is (q0 / v + q1 / sqrt(v)) / (e h) - d.
+
     Args:
         foam: Foam of the dissertation's tables.
         wire: The wire.
@@ -556,7 +559,11 @@ def wire_rise(table: Table, power_per_length: FloatArray) -> FloatArray:
 
 
 def _heat_flows(foam: FoamMaterial, wire: HotWire, power: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the heat into the foam at any speed [W], and its increase with sqrt(speed) [W sqrt(s/m)]."""
+    """Return the two parts of the heat into the foam, q0 + q1 sqrt(v) at the speed v of the wire.
+
+    Returns:
+        q0 [W], which does not depend on the speed, and q1 [W sqrt(s/m)].
+    """
     if foam.wire_rise is None or foam.radiation is None:
         raise ValueError(f"foam {foam.name} has no data of the dissertation's form")
     # air at the film temperature, the mean of room and wire

@@ -370,7 +370,11 @@ def _flags(
     speed: FloatArray,
     thickness: FloatArray,
 ) -> NDArray[np.uint8]:
-    """Return the combined flags of kerfs [m], in the common shape of the inputs."""
+    """Return the combined flags of kerfs [m], in the common shape of the inputs.
+
+    Conditions are compared with the test cuts of the foam. A foam without test cuts is compared with
+    `DISSERTATION_TESTS` and always counts as untested.
+    """
     tests = DISSERTATION_TESTS if foam.kerf is None else foam.kerf.tests
     hot = kerf > USABLE_KERF_RANGE_M[1]
     if tests.burnt_speed is not None:

@@ -67,7 +67,8 @@ def check_cut(
 def _tight_curve_issues(op: Straight, cut: StraightCut) -> Iterator[Issue]:
     """Yield ``straight.corner`` at an inner curve with a radius below half a kerf, which cannot be cut.
 
-    There the wire moves back while the surface goes on.
+    There a guide point of the wire moves back while the end of the ruling moves on. Moves of less than 1e-7 m
+    on the surface do not count. At most one issue is yielded.
     """
     offset, name = cut.on, cut.nominal.segment
     lines, foot = offset.lines, offset.row.foot
@@ -89,7 +90,10 @@ def _tight_curve_issues(op: Straight, cut: StraightCut) -> Iterator[Issue]:
 
 
 def _self_crossing_issues(op: Straight, cut: StraightCut) -> Iterator[Issue]:
-    """Yield ``straight.crossing`` if a wire comes closer to any part of its surface than half its kerf."""
+    """Yield ``straight.crossing`` if a wire comes closer to any part of its surface than half its kerf.
+
+    A fraction `GOUGE_TOLERANCE_FRACTION` of the tolerance is allowed. At most one issue is yielded.
+    """
     offset, ruled = cut.on, cut.nominal.ruled
     allowed = GOUGE_TOLERANCE_FRACTION * op.shape_tol_mm * MM
     lines = offset.lines
@@ -112,10 +116,10 @@ def _self_crossing_issues(op: Straight, cut: StraightCut) -> Iterator[Issue]:
 def _slit_issues(
     op: Straight, cut: StraightCut, ruled: tuple[RuledSurface, ...], box: FloatArray
 ) -> Iterator[Issue]:
-    """Report the slit by which the wire reaches a closed cut through the part.
+    """Yield an issue for the slit by which the wire reaches a closed cut through the part.
 
-    It is unavoidable for a hole and for a piece inside a hole (the note ``straight.slit``). For an outline it
-    is the error ``straight.lead``.
+    The slit is unavoidable for a hole and for a piece inside a hole, and the note ``straight.slit`` states
+    it. For an outline it is the error ``straight.lead``. Slits of less than 0.1 mm are not reported.
     """
     start = cut.start
     if start is None or start.length_in_part < 1e-4:
@@ -189,7 +193,8 @@ def check_bow(
 ) -> Iterator[Issue]:
     """Yield ``bow.span`` if the wire is too short, and ``bow.throat`` if the beam is too close to it.
 
-    The beam has to clear the block at some rotation of the bow about the wire.
+    The wire has to span the block and a margin at both ends. The beam has to clear the block at some rotation
+    of the bow about the wire, which is checked for wires that meet the block.
 
     Args:
         op: Operation with a straight wire.
@@ -236,10 +241,21 @@ def check_bow(
 
 
 def _min_block_depth(lines: WireLines, pose: FloatArray, box: FloatArray, margin: float) -> FloatArray:
-    """Return the depth (N,) [m] of the block behind each wire, at the best rotation of the bow about it."""
+    """Return the depth (N,) [m] of the block between each wire and the bow's beam, at the best rotation.
+
+    `check_bow` compares this depth with the free throat between wire and beam. The bow may rotate about the
+    wire, which is the x axis of its pose. The beam then lies in a direction in the plane of its y and z axes.
+    Of `BOW_ROTATION_SAMPLES` rotations, the one with the smallest depth counts.
+
+    Args:
+        lines: N wires.
+        pose: Poses of the bow (N, 4, 4).
+        box: Lower and upper corner of the block (2, 3) [m].
+        margin: Margin of the operation [m].
+    """
     angle = 2.0 * np.pi * np.arange(BOW_ROTATION_SAMPLES) / BOW_ROTATION_SAMPLES
     best = np.full(len(lines), np.inf)
-    enlarged = enlarged_box(box, 0.1 * margin)
+    enlarged = enlarged_box(box, 0.1 * margin)  # chosen: a tenth of the margin between block and beam
     for a in angle:
         direction = np.cos(a) * pose[:, :3, 2] + np.sin(a) * pose[:, :3, 1]
         best = np.minimum(best, exit_distance(lines, direction, enlarged))
@@ -256,7 +272,8 @@ def check_holder(
 ) -> Iterator[Issue]:
     """Yield ``stock.footprint`` if a cutting wire comes closer to the holding gripper than the margin.
 
-    Also yielded if the gripper does not hold a piece that is cut free.
+    It is also yielded, alone, if the gripper holds none of the pieces that are cut free. Nothing is yielded
+    if no arm holds the block.
 
     Args:
         op: Operation with a straight wire.
@@ -305,7 +322,7 @@ def check_holder(
 
 
 def _distance_to_shape(lines: WireLines, shape: Shape, max_distance: float) -> FloatArray:
-    """Return the distance (N,) [m] of lines to a shape, in the shape's frame.
+    """Return the distance (N,) [m] of lines to a shape of the holding gripper, both in the shape's frame.
 
     The distance is the smallest one of points sampled along each line. It is infinite for lines that miss the
     shape's box enlarged by ``max_distance``. Round shapes count as cylinders, meshes as boxes.

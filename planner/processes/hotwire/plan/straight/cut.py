@@ -107,8 +107,9 @@ def choose_start(
 ) -> CutStart:
     """Choose the start of a closed cut.
 
-    The start with the least cost is chosen. Costs are the length of the slit (mainly in the part), a slit on
-    the side of the support, a sharp turn between slit and contour, and a wrong side that is cut last.
+    The start with the least cost is chosen among pairs of a ruling and a slit direction, for both senses of
+    rotation. Costs are the length of the slit (mainly in the part), a slit that leaves the block on the side
+    of the support, a sharp turn between slit and contour, and a wrong side that is cut last.
 
     Args:
         ruled: Surface to cut.
@@ -156,7 +157,7 @@ def choose_start(
 def _leaves_below(lines: WireLines, tries: _StartCandidates, box: FloatArray, down: FloatArray) -> BoolArray:
     """Return whether each slit (K,) leaves the block by its side in the direction ``down``.
 
-    Such slits would be longer in a block that reached farther down.
+    A slit does so if it would be clearly longer in a block that reached `CLEARANCE_BELOW_M` farther down.
     """
     lower = np.stack(
         [
@@ -170,7 +171,12 @@ def _leaves_below(lines: WireLines, tries: _StartCandidates, box: FloatArray, do
 def _start_candidates(
     ruled: RuledSurface, contours: tuple[RuledSurface, ...], cut: SurfaceCut, box: FloatArray
 ) -> _StartCandidates:
-    """Return the allowed pairs of a first ruling and a slit direction, or all pairs if none is allowed."""
+    """Return the allowed pairs of a first ruling and a slit direction, or all pairs if none is allowed.
+
+    Directions are normal to the ruling: `SLIT_DIRECTIONS` all around, or the stated lead alone. A slit to a
+    hole must lead into the part, away from the normals of both sides of the ruling. A slit to an outline must
+    lead away from the part on at least one side.
+    """
     rulings = _start_rulings(ruled)
     lines = WireLines(ruled.start[rulings], ruled.end[rulings])
     direction = lines.direction
@@ -179,6 +185,7 @@ def _start_candidates(
         first = np.stack(outward_sides(ruled))[:, rulings].mean(axis=(0, 2))
         first = first - np.sum(first * direction, axis=1, keepdims=True) * direction
         size = np.linalg.norm(first, axis=1, keepdims=True)
+        # the first direction is the mean outward normal, or any if the normals cancel out at a cusp
         first = np.where(size > 1e-6, first / np.maximum(size, 1e-6), _normal_pair(direction)[0])
         second = np.cross(direction, first)
         directions = np.cos(angle)[:, None] * first[:, None] + np.sin(angle)[:, None] * second[:, None]
@@ -207,8 +214,9 @@ def _start_candidates(
 def _start_rulings(ruled: RuledSurface) -> IndexArray:
     """Return the rulings at which a cut may start.
 
-    These are convex corners, or positions all around if there are none. Inner corners are excluded, because
-    their two sides cannot both be reached from there.
+    For an outline these are its convex corners. For a hole, or an outline without convex corners, they are up
+    to `MAX_START_CANDIDATES` evenly spaced rulings. Inner corners are excluded as long as other rulings
+    remain, because their two sides cannot both be reached from there.
     """
     previous_side, next_side = outward_sides(ruled)
     direction = (ruled.end - ruled.start)[:, None]
@@ -250,6 +258,8 @@ def _length_in_part(
 ) -> FloatArray:
     """Return the lengths (K,) [m] that slits have in the part, projected along the wire.
 
+    They dominate the cost of a start.
+
     Args:
         lines: First rulings of the slits (K).
         slit_direction: Directions of the slits (K, 3).
@@ -267,6 +277,7 @@ def _length_in_part(
         centres = 0.5 * (lines.start + lines.end)[group] @ plane
         step = slit_direction[group] @ plane
         slits = shapely.linestrings(
+            # from 1 um beyond the contour, so that rounding does not count the contour itself
             np.stack([centres + 1e-6 * step, centres + length[group, None] * step], axis=1)
         )
         out[group] = shapely.length(shapely.intersection(slits, solid))
@@ -313,6 +324,7 @@ def _holding_score(
     cumulative_facing = np.concatenate([[0.0], np.cumsum(np.tile(facing, 2))])
     arc_length = np.concatenate([[0.0], np.cumsum(np.tile(step_length, 2))])
     holding_length = HOLDING_FRACTION * step_length.sum()
+    # the last part before the first ruling, or in reverse order after it; arc lengths cover two rounds
     low = arc_length[first] if backward else arc_length[first + len(step_length)] - holding_length
     return np.asarray(
         (
@@ -324,7 +336,10 @@ def _holding_score(
 
 
 def _turn_sharpness(ruled: RuledSurface, tries: _StartCandidates, backward: bool) -> FloatArray:
-    """Return how sharply (K,) the wire turns between slit and cut: 0 straight on, 1 reversal."""
+    """Return how sharply (K,) the wire turns from the slit into the cut and back, on average.
+
+    0 is straight on, 1 is a reversal.
+    """
     middle, count = _ruling_centres(ruled), len(ruled.start)
     sense = -1 if backward else 1
     outgoing = middle[(tries.first + sense) % count] - middle[tries.first]
@@ -378,7 +393,10 @@ def make_cut(
     radius: float,
     stock: Stock,
 ) -> StraightCut:
-    """Plan the cut of one surface.
+    """Plan the cut of one surface, from air to air.
+
+    Rulings are so dense that neither guide points nor the fastest point in the foam move farther than the
+    step between them. The step is larger on sides of the block that are trimmed.
 
     Args:
         op: Operation with a straight wire.
@@ -443,10 +461,11 @@ def _closed_cut(
 ) -> StraightCut:
     """Return a closed cut: in through the slit, around the contour, and out through the same slit.
 
-    At a corner the wire starts and ends half a kerf beyond the first ruling.
+    If the cut starts at a corner, first and last wire differ. The wire then starts and ends half a kerf
+    beyond them, along the surface.
     """
     legs = []
-    for k, neighbour in ((0, 1), (-1, -2)):
+    for k, neighbour in ((0, 1), (-1, -2)):  # first and last wire, each with its neighbour in the cut
         corner = _closing_gap(on) > 0.5 * float(on.half[k].max())
         end = _extended_line(on, k, neighbour) if corner else on.lines[[k]]
         leg = _straight_lines(end, start.direction, step, clear, box)
@@ -455,7 +474,7 @@ def _closed_cut(
 
 
 def _extended_line(on: WireOffset, k: int, neighbour: int) -> WireLines:
-    """Return the wire (1) that is half its kerf beyond line ``k``, as seen from line ``neighbour``.
+    """Return the wire (1 line) that continues the move from line ``neighbour`` to ``k`` by half its kerf.
 
     Both ends continue at their own speeds, so that the slot keeps its width up to the end of the surface.
     """
@@ -479,7 +498,11 @@ def _closing_gap(on: WireOffset) -> float:
 def _open_cut(
     nominal: NominalSurface, on: WireOffset, step: float, clear: float, radius: float, box: FloatArray
 ) -> StraightCut:
-    """Return the cut of a strip, with straight leads at both ends or a return through its own slot."""
+    """Return the cut of a strip, with a straight lead-in and, as the cut states, one of two lead-outs.
+
+    With ``leave: onwards`` the wire goes straight on beyond the strip's end. Otherwise it leaves the foam
+    there, stops, and returns through its own slot and the lead-in.
+    """
     lines = on.lines
     ends = [_extended_line(on, 0, 1), _extended_line(on, -1, -2)]
     first, last = _ruling_direction(on.row.foot, 0, 1), _ruling_direction(on.row.foot, -1, -2)

@@ -68,7 +68,8 @@ def check_neighbours(
     """Yield ``straight.crossing`` if the slot of a cut removes foam of another surface of the part.
 
     The other surface may be cut before or after. If two surfaces cross, foam outside one of them does not
-    belong to the part, so removing it there is allowed.
+    belong to the part, so removing it there is allowed. Pairs of closed surfaces with parallel rulings are
+    left out, because `check_other_surfaces` compares them in sections. At most one issue is yielded.
 
     Args:
         op: Operation with a straight wire.
@@ -95,7 +96,8 @@ def check_neighbours(
         points, normal = cells.mean(axis=1), _cell_normals(cells)
         distance, foot, half_slot = _nearest_on_wires(points, lines, half)
         normal_distance = dots(foot - points, normal)
-        # a wire beyond its own surface removes all foam that it passes, another one what its slot reaches
+        # At points outside the cut's own surface, a wire beneath the other surface has removed all foam above
+        # it: the depth is half the slot plus the distance beneath. Elsewhere a slot removes what it reaches.
         is_beyond = (normal_distance <= -MIN_BENEATH_COSINE * distance) & (
             distance < half_slot + MIN_CROSSING_DISTANCE_M
         )
@@ -118,7 +120,16 @@ def _crossing_issue(
     point: FloatArray,
     is_facing: bool,
 ) -> Issue:
-    """Return the issue for the deepest point; ``is_facing`` if both surfaces face each other over a gap."""
+    """Return the issue ``straight.crossing`` for the deepest point of a slot in another surface.
+
+    Args:
+        op: Operation with a straight wire.
+        cut: The cut whose slot it is.
+        other: The other surface.
+        depth_and_half_slot: Depth and half the slot at the point [m].
+        point: The point (3,) [m].
+        is_facing: Whether both surfaces face each other over a gap, which is too narrow for the slot then.
+    """
     depth = depth_and_half_slot[0] / MM
     slot = 2.0 * depth_and_half_slot[1] / MM
     position = "[" + ", ".join(f"{value / MM:.1f}" for value in point) + "] mm"
@@ -160,7 +171,11 @@ def _refine_cells(cells: FloatArray) -> FloatArray:
 
 
 def _needs_refinement(cells: FloatArray, lines: WireLines, half: FloatArray) -> BoolArray:
-    """Return whether corners and centre of each patch (N,) differ clearly in their distance to the wires."""
+    """Return whether each patch (N,) must be divided to find its smallest distance to the wires.
+
+    It must be divided if the distances of its corners and its centre differ by more than
+    `EVEN_DISTANCE_TOLERANCE_M`.
+    """
     distance = np.stack(
         [_nearest_on_wires(cells[:, k], lines, half)[0] for k in range(4)]
         + [_nearest_on_wires(cells.mean(axis=1), lines, half)[0]]
@@ -178,7 +193,7 @@ def _cell_normals(cells: FloatArray) -> FloatArray:
 def _cells_near_wires(
     cells: FloatArray, lines: WireLines, half: FloatArray, box: FloatArray, reach: float
 ) -> FloatArray:
-    """Return the patches whose centres are in the box and within ``reach`` [m] of a wire.
+    """Return the patches whose centres are in the box and within ``reach`` [m] of a wire's path.
 
     A tree of sampled points rejects most patches before the exact distance is computed.
     """
@@ -194,7 +209,7 @@ def _cells_near_wires(
     count = int(np.ceil(np.linalg.norm(ends[1] - ends[0], axis=1).max() / CELL_SIZE_M)) + 1
     points = np.linspace(ends[0], ends[1], count, axis=1)
     step = np.linalg.norm(np.diff(points, axis=0), axis=2).max(initial=0.0)
-    gap = 0.5 * float(np.hypot(CELL_SIZE_M, step))
+    gap = 0.5 * float(np.hypot(CELL_SIZE_M, step))  # farthest that a point of the path is from a sample
     tree = cKDTree(points.reshape(-1, 3))
     candidates = candidates[np.isfinite(tree.query(middle[candidates], distance_upper_bound=reach + gap)[0])]
     if len(candidates):
@@ -216,7 +231,7 @@ def _nearest_on_wires(
 def _nearest_with_position(
     points: FloatArray, lines: WireLines, half: FloatArray, mark_ends: bool
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the result of :func:`_nearest_on_wires`, and the positions (N,) of the nearest points.
+    """Return the three results of :func:`_nearest_on_wires`, and the positions (N,) of the nearest points.
 
     A position counts lines: 3.5 is halfway from line 3 to line 4. With ``mark_ends`` it is NaN for points
     beyond the guide points of the wires.
@@ -268,7 +283,8 @@ def _signed_distance(ruled: RuledSurface, points: FloatArray) -> tuple[FloatArra
     if not ruled.closed:
         is_known &= (position > 0.0) & (position < last + 1)
     index = np.where(np.isfinite(position), position, 0.0)
-    # the patches before and after the nearest point, which differ if it lies on a line
+    # Patches before and after the nearest point, which differ if it lies on a line: there ceil and floor of
+    # the position are equal. The sum of both normals then tells the side.
     low, high = np.ceil(index).astype(np.intp) - 1, np.floor(index).astype(np.intp)
     ring = (low % (last + 1), high % (last + 1)) if ruled.closed else (low.clip(0, last), high.clip(0, last))
     mean = normal[ring[0]] + normal[ring[1]]
@@ -282,7 +298,8 @@ def _bounds_part(
 ) -> BoolArray:
     """Return whether each of the points (N, 3) of a surface belongs to the boundary of the part.
 
-    A point does not if it is outside another surface that crosses this one in the box.
+    Removing foam at other points is allowed. A point does not belong to the boundary if it is outside another
+    surface that crosses this one in the box.
     """
     is_boundary = np.ones(len(candidates), dtype=np.bool_)
     if not len(candidates):
@@ -300,7 +317,10 @@ def _bounds_part(
 
 
 def _extended_strip(ruled: RuledSurface, box: FloatArray) -> RuledSurface:
-    """Return a strip extended straight from both ends until it is out of the block (2, 3)."""
+    """Return a strip extended straight beyond both ends, by the diagonal of the block (2, 3).
+
+    A closed surface is returned unchanged.
+    """
     if ruled.closed:
         return ruled
     length = float(np.linalg.norm(np.ptp(box, axis=0)))
@@ -334,7 +354,7 @@ def check_other_surfaces(
     """Yield issues of a cut that removes foam of other surfaces of the part.
 
     Codes: ``straight.crossing``, and ``straight.lead`` for foam that leads remove, also of the cut's own
-    surface.
+    surface. `check_neighbours` is called only if the checks of slots in sections and of leads find nothing.
 
     Args:
         op: Operation with a straight wire.
@@ -353,7 +373,11 @@ def check_other_surfaces(
 def _slot_overlap_issues(
     op: Straight, cut: StraightCut, ruled: tuple[RuledSurface, ...], box: FloatArray
 ) -> Iterator[Issue]:
-    """Report the slot or a lead of a closed cut that reaches another closed surface with parallel rulings."""
+    """Yield an issue if the slot or a lead of a closed cut reaches another piece with parallel rulings.
+
+    The code is ``straight.crossing`` for the slot and ``straight.lead`` for a lead. Leads of holes and of
+    pieces inside holes are left out. At most one issue is yielded.
+    """
     allowed = GRAZE_TOLERANCE_FRACTION * op.shape_tol_mm * MM
     for level in LEVEL_FRACTIONS:
         pieces = neighbour_pieces(cut.nominal.ruled, ruled, box, level)
@@ -390,7 +414,11 @@ def _slot_overlap_issues(
 def _parallel_slit_issues(
     op: Straight, cut: StraightCut, ruled: tuple[RuledSurface, ...], box: FloatArray
 ) -> Iterator[Issue]:
-    """Yield ``straight.lead`` if the slit to a closed cut runs along another contour, not just across it."""
+    """Yield ``straight.lead`` if the slit to a closed cut runs along another contour, not just across it.
+
+    Only slits of at least 0.1 mm in the part count. The length within half a slot of the other contour may be
+    `MAX_SLIT_LENGTH_PER_CROSSING` half slots for each crossing.
+    """
     if cut.start is None or cut.start.length_in_part < 1e-4:
         return
     pieces = neighbour_pieces(cut.nominal.ruled, ruled, box, 0.5)
@@ -448,7 +476,10 @@ def _deepest_overlap(
 
 
 def _lead_side_issues(op: Straight, cut: StraightCut) -> Iterator[Issue]:
-    """Yield ``straight.lead`` if the lead-in of a strip comes through the part, from below its surface."""
+    """Yield ``straight.lead`` if the lead-in of a strip comes through the part, from below its surface.
+
+    An automatic lead that continues the strip straight beyond its end is allowed.
+    """
     foot, into = cut.on.row.foot, cut.into
     if len(into) < 2:
         return
@@ -479,8 +510,8 @@ def _entering_lead_issues(
 ) -> Iterator[Issue]:
     """Yield ``straight.lead`` if a lead of a strip enters the part through another surface.
 
-    Surfaces that the strip itself crosses do not count. Entries at points that do not bound the part do not
-    count either (`_bounds_part`). For this, strips are extended straight, as their leads are.
+    Surfaces that the strip itself crosses do not count. Entries at points that do not bound the part
+    (`_bounds_part`) do not count either. To decide this, strips are extended straight, as their leads are.
     """
     wires = cut.on.lines
     bounds = tuple(_extended_strip(surface, box) for surface in ruled)
@@ -491,6 +522,7 @@ def _entering_lead_issues(
         mesh = tessellate(resample(other, LEAD_CHORD_TOLERANCE_M, 0.05), LEAD_CHORD_TOLERANCE_M)
         triangles = mesh.vertices[mesh.faces]
         inner = _inner_lines(wires, min_distance)
+        # a surface that the strip itself crosses does not count; about 40 to 80 of its wires decide this
         sampled = inner[:: max(1, len(inner) // 40)]
         if len(inner) > 1 and any(
             map(len, _triangle_crossings(sampled, triangles, box, both_directions=True))

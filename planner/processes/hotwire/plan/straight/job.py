@@ -67,8 +67,9 @@ def clamped_range(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the part of each wire that must lie between the bow's clamps.
 
-    It is the part within ``margin`` of the block. For wires in air it is interpolated from one cut to the
-    next. Both ends are smoothed along the job by widening the part, as far as the span allows.
+    The position of the bow along the wire and its freedom to slide follow from it. It is the part within
+    ``margin`` of the block. For wires in air it is interpolated from one cut to the next. Both ends are
+    smoothed along the job by widening the part, as far as the span allows.
 
     Args:
         lines: N wires.
@@ -86,6 +87,7 @@ def clamped_range(
     all_lines = np.arange(len(lines))
     first, last = (np.interp(all_lines, in_foam, (end - nearest)[in_foam]) for end in (first, last))
     for window in SMOOTHING_WIDTHS:
+        # minimum and maximum over the window first, so that the averages still include each required part
         low, high = minimum_filter1d(first, window), maximum_filter1d(last, window)
         low, high = uniform_filter1d(low, window), uniform_filter1d(high, window)
         if (high - low).max() <= span:
@@ -108,7 +110,7 @@ def bow_poses(lines: WireLines, box: FloatArray, first: FloatArray, last: FloatA
     x = lines.direction
     nearest = lines.nearest_length(np.broadcast_to(0.5 * (box[0] + box[1]), lines.start.shape))
     middle = lines.at(nearest + 0.5 * (first + last))
-    initial_direction = middle[min(3, len(middle) - 1)] - middle[0]
+    initial_direction = middle[min(3, len(middle) - 1)] - middle[0]  # over three moves, as one may be tiny
     z = _rotation_minimizing(x, initial_direction)
     return from_parts(np.stack([x, np.cross(z, x), z], axis=-1), middle)
 
@@ -139,9 +141,10 @@ def _rotation_minimizing(x: FloatArray, first: FloatArray) -> FloatArray:
 def line_clock(lines: WireLines, pose: FloatArray, rows: IndexArray, samples: FloatArray) -> FloatArray:
     """Convert positions among poses into positions among the lines of a cut.
 
-    A position counts poses or lines: 3.5 is halfway from line 3 to line 4. Each pose belongs to the nearest
-        line
-    that is not before that of the previous pose.
+    With the result, `check_driven` computes slots at the speeds of the planned timing. A position counts
+    poses or lines: 3.5 is halfway from line 3 to line 4. Each pose belongs to the nearest line that is not
+    before that of the previous pose. Between poses, positions follow the distance that the faster end of the
+    wire travels.
 
     Args:
         lines: N wires of a cut.
@@ -182,6 +185,7 @@ def bow_freedoms(
     half_turn = np.full(count, np.pi)
     max_slide = np.maximum(0.5 * (span - (last - first)), 0.0)
     out: list[Freedom] = [
+        # screws are rotation, then translation: 0 rotates about x, the wire, and 3 moves along it
         ScrewFreedom("spin", {bow_arm: np.eye(6)[0]}, -half_turn, half_turn, periodic=True),
         ScrewFreedom("slide", {bow_arm: np.eye(6)[3]}, -max_slide, max_slide),
     ]
@@ -193,8 +197,9 @@ def bow_freedoms(
 def _holder_freedoms(op: Straight, stock: Stock, count: int) -> list[Freedom]:
     """Return the freedoms of the block's motion, as screws in the holder's TCP frame.
 
-    Slides come first, then rotations about the block's centre, so that a slide has the same direction at
-    every rotation of the block.
+    If the operation states ``holder: turn``, the only freedom is rotation about the TCP's z axis. Otherwise
+    slides along the block's axes come first, then rotations about the block's centre, so that a slide has the
+    same direction at every rotation of the block.
     """
     holder = str(stock.held_by)
     half_turn = np.full(count, np.pi)
@@ -237,7 +242,10 @@ def bow_of(op: Straight, setup: Setup) -> Bow:
 
 
 def _arm_issues(op: Straight, setup: Setup) -> Iterator[Issue]:
-    """Yield ``bow.arms`` unless the arms are that with the bow and, if the block is held, then its holder."""
+    """Yield ``bow.arms`` unless the operation lists the right arms.
+
+    These are the arm with the bow alone, or that arm and then the holder if another arm holds the block.
+    """
     holder = setup.stock.held_by
     required = (op.arms[0],) if holder is None else (op.arms[0], holder)
     if op.arms == required and op.arms[0] != holder:
@@ -314,7 +322,10 @@ def _twist(cut: StraightCut) -> float:
 
 
 def _cut_curves(op: Straight, cut: StraightCut) -> dict[str, Any]:
-    """Return charts over a cut: kerf and speed at both ends of the rulings, and rotation of the wire."""
+    """Return charts over a cut by name: kerf and speed at both ends of the rulings, and rotation of the wire.
+
+    The x axis is the path of the wire's middle. The range of usable kerfs is marked if the power is stated.
+    """
     lines = cut.on.lines
     middle = 0.5 * (lines.start + lines.end)
     travel_mm = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(middle, axis=0), axis=1))]) / MM
@@ -326,6 +337,7 @@ def _cut_curves(op: Straight, cut: StraightCut) -> dict[str, Any]:
     def curve(
         title: str, label: str, series: list[tuple[str, FloatArray]], marks: Any = ()
     ) -> dict[str, Any]:
+        """Return a chart of one or more series over the path of the wire's middle."""
         return {
             "kind": "curve",
             "title": f"{title}: {name}",
@@ -364,9 +376,11 @@ class StraightJob(Job[Straight]):
         stock, bow = setup.stock, bow_of(operation, setup)
         _, _, _, cuts = self._planned
         box = stock.box
+        # a brief job (``is_brief``) skips checks, claims and exhibits, unless half kerfs have not converged
         issues = [] if self.is_brief and all(cut.on.converged for cut in cuts) else self._cut_issues()
         if has_errors(issues):
             raise TandemError(aggregate(issues))
+        # links avoid the side of the support, or that of the gripper, which is below a held block
         down = stock.gravity[None] if stock.held_by is None else np.array([[0.0, 0.0, -1.0]])
         clear = operation.margin_mm * MM + bow.radius
         route = plan_route(cuts, box, clear, 0.5 * bow.span, down)
@@ -384,7 +398,10 @@ class StraightJob(Job[Straight]):
         )
 
     def _cut_issues(self) -> list[Issue]:
-        """Return the issues of the cuts themselves. Those of the bow and the holder need the route."""
+        """Return the issues of the cuts themselves, before the route is planned.
+
+        `check_bow` and `check_holder` follow later, because they need the route.
+        """
         operation, setup, part = self.operation, self.setup, self.part
         bow, box = bow_of(operation, setup), setup.stock.box
         surfaces, kerf, thickness, cuts = self._planned
@@ -440,7 +457,7 @@ class StraightJob(Job[Straight]):
             lead_in, on_surface, lead_out = (
                 np.flatnonzero(kinds == cut.nominal.segment.at(phase).key) for phase in ("in", "", "out")
             )
-            if cut.reversal:
+            if cut.reversal:  # the wire returns through its slot after this stop and cuts nothing more
                 lead_out = lead_out[: int(np.argmax(targets.stop[lead_out])) + 1]
             cut_targets = np.concatenate([lead_in, on_surface, lead_out])
             clock = line_clock(wires_along(cut), pose, cut_targets, samples)
@@ -463,7 +480,11 @@ def _plan_cuts(
 def _kerf_curve(
     op: Straight, setup: Setup, bow: Bow, surfaces: list[NominalSurface]
 ) -> tuple[KerfCurve, float]:
-    """Return the kerf over speed, and the foam's thickness [m] along the wire (the mean of all rulings)."""
+    """Return the kerf over speed, and the foam's thickness [m] along the wire.
+
+    The thickness is the mean length in the block of all rulings that meet it, or else the block's longest
+    side.
+    """
     foam_lengths = []
     for surface in surfaces:
         first, last = box_chord(WireLines(surface.ruled.start, surface.ruled.end), setup.stock.box)
@@ -547,7 +568,10 @@ def rounding(op: Straight) -> CornerRounding:
 
 
 def _max_feeds(op: Straight, surfaces: list[NominalSurface], route: StraightRoute) -> FloatArray:
-    """Return the maximum speed (N,) [m/s] of the wire on the way to each target."""
+    """Return the maximum speed (N,) [m/s] of the wire on the move to each target.
+
+    It is the feed of the cut on its surface and leads, and the air feed elsewhere.
+    """
     feed_by_segment = {
         phase_segment: op.feed(surface.cut)
         for surface in surfaces
@@ -557,7 +581,7 @@ def _max_feeds(op: Straight, surfaces: list[NominalSurface], route: StraightRout
 
 
 def _air_travel(pose: FloatArray, span: float) -> FloatArray:
-    """Return how far (N,) [m] the faster end of the wire moves to each pose."""
+    """Return the move (N,) [m] of the faster end of the wire from the previous pose, 0 for the first."""
     half = 0.5 * span * pose[:, None, :3, 0] * np.array([-1.0, 1.0])[:, None]
     ends = pose[:, None, :3, 3] + half
     return np.concatenate([[0.0], np.linalg.norm(np.diff(ends, axis=0), axis=2).max(axis=1)])

@@ -150,9 +150,13 @@ def make_row(
 def _corner_rotations(
     previous_normal: FloatArray, next_normal: FloatArray, direction: FloatArray, sign: float
 ) -> FloatArray:
-    """Return the rotations (N, 2) [rad] about wires from one normal to the next, positive if convex.
+    """Return the rotations (N, 2) [rad] of the normals at both ends of rulings, positive at a convex corner.
 
-    ``sign`` is -1 if the rulings are cut in reverse order.
+    Args:
+        previous_normal: Unit normals of the side before each ruling, at start and end (N, 2, 3).
+        next_normal: Unit normals of the side after it (N, 2, 3).
+        direction: Directions of the rulings (N, 3).
+        sign: -1 if the rulings are cut in reverse order, else 1.
     """
     axis = direction[:, None]
     angle = np.arctan2(
@@ -176,6 +180,7 @@ def _with_vertices(
     """
     max_rotation = np.abs(rotation).max(axis=1)
     inner = rotation.min(axis=1) < -MIN_VERTEX_ROTATION_RAD
+    # wires per ruling: one away from corners and at inner ones; then each wire's number at its ruling
     parts = np.where(
         inner | (max_rotation < MIN_VERTEX_ROTATION_RAD), 1, np.ceil(max_rotation / max_vertex_rotation)
     ).astype(np.intp)
@@ -266,9 +271,10 @@ def end_speeds(lines: WireLines, feed: float, box: FloatArray) -> FloatArray:
 
 
 def _clear_of_inner_corners(offset: WireOffset) -> BoolArray:
-    """Return whether to keep each wire (N,).
+    """Return whether to keep each wire (N,): others would gouge the far side of an inner corner.
 
-    Wires next to an inner corner are dropped as long as they are on the far side of the corner's own wire.
+    From the wire of an inner corner, neighbours are dropped in both directions until one is clear of the
+    corner (`_is_beyond_corner`), belongs to a corner itself, or is the first or last wire.
     """
     lines, foot = offset.lines, offset.row.foot
     keep = np.ones(len(lines), dtype=np.bool_)
@@ -288,7 +294,11 @@ def _clear_of_inner_corners(offset: WireOffset) -> BoolArray:
 
 
 def _is_beyond_corner(lines: WireLines, foot: WireLines, j: int, i: int, step: int, half: FloatArray) -> bool:
-    """Return whether wire i lies on its own side of the inner corner j at both ends."""
+    """Return whether both ends of wire i are ahead of the wire of inner corner j, along the side of wire i.
+
+    "Ahead" is the direction from ruling j to the ruling at ``j + step``. At least 0.2 half slots are
+    required, so that wires almost at the corner are dropped.
+    """
     for ends, feet, end in ((lines.start, foot.start, 0), (lines.end, foot.end, 1)):
         direction = feet[j + step] - feet[j]
         length = np.linalg.norm(direction)
@@ -322,6 +332,8 @@ def guide_lines(ruled: RuledSurface) -> tuple[FloatArray, FloatArray]:
 def remove_loops(offset: WireOffset, ruled: RuledSurface, tolerance: float, left: float) -> OffsetRow | None:
     """Replace each loop of wires too close to the surface by one wire where the path crosses itself.
 
+    Loops longer than `MAX_LOOP_FACTOR` allows are kept.
+
     Args:
         offset: Wires next to the surface.
         ruled: The surface.
@@ -329,7 +341,8 @@ def remove_loops(offset: WireOffset, ruled: RuledSurface, tolerance: float, left
         left: Depth of foam that may remain [m].
 
     Returns:
-        The row without these loops, or None if there is no loop that can be cut off.
+        The row without these loops, or None if there is no loop that can be cut off, or if the first or last
+        wire is too close to the surface.
     """
     lines = offset.lines
     ends = (lines.start, lines.end)
@@ -340,6 +353,7 @@ def remove_loops(offset: WireOffset, ruled: RuledSurface, tolerance: float, left
     is_too_close = np.asarray((distance < offset.half - NEARER_TOLERANCE_FRACTION * tolerance).any(axis=1))
     if not is_too_close.any() or is_too_close[0] or is_too_close[-1]:
         return None
+    # a loop is a run of wires that are too close: its edges alternate between the wire before it and its last
     edges = np.flatnonzero(np.diff(is_too_close))
     row = offset.row
     keep = np.ones(len(is_too_close), dtype=np.bool_)
@@ -354,6 +368,7 @@ def remove_loops(offset: WireOffset, ruled: RuledSurface, tolerance: float, left
             continue
         middle = (first + following) // 2
         crossings = [_self_crossing(end, first, following, lines.direction[middle]) for end in ends]
+        # the middle wire of the loop moves to the crossing at each end that has one
         for k, crossing in enumerate(crossings):
             point = ends[k][middle] if crossing is None else crossing
             normal[middle, k] = (point - foot[k][middle]) / offset.half[middle, k]
@@ -495,6 +510,7 @@ def _remaining_volume(
         .buffer(half, quad_segs=QUARTER_SEGMENTS)
         .buffer(-half, quad_segs=QUARTER_SEGMENTS)
     )
+    # a point within the remaining foam: 0.3 of its depth from the ruling towards the wires
     inside = shapely.Point(ruling_point + 0.3 * depth * to_wire / max(float(np.linalg.norm(to_wire)), 1e-12))
     area = sum(piece.area for piece in shapely.get_parts(filled) if piece.distance(inside) < 0.1 * depth)
     first, last = box_chord(fine[[k]], box)
@@ -534,7 +550,10 @@ class MeltedSlots:
         return MeltedSlots(self.lines[rows], self.line_index[rows], self.speed[rows], self.half[rows])
 
     def penetration(self, guides: tuple[FloatArray, FloatArray]) -> FloatArray:
-        """Return by how much (N, 2) [m] the slots at both guide points reach beyond guide lines (M, 3)."""
+        """Return by how much (N, 2) [m] the slots at both guide points reach beyond guide lines (M, 3).
+
+        Negative values are the thickness of foam that remains.
+        """
         distance = [
             distance_to_polyline(points, guide)
             for points, guide in zip((self.lines.start, self.lines.end), guides, strict=True)
@@ -578,8 +597,9 @@ def fit_offset(
 ) -> WireOffset:
     """Return wires next to a surface at a distance of half their slot, as closely as possible.
 
-    Loops of wires are cut off where the slot cannot reach. Wires are added where the slot deviates between
-    two of them.
+    Loops of wires are cut off where the slot cannot reach. Moves are halved by additional wires where the
+    slot deviates from the distance by more than `WELL_WITHIN_FRACTION` of the tolerance, as long as this
+    reduces the largest deviation.
 
     Args:
         row: Positions of the wires.
@@ -593,7 +613,10 @@ def fit_offset(
     tolerance = allowed[0]
 
     def evaluate(row: OffsetRow) -> tuple[WireOffset, IndexArray, FloatArray]:
-        """Return the wires, and for samples of the path the line they approach and their deviation [m]."""
+        """Return the wires, and for S samples of the path the line that each approaches and its deviation.
+
+        Both are (S,), deviations in m.
+        """
         offset = wire_offset(row, kerf, feed, box)
         passed = melt_slots(offset.lines, kerf, feed, box)
         return offset, passed.line_index, passed.deviation(guides).max(axis=1)
@@ -646,10 +669,15 @@ def _dense_lines(lines: WireLines, box: FloatArray, spacing: float) -> tuple[Wir
 
 
 def _slot_speeds(lines: WireLines, feed: float, box: FloatArray, time: FloatArray | None) -> FloatArray:
-    """Return the speeds (N, 9) [m/s] across the wire at ``WIRE_FRACTIONS``.
+    """Return the speeds (N, 9) [m/s] across the wire at ``WIRE_FRACTIONS``, from which its slot follows.
 
-    They are averages over ``MELTING_DISTANCE_M`` of the path to each side. The wires pass at times (N,) [s].
-    If ``time`` is None, the fastest point in the box moves at ``feed`` [m/s].
+    They are averages over ``MELTING_DISTANCE_M`` of the path to each side.
+
+    Args:
+        lines: N wires.
+        feed: Speed of the fastest point in the box [m/s], if ``time`` is None.
+        box: Lower and upper corner of the block (2, 3) [m].
+        time: Times at which the wires pass (N,) [s], or None.
     """
     wire_points = [lines.start + fraction * (lines.end - lines.start) for fraction in WIRE_FRACTIONS]
     moves = np.stack([transverse_move(lines, points[:-1]) for points in wire_points], axis=1)

@@ -107,6 +107,8 @@ def point_text(point: FloatArray) -> str:
 def transverse_move(lines: WireLines, points: FloatArray) -> FloatArray:
     """Return how far (N - 1,) [m] the wire moves across itself from each line to the next one.
 
+    Speeds of the wire, and with them its kerf, follow from it.
+
     The distance is measured in the plane through the given point across the mean direction of both lines.
 
     Args:
@@ -129,7 +131,7 @@ def transverse_move(lines: WireLines, points: FloatArray) -> FloatArray:
 
 
 def fastest_move(lines: WireLines, box: FloatArray) -> FloatArray:
-    """Return the distance (N,) [m] of the fastest point inside a box from the previous line to each line.
+    """Return the move (N,) [m] of the fastest point inside a box from the previous line to each line.
 
     It is measured across the wire. It is 0 for the first line, and NaN if no point is inside. The move is
     linear along the wire, so it is largest at an end of the part inside.
@@ -150,7 +152,8 @@ def fastest_move(lines: WireLines, box: FloatArray) -> FloatArray:
 def exit_distance(lines: WireLines, motion: FloatArray, box: FloatArray) -> FloatArray:
     """Return the distance (N,) [m] that each line must move until it has left the box for good.
 
-    It is 0 if the line never meets the box in this direction. A line shifted by s meets the box where six
+    The length of leads and slits follows from it, and the depth of the block behind a wire. The distance is 0
+    if the line never meets the box in this direction. A line shifted by s meets the box where six
     half planes in (s, length t along the line) have a common point. The largest s is at one of their corners.
 
     Args:
@@ -166,6 +169,7 @@ def exit_distance(lines: WireLines, motion: FloatArray, box: FloatArray) -> Floa
         for k in range(3)
         for end, sign in ((0, -1.0), (1, 1.0))
     ]
+    # corners: intersections of two borders that satisfy all other conditions
     for (a, b, c), (d, e, f) in itertools.combinations(half_planes, 2):
         determinant = a * e - b * d
         is_valid = np.abs(determinant) > _PARALLEL_TOLERANCE
@@ -258,7 +262,15 @@ def intersect_plane(lines: WireLines, plane: SectionPlane) -> FloatArray:
 def neighbour_pieces(
     surface: RuledSurface, ruled: Sequence[RuledSurface], box: FloatArray, level: float
 ) -> NeighbourPieces:
-    """Return the pieces next to a closed surface in a plane across its rulings.
+    """Return the pieces that the cut of a closed surface must spare, in a plane across its rulings.
+
+    Only closed surfaces with about parallel rulings are compared. A piece is one of these:
+
+    - another outline whose contour is separate from the cut's own,
+    - the boundary of a hole that surrounds the cut (``around``),
+    - a piece inside the hole that is cut.
+
+    Contours that cross each other bound the part together and are left out.
 
     Args:
         surface: The closed surface.
@@ -283,7 +295,7 @@ def neighbour_pieces(
         if common_area < COMMON_AREA_FRACTION * small:
             others += [] if other.hole else [NeighbourPiece(other.name, shape)]
         elif common_area > (1.0 - COMMON_AREA_FRACTION) * small and small < large:
-            is_inside = own_area.area < shape.area
+            is_inside = own_area.area < shape.area  # the cut lies within the other contour
             if is_inside and other.hole:
                 others.append(NeighbourPiece(other.name, shapely.boundary(shape), around=True))
                 enclosed |= not surface.hole
@@ -303,7 +315,8 @@ def are_parallel(surface: RuledSurface, other: RuledSurface) -> bool:
 def gripper_holds(outline: RuledSurface, foot: FloatArray) -> bool:
     """Return whether a gripper below the block holds the piece that an outline cuts free.
 
-    It is always true for outlines with level rulings.
+    It does if its centre lies within the outline in the plane of the gripper's face. The result is always
+    true for outlines with nearly level rulings, which have no section in this plane.
 
     Args:
         outline: Outline of the part.
@@ -316,7 +329,11 @@ def gripper_holds(outline: RuledSurface, foot: FloatArray) -> bool:
 
 
 def contour_depths(ruled: Sequence[RuledSurface]) -> list[int]:
-    """Return for each surface in how many closed surfaces with the same mean ruling it lies; 0 for strips."""
+    """Return for each surface in how many closed surfaces of the same mean ruling it lies, 0 for strips.
+
+    Nested surfaces are cut first. Contours are compared in the plane across the mean ruling, through the
+    middles of the rulings.
+    """
     depths = [0] * len(ruled)
     closed = [k for k, surface in enumerate(ruled) if surface.closed]
     directions = [_mean_ruling(ruled[k]).round(6) for k in closed]
@@ -346,7 +363,10 @@ def _plane_across(origin: FloatArray, normal: FloatArray) -> SectionPlane:
 
 
 def _section_plane(surface: RuledSurface, box: FloatArray, level: float) -> SectionPlane:
-    """Return the plane across a surface's mean ruling at a fraction ``level`` of its extent in the box."""
+    """Return the plane across a surface's mean ruling, at a fraction of its extent along it in the box.
+
+    ``level`` runs from 0 to 1 over the part of the rulings' extent that lies in the box.
+    """
     normal = _mean_ruling(surface)
     corners = np.array(list(itertools.product(*box.T))) @ normal
     low = max(float((surface.start @ normal).min()), float(corners.min()))
@@ -493,9 +513,9 @@ def _oversize_issues(op: Straight, stock: Stock, side: str) -> Iterator[Issue]:
 
 
 def _block_side(op: Straight, setup: Setup, side: str, cut: TrimCut) -> RuledSurface:
-    """Return a side of the datum block as a surface of two rulings that faces outwards.
+    """Return a side of the datum block (without oversize) as a surface of two rulings that faces outwards.
 
-    If the wire sweeps vertically, the first ruling is the upper edge.
+    If the wire sweeps vertically, the first ruling is the upper edge, so that the wire cuts downwards.
     """
     stock = setup.stock
     axis, end = BLOCK_SIDES[side]
@@ -516,9 +536,10 @@ def _block_side(op: Straight, setup: Setup, side: str, cut: TrimCut) -> RuledSur
 
 
 def _wire_axis(op: Straight, setup: Setup, axis: int, cut: TrimCut) -> int:
-    """Return the axis that the wire is parallel to, for the side of the block normal to ``axis``.
+    """Return the axis (0 to 2) that the wire is parallel to, for the side of the block normal to ``axis``.
 
-    Prefers axes along which the block is no longer than the wire, then level axes, then the shorter one.
+    A stated axis is taken. Otherwise the choice prefers axes along which the block is no longer than the
+    wire, then level axes, then the shorter one.
     """
     if cut.along != "auto":
         return "xyz".index(cut.along)

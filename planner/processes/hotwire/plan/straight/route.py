@@ -89,8 +89,17 @@ def _paths_beyond_side(
 ) -> list[tuple[float, WireLines]]:
     """Return paths, each with its cost [m], via a point beyond one side of the block.
 
-    The wire rotates there from the direction of ``a`` to that of ``b``.
+    The wire rotates there from the direction of ``a`` to that of ``b``. The list is empty if no path around
+    the block leads there, or if the wire keeps its direction and would point at that side.
+
+    Args:
+        a: First wire (1 line).
+        b: Last wire (1 line).
+        block: The block to avoid.
+        half: Half the length of the wire [m].
+        normal: Outward normal of the side (3,).
     """
+    # height of the wire's lower end below its middle, with a margin of one half
     tilt = 1.5 * half * max(abs(float(line.direction[0] @ normal)) for line in (a, b))
     if tilt > 0.6 * half and _angle_between(a, b) < DIRECTION_TOLERANCE_RAD:
         return []  # the wire is along the side's normal: no rotation needed there
@@ -104,6 +113,7 @@ def _paths_beyond_side(
     first, last = (_paths_around(*ends, block) for ends in ((a, rotating[:1]), (rotating[-1:], b)))
     return [
         (
+            # chosen: a rotation by 1 rad costs as much as 0.3 half lengths of the wire
             cost_to + cost_from + 0.3 * half * _angle_between(a, b),
             concatenate_lines([to_pivot, rotating[1:], from_pivot]),
         )
@@ -145,6 +155,7 @@ def _paths_around(a: WireLines, b: WireLines, block: _AvoidedBlock) -> list[tupl
         order: list[int] = [int(v) for v in ConvexHull(points).vertices]
         if len(points) - 2 not in order or len(points) - 1 not in order:
             return []
+        # the hull from start (index -2) to goal (-1) in both senses of rotation
         k = order.index(len(points) - 2)
         ring = order[k:] + order[:k]
         m = ring.index(len(points) - 1)
@@ -171,7 +182,7 @@ def _nearest_to_centre(line: WireLines, box: FloatArray) -> FloatArray:
 def _is_free(a: FloatArray, b: FloatArray, polygon: FloatArray) -> bool:
     """Return whether the straight path from a to b (2,) stays out of a convex polygon (M, 2).
 
-    The polygon is counter-clockwise.
+    The polygon is counter-clockwise. Touching its border is allowed.
     """
     edge = np.roll(polygon, -1, axis=0) - polygon
     normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
@@ -181,7 +192,7 @@ def _is_free(a: FloatArray, b: FloatArray, polygon: FloatArray) -> bool:
     u, v = np.diagonal(u), np.diagonal(v)
     enter, leave = 0.0, 1.0  # fractions of the path between which it is inside all edges so far
     for p, q in zip(u, v, strict=True):
-        if p > -1e-9 and q > -1e-9:
+        if p > -1e-9 and q > -1e-9:  # the whole path is outside this edge
             return True
         if p > 0.0 or q > 0.0:
             crossing = p / (p - q)
@@ -282,7 +293,8 @@ def plan_route(
     for number, cut in enumerate(cuts):
         segment = cut.nominal.segment
         into, on, out = cut.into, cut.on.lines, cut.out
-        if parts and parts[-1].direction[-1] @ into.direction[0] < 0.0:  # start and end are interchangeable
+        # swap start and end of the wires if they would point against those of the previous cut
+        if parts and parts[-1].direction[-1] @ into.direction[0] < 0.0:
             into, on, out = (WireLines(lines.end, lines.start) for lines in (into, on, out))
         if not parts:
             add(Segment("approach"), _air_lead(into, on)[::-1])
@@ -295,7 +307,7 @@ def plan_route(
         # the move that reaches the first wire next to the surface still belongs to the lead-in
         add(segment.at("in"), concatenate_lines([into[1:], on[:1]]), number, len(into) - 1)
         add(segment, on[1:], number)
-        number_on_cut[-1] += 1
+        number_on_cut[-1] += 1  # wire 0 was added with the lead-in
         if cut.reversal:
             stops.append(len(segments) + cut.reversal - 1)
         add(segment.at("out"), out)
@@ -350,7 +362,11 @@ def _air_lead(into: WireLines, on: WireLines) -> WireLines:
 def operator_actions(
     op: Straight, bow: Bow, setup: Setup, cuts: list[StraightCut], route: StraightRoute
 ) -> tuple[TargetAction, ...]:
-    """Return messages and questions to the operator, and the switching of the power, by target index."""
+    """Return messages and questions to the operator, and the switching of the power, by target index.
+
+    At the first target the wire is heated up, at the last one it cools down. Spacers are inserted after each
+    cut whose material would drop, if the operation requests them.
+    """
     diameter, material = 2.0 * bow.radius / MM, f" {op.wire_material}".rstrip()
     if op.power_w is not None:
         mount_message = hotwire_sentences.BOW_POWER.format(
@@ -381,7 +397,7 @@ def operator_actions(
 def would_drop(cut: StraightCut, setup: Setup) -> bool:
     """Return whether the material above an open cut would drop by a kerf.
 
-    It does if the slot is nearly level and no arm holds the block.
+    It would if the slot is nearly level (`RESTING_COSINE`) and no arm holds the block.
     """
     if cut.nominal.ruled.closed or setup.stock.held_by is not None:
         return False

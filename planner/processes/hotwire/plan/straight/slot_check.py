@@ -54,8 +54,9 @@ def check_heat(
 ) -> Iterator[Issue]:
     """Yield ``kerf.too_hot``, ``kerf.too_cold`` and ``kerf.unsettled`` for the cuts of an operation.
 
-    Nothing is checked for an operation without a stated power. The hint names a power or feed that was tried,
-    if there is one.
+    Slots at both ends of the wires are compared with the usable range. Nothing is checked for an operation
+    without a stated power. The hint names a power or feed at which newly planned cuts pass, or says why there
+    is none.
 
     Args:
         op: Operation with a straight wire.
@@ -76,9 +77,14 @@ def check_heat(
 
 
 def _slot_faults(op: Straight, cut: StraightCut) -> Iterator[tuple[StraightCut, str, int, int]]:
-    """Yield the faults of a cut's slot: cut, issue code, index of the wire, and its end (0 or 1)."""
+    """Yield the faults of a cut's slot: cut, issue code, index of the wire, and its end (0 start, 1 end).
+
+    At most one each of ``kerf.too_hot``, at the widest slot, and ``kerf.too_cold``, at the narrowest, is
+    yielded. If neither is, but the half kerfs have not converged, ``kerf.unsettled`` names the slowest end.
+    """
     width = 2.0 * cut.on.half / MM
     low, high = op.kerf_range_mm
+    # divmod by the two ends converts a flat index to wire and end
     widest, narrowest = (divmod(int(flat), 2) for flat in (np.argmax(width), np.argmin(width)))
     if width[widest] > high:
         yield cut, "kerf.too_hot", *widest
@@ -122,9 +128,14 @@ def _heat_advice(
     plan_cuts: PlanCuts,
     max_power: float,
 ) -> str:
-    """Return a hint with a power or feed at which all slots are within the range, or why there is none."""
+    """Return a hint with a power or feed at which all slots are within the range, or why there is none.
+
+    Slots widen with the heat. The largest factor on the power at which no slot is too wide and the smallest
+    at which none is too narrow are searched on the existing wires. Power or feed between both factors is then
+    tried on newly planned cuts.
+    """
     power = op.power_w or 0.0
-    max_factor = min(1.0 / MIN_HEAT_FACTOR, 0.9 * max_power / power)
+    max_factor = min(1.0 / MIN_HEAT_FACTOR, 0.9 * max_power / power)  # keeps 10 % below the melting wire
 
     def width_range(factor: float) -> tuple[float, float]:
         """Return the narrowest and the widest slot [mm] at a multiple of the power."""
@@ -185,14 +196,16 @@ def _suitable_limit(is_suitable: Callable[[float], bool], inner: float, outer: f
 def _suitable_settings(
     op: Straight, min_factor: float, max_factor: float, plan_cuts: PlanCuts
 ) -> Iterator[str]:
-    """Yield a power and a feed, as text, between two factors on the heat at which newly planned cuts pass.
+    """Yield a power and a feed, as text, that lie between two factors on the heat and make new cuts pass.
 
-    Both are round numbers if one is near the middle of the range.
+    Each is tried by planning all cuts again, and left out if they fail. Both are round numbers if one is near
+    the middle of the range. A feed is not suggested if cuts state their own.
     """
     low, high = op.kerf_range_mm
     powers = [value * (op.power_w or 0.0) for value in (min_factor, max_factor)]
     feeds = [op.feed_mm_s / value for value in (max_factor, min_factor)]
     has_own_feeds = op.cuts != "all" and any(cut.feed_mm_s is not None for cut in op.cuts)
+    # more heat means more power or less feed; 5000 W and 200 mm/s bound what is suggested
     for key, bounds, allowed in (
         ("power_w", powers, not powers[0] > 5000.0),
         ("feed_mm_s", [max(feeds[0], op.feed_min_mm_s), min(feeds[1], 200.0)], not has_own_feeds),
@@ -214,7 +227,10 @@ def _with_heat(op: Straight, power: float | None = None, feed: float | None = No
 
 
 def _round_between(low: float, high: float) -> float:
-    """Return a round number near the geometric mean of an interval, or the mean if none is near."""
+    """Return a round number near the geometric mean of an interval, or the mean if none is near.
+
+    "Near" is within a quarter of the distance from the mean to the nearer end.
+    """
     middle = float(np.sqrt(low * high))
     for step in (5.0, 1.0, 0.5, 0.1, 0.05, 0.01):
         value = round(middle / step) * step
@@ -233,7 +249,9 @@ def check_path(op: Straight, cut: StraightCut, kerf: KerfCurve, box: FloatArray)
     """Yield issues of the slot along the planned path, at the feed.
 
     ``straight.uneven``: the slot grows and shrinks so fast that the wire's distance from the surface is not
-    half of it. ``kerf.too_hot`` and ``kerf.too_cold``: the slot leaves the range between the guide points.
+    half of it. ``kerf.too_hot`` and ``kerf.too_cold``, only for a stated power: the slot leaves the range
+    between the guide points. Nothing is yielded if it already leaves the range at a guide point, which
+    `check_heat` reports.
 
     Args:
         op: Operation with a straight wire.
@@ -244,7 +262,7 @@ def check_path(op: Straight, cut: StraightCut, kerf: KerfCurve, box: FloatArray)
     feed = FEED_FRACTION * op.feed(cut.nominal.cut)
     count = len(cut.on.lines)
     out = cut.out[: cut.reversal] if cut.reversal else cut.out
-    lead_end = cut.into[-2:]
+    lead_end = cut.into[-2:]  # two wires of each lead give the first and last wire their speeds
     slots = melt_slots(concatenate_lines([lead_end, cut.on.lines, out[:2]]), kerf, feed, box)
     number = slots.line_index - len(lead_end)
     on_surface = (number > 0) & (number < count)
@@ -271,7 +289,7 @@ def check_driven(
     """Yield the issues of :func:`check_path` at the speeds of the planned timing, for a stated power.
 
     In addition, ``straight.uneven`` is yielded if the wire is so slow on a lead that it melts into the
-    surface.
+    surface, except for holes.
 
     Args:
         op: Operation with a straight wire.
@@ -367,8 +385,15 @@ def _deviation_issues(
 ) -> Iterator[Issue]:
     """Yield ``straight.uneven`` if the distance of wires from the surface is not half their slot.
 
-    The guide points are checked all along the path. Between them, along the wire, the slot is compared with
-    its linear interpolation. There only the fraction that may be out of tolerance is reported.
+    The guide points are checked all along the path. If they pass, the slot between them is compared with its
+    linear interpolation along the wire. This deviation is reported only if more of the surface is out of
+    tolerance than the operation's share allows. At most one issue is yielded.
+
+    Args:
+        op: Operation with a straight wire.
+        cut: The cut.
+        passed: Slots along the path on the surface.
+        cause: Why the slot is uneven, for the message. By default it is the slowing down of the wire.
     """
     allowed = op.shape_tol_mm * MM
     deviation = passed.deviation(guide_lines(cut.nominal.ruled))

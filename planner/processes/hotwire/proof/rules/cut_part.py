@@ -109,7 +109,9 @@ def surface(context: Context) -> RuleOutcome:
 def _with_unreachable_parts(context: Context, claim: CutsSurface, face: CutFace) -> CutFace:
     """Return the face with its share raised by points that deviate because a round wire cannot reach them.
 
-    The search for these points is only done if the share without them is too small.
+    A point counts as good if no more foam remains than a round wire leaves there, within the tolerance, and
+    if that is within what the claim allows. The search for these points is only done if the share without
+    them is too small.
     """
     ruled = next(
         (candidate for candidate in context.claims_of(FollowsRulings) if candidate.segment == claim.segment),
@@ -133,9 +135,10 @@ def _with_unreachable_parts(context: Context, claim: CutsSurface, face: CutFace)
 
 
 def _add_gouges(findings: Findings, sweeps: tuple[WireSweep, ...]) -> None:
-    """Report faces below which a bent wire also runs, which distances to the nearest sheet do not show.
+    """Report faces below which a bent wire also runs, which the deviation of the cut face does not show.
 
-    For straight wires the rule on rulings is a stronger requirement.
+    That deviation only counts the sheet nearest to each point of the face. Straight wires are left out,
+    because the rule on rulings requires more of them.
     """
     context = findings.context
     ruled = {claim.segment.key for claim in context.claims_of(FollowsRulings)}
@@ -359,7 +362,13 @@ class _PartBounds:
         return np.where(np.isinf(distance), np.nan, distance), tolerance
 
     def _correct_for_crossings(self, points: FloatArray, distance: FloatArray, owner: IntArray) -> FloatArray:
-        """Return distances (N,) [m] to the nearest face (``owner``, (N,)), raised for faces that cross it."""
+        """Return distances to the nearest face, raised where a point is outside a face that crosses it.
+
+        Args:
+            points: Points (N, 3) [m].
+            distance: Signed distances to the nearest face (N,) [m].
+            owner: Index of that face in ``faces`` (N,).
+        """
         distance = distance.copy()
         for number in np.unique(owner[distance < MAX_SLOT_WIDTH_M]).tolist():
             for other in self.walls.crossing_surfaces(self.faces[number]):
@@ -375,6 +384,6 @@ class _PartBounds:
 
 
 def _is_datum_side(context: Context, claim: CutsSurface) -> bool:
-    """Return whether the surface of a claim is a side of the datum block."""
+    """Return whether all vertices of a claim's surface are on one side of the datum block."""
     box = context.datum.box
     return bool((np.abs(claim.vertices[:, None] - box[None]).max(axis=0) < SIDE_TOLERANCE_M).any())

@@ -199,6 +199,8 @@ def interpolate_moves(
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """Return wires at stations and on the straight moves to them from the previous ones.
 
+    The move to the first station of each visit is left out, because it belongs to the previous segment.
+
     Args:
         points: Wires (T, P, 3) [m].
         speed: Their speeds (T, P) [m/s].
@@ -267,9 +269,11 @@ def _points_outward(
 def guide_deviation(
     points: FloatArray, speed: FloatArray, guide: FloatArray, normal: FloatArray, claim: FollowsRulings
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the deviation of wires from half their kerf beside a guide line, and the half kerf (T,) [m].
+    """Return the deviation (T,) [m] of wires from half their kerf at a guide line, and half the kerf (T,).
 
-    The kerf is that at the point of the wire that is nearest to the guide line.
+    The deviation is the difference between the signed distance of the wire from the guide line, negative on
+    the part's side, and half the kerf. The kerf is that at the point of the wire that is nearest to the guide
+    line.
 
     Args:
         points: Wires (T, P, 3) [m].
@@ -351,7 +355,7 @@ def _add_missed_points(
 
 
 def _guide_points(guide: FloatArray) -> tuple[FloatArray, float]:
-    """Return points (K, 3) along a guide line and the length [m] that each represents."""
+    """Return even points (K, 3) along a guide line with its ends, and the length [m] that each represents."""
     step = np.linalg.norm(np.diff(guide, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(step)])
     count = max(int(np.ceil(along[-1] / GUIDE_POINT_SPACING_M)), 1)

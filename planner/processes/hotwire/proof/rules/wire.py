@@ -186,7 +186,7 @@ def feed_speed(context: Context, wire: WireMotion) -> FloatArray:
 
 
 def _worse_speed(slowest: float, fastest: float, claim: FeedWindow) -> float:
-    """Return the one of two speeds [m/s] that is farther outside the feed window."""
+    """Return the one of two speeds [m/s] that is farther outside the feed window, as a ratio to its limit."""
     return float(fastest if fastest / claim.upper > claim.lower / max(slowest, 1e-9) else slowest)
 
 
@@ -196,7 +196,13 @@ def _speed_bounds(context: Context, wire: WireMotion, speed: FloatArray) -> tupl
     Both are ``speed`` (T,) unless trajectories drive the wire. Then ``speed`` is multiplied by the ratio of
     the tool's peak speed to its mean between stations for the upper bound. For the lower bound it is
     multiplied by the ratio of the tool's path to the straight one, because stations on both sides of a corner
-    are closer than the path between them.
+    are closer than the path between them. Of two arms, the larger peak ratio counts, and the path ratio of
+    the last arm.
+
+    Args:
+        context: Context of the proof.
+        wire: The wire.
+        speed: Speed on the move to each station, as `feed_speed` returns it (T,) [m/s].
     """
     if len(speed) < 2:  # no move between stations
         return speed, speed
@@ -261,15 +267,22 @@ def wire_mount(context: Context) -> RuleOutcome:
 
 
 def moving_span(context: Context, phase: JoinedPhase) -> tuple[int, int]:
-    """Return the indices of the first and last step of synchronised motion in a phase, (0, 0) for none."""
-    synchronised = [
-        i
-        for i, (number, _, step) in enumerate(context.steps_while_mounted(phase))
-        if context.job.stages[number].synchronised
-        and not context.job.stages[number].is_synchronised_approach
+    """Return the indices of the first and last step with which the arms move the mounted wire.
+
+    These are steps of synchronised stages other than messages, signals and waits. Synchronised approaches and
+    retreats are left out, because the wire is not mounted then.
+
+    Returns:
+        Indices in :meth:`~planner.proof.context.Context.steps_while_mounted` of this phase, (0, 0) for none.
+    """
+    moving_indices = [
+        index
+        for index, (stage_number, _, step) in enumerate(context.steps_while_mounted(phase))
+        if context.job.stages[stage_number].synchronised
+        and not context.job.stages[stage_number].is_synchronised_approach
         and not isinstance(step, MessageStep | SignalStep | WaitStep)
     ]
-    return (synchronised[0], synchronised[-1]) if synchronised else (0, 0)
+    return (moving_indices[0], moving_indices[-1]) if moving_indices else (0, 0)
 
 
 def at_wire(
@@ -334,7 +347,8 @@ def _check_power_in_contact(findings: Findings, wire: WireMotion, signal: str, h
 def _check_power_at_hands(findings: Findings, phase: JoinedPhase, signal: str) -> None:
     """Report power that is on when the operator mounts the wire, takes it off, or is asked between moves.
 
-    Between mounting and the first move the wire is heated, so questions with power are allowed there.
+    Power that is still on after the phase is also reported. Between mounting and the first move the wire is
+    heated, so questions with power are allowed there.
     """
     confirms = findings.context.confirmation_positions(phase)
     state: list[float] = []

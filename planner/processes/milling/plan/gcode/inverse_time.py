@@ -214,7 +214,7 @@ def _track_angles(axis: FloatArray, machine: Convention, side: int) -> FloatArra
 
 
 def _nearest_solutions(vector: FloatArray, machine: Convention, last: FloatArray) -> list[FloatArray]:
-    """Return the solutions (3,) [rad] for a direction, shifted by full turns to be next to ``last`` (3,)."""
+    """Return the solutions (3,) [rad] for a direction, shifted by full turns to be close to ``last`` (3,)."""
     solutions = _solutions(vector, machine, last)
     return [solution + 2.0 * np.pi * np.round((last - solution) / (2.0 * np.pi)) for solution in solutions]
 
@@ -289,8 +289,9 @@ def divide_path(
         machine: Rotary axes of the machine.
 
     Returns:
-        Start and ends of the blocks of the program: tips (B, 3) [m], angles (B, 3) [rad], times (B,) [s], and
-        the index (B,) of the target that each block leads to. The first one is the first target.
+        Start of the program and ends of its blocks: tips (B, 3) [m], angles (B, 3) [rad], times (B,) [s], and
+        the index (B,) of the target that each block leads to. The first one is the first target, to which no
+        block leads.
     """
     positions = np.arange(len(path.tip), dtype=np.float64)
     block_angles = rotary_angles(path.axis, machine)
@@ -323,7 +324,10 @@ def _interpolate_axis(path: MachinePath, positions: FloatArray) -> FloatArray:
 
 
 def _operation_lines(path: MachinePath, machine: Convention) -> Iterator[str]:
-    """Yield the lines of one operation: questions, rapid moves to the start, then moves with actions."""
+    """Yield the lines of one operation: questions, rapid moves to the start, then moves with actions.
+
+    Actions of a target follow the last block that leads to it.
+    """
     tip, block_angles, time, target = divide_path(path, machine)
     used = [(letter, ROTARY_NAMES.index(letter)) for letter in machine.letters]
     degrees = block_angles / DEG

@@ -293,7 +293,10 @@ def _mode_changes(names: tuple[str, ...], modal: Modal, step: LineStep) -> dict[
 
 
 def _find_offset(name: str, modal: Modal, step: LineStep) -> Any:
-    """Return the offset (3,) [m] of a code such as G54, the active one if the problem does not state it."""
+    """Return the offset (3,) [m] of a code such as G54.
+
+    If the problem does not state it, this is reported and the active offset is returned.
+    """
     offset = step.dialect.offsets.get(int(name[1:]))
     if offset is None:
         message = f"{name}: the problem does not state this offset; add it to offsets, or remove the code"
@@ -303,7 +306,10 @@ def _find_offset(name: str, modal: Modal, step: LineStep) -> Any:
 
 
 def _number_changes(modal: Modal, step: LineStep) -> dict[str, Any]:
-    """Return the changes of the state by the words F, S and T of a line."""
+    """Return the changes of the state by the words F, S and T of a line.
+
+    With inverse time (G93), F belongs to its line alone and changes no state.
+    """
     change: dict[str, Any] = {}
     feed, speed, tool = (step.values.get(word) for word in "FST")
     if feed is not None and feed <= 0.0:

@@ -404,7 +404,8 @@ class LineStep:
 def execute_move(modal: Modal, step: LineStep) -> Modal:
     """Execute the move of a line, record it, and return the state after it.
 
-    Values that are missing are reported and replaced by usual ones, so that the next lines can be read.
+    Values that are missing are reported and replaced by usual ones, so that the next lines can be read. Moves
+    of tools that are not used, and moves to an unknown position, are not recorded.
 
     Args:
         modal: State before the move.
@@ -482,7 +483,7 @@ def _target_rotation(modal: Modal, step: LineStep, motion: int) -> Triple:
     I J K of a straight move is the tool axis, that of an arc its centre.
     """
     dialect, values = step.dialect, step.values
-    out = list(modal.turn)
+    out = list(modal.turn)  # the last I J K, or angles of A B C
     if motion in (RAPID, LINEAR):
         for i, word in enumerate(CENTRE_LETTERS):
             if word in values:
@@ -524,7 +525,10 @@ def _rotary_reason(word: str, dialect: Dialect) -> str:
 
 
 def _check_cut(modal: Modal, step: LineStep) -> bool:
-    """Report faults of a cut before its move, and return whether its start is known."""
+    """Report faults of a cut before its move, and return whether its start is known.
+
+    It is unknown if the tool was changed and has not been positioned since (``modal.gap``).
+    """
     if modal.spindle == 0.0:
         message = "a cut while the spindle is stopped; write M3 or M4 with S before, or state spindle_rpm"
         step.fault("gcode.spindle", "cut", message)

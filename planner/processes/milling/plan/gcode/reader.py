@@ -68,7 +68,7 @@ class LinePattern:
 
 
 def line_pattern(rotation_words: str) -> LinePattern:
-    """Return the pattern of regular lines of a dialect.
+    """Return the pattern of regular lines of a dialect, by which long stretches of a file are read at once.
 
     Args:
         rotation_words: Words that rotate the tool.
@@ -81,6 +81,7 @@ def line_pattern(rotation_words: str) -> LinePattern:
         for letter, number in numbers.items()
     )
     line = gap + rb"(?:[Nn]\d++" + gap + rb")?+" + words + rb"\r?+\n"
+    # without groups for the numbers, because only the extent of a stretch is needed
     stretch = re.compile(
         rb"(?:" + line.replace(NUMBER_PATTERN, NUMBER_PATTERN.replace(rb"([-", rb"(?:[-")) + rb")++"
     )
@@ -121,7 +122,7 @@ class RegularStretch:
 def read_regular(
     stretch: RegularStretch, modal: Modal, dialect: Dialect, faults: LineFaults, out: MoveRecorder
 ) -> Modal:
-    """Execute regular lines and return the state after them.
+    """Execute regular lines at once and return the state after them, as if they were executed one by one.
 
     Args:
         stretch: The lines.
@@ -464,7 +465,10 @@ def _no_moves_reason(dialect: Dialect, tools: set[int]) -> str:
 def _execute_chunk(
     chunk: bytes, line: int, modal: Modal, dialect: Dialect, faults: LineFaults, out: MoveRecorder
 ) -> tuple[Modal, int]:
-    """Execute whole lines and return the state and the number of the next line."""
+    """Execute whole lines and return the state and the number of the next line.
+
+    Stretches of at least `MIN_STRETCH_LINES` regular lines are read at once, all other lines one by one.
+    """
     line_format = line_pattern(dialect.rotation_words)
     position = 0
     while position < len(chunk):

@@ -74,7 +74,7 @@ MAX_ISSUES = 50
 
 
 def _check_flanks(findings: Findings, milling: MillingMotion) -> None:
-    """Check all passes along ruled surfaces."""
+    """Check all passes along ruled surfaces and their leads, and add what is wrong to the findings."""
     for index, claim in milling.flanks:
         for number, segment in enumerate(claim.segments):
             track = milling.track(index, claim.arm, (segment.key,))
@@ -100,7 +100,11 @@ def _check_flanks(findings: Findings, milling: MillingMotion) -> None:
 def _check_lead(
     findings: Findings, milling: MillingMotion, index: int, claim: MillsFlank, number: int, phase: Phase
 ) -> None:
-    """Check the lead-in or lead-out (``phase``) of pass ``number`` along a ruled surface."""
+    """Check the lead-in or lead-out (``phase``) of pass ``number`` along a ruled surface.
+
+    If no length of the leads is stated, the cutter must enter and leave the block from the side, and not
+    along its own axis.
+    """
     segment = claim.segments[number].at(phase)
     lead = _find_lead(milling, index, claim, number, phase)
     if lead is None:
@@ -128,7 +132,9 @@ def _check_lead(
 def _find_lead(
     milling: MillingMotion, index: int, claim: MillsFlank, number: int, phase: Phase
 ) -> tuple[ReplayedToolPath, IntArray, LeadResult] | None:
-    """Return the track of a lead, the indices of its samples away from the pass, and its deviation.
+    """Return the track of a lead, the indices of its samples in the order away from the pass, and its result.
+
+    The result compares the samples with the claim (`surface_passes.check_lead`).
 
     It is None if the motion does not have the pass or its lead.
     """
@@ -152,7 +158,9 @@ def _find_lead(
 def lead_feeds(milling: MillingMotion, index: int, segment: Segment, count: int) -> FloatArray:
     """Return the maximum feed (T - 1,) [m/s] from each of T samples of a flank cut's lead to the next.
 
-    It is infinite if the segment is not such a lead.
+    It is infinite if the segment is not such a lead. On the continuation of the surface the feed of the cut
+    holds, on the move along the axis the speed of plunging or of rapid moves, and where both parts meet the
+    larger one.
 
     Args:
         milling: Milling of the proof.
@@ -190,7 +198,7 @@ FACE_STEP_M = 1e-3
 
 
 def _check_faces(findings: Findings, milling: MillingMotion) -> None:
-    """Check all passes over faces."""
+    """Check all passes over faces, and add what is wrong to the findings."""
     for index, claim in milling.faces:
         face = MilledFace(claim)
         for segment in claim.segments:
@@ -295,7 +303,7 @@ def cut_face(milling: MillingMotion, index: int, claim: MillsSurface) -> CutFace
 
 
 def _sample_step(solid: ToolSolid, tolerance: float) -> float:
-    """Return the distance between samples [m] of a round tool.
+    """Return the distance between samples [m] of a round tool along its path.
 
     Between samples at the distance s a tool of radius r leaves ridges of the height s^2 / (8 r), here a tenth
     of the tolerance.
@@ -531,7 +539,7 @@ def spindle(context: Context) -> RuleOutcome:
             if not isinstance(arm.tool, Mill) or arm.name not in motion.tcp:
                 continue
             rows, node, time = milling.samples_in_block(index, arm.name, arm.tool.cutter)
-            # Segments of these kinds have a rule on the spindle of their own.
+            # The spindle in segments of these kinds is checked by a rule of another process.
             kinds_with_rule = [
                 claim.spindle_rule[1]
                 for claim in context.claims

@@ -14,7 +14,7 @@ from planner.processes.poses.proof.pose_passing import (
     PoseMatch,
     PoseTable,
     PoseTiming,
-    find_slow_motion,
+    find_feed_shortfalls,
     free_values,
     match_poses,
 )
@@ -68,7 +68,11 @@ def _check_poses(findings: Findings, index: int, claim: FollowsPoses) -> None:
 
 
 def _check_table(findings: Findings, index: int, claim: FollowsTable) -> None:
-    """Check that arms pass the poses of a table, which the proof reads itself, in ranges and with feeds."""
+    """Check that arms pass the poses of a table in order, and keep the ranges of free axes and the feeds.
+
+    The proof reads the table itself. If a pose is missed, ranges and feeds are not checked. ``index`` is that
+    of the setup.
+    """
     context = findings.context
     operation = next(op for op in context.problem.operations if op.name == claim.operation)
     file = operation.file  # type: ignore[attr-defined]
@@ -85,7 +89,9 @@ def _check_table(findings: Findings, index: int, claim: FollowsTable) -> None:
     poses = [table.poses[arm] for arm in claim.arms]
     twists = [[_axis_twist(axis) for axis in claim.free if arm in axis.arms] for arm in claim.arms]
     tolerance = (claim.position_tol, claim.angle_tol)
-    # usually each pose has its own target, which defines the values of free axes and the feed there
+    # Usually each pose has its own target, which defines the values of free axes and the feed there. So the
+    # search starts with a narrow tolerance. If it misses a pose, the claimed tolerance is tried. Then free
+    # axes without ranges are tried, so that a value beyond its range is not reported as a missed pose.
     bounds = [_free_ranges(claim, arm) for arm in claim.arms]
     narrow_tolerance = (
         min(tolerance[0], OWN_TARGET_TOLERANCE[0]),
@@ -112,11 +118,19 @@ def _check_table(findings: Findings, index: int, claim: FollowsTable) -> None:
 def _tool_paths(
     context: Context, index: int, arms: tuple[str, ...], frame: str
 ) -> tuple[IntArray, list[FloatArray]]:
-    """Return the program targets of a setup at which all arms have a known pose, and these poses.
+    """Return the program targets of a setup from which on all arms have a known pose, and these poses.
 
-    An arm that rests while another one moves alone keeps the pose of its last target. The targets (R,) are
-    indices of the motion's nodes, the poses (R, 4, 4) [m] of each arm's TCP are in the frame ``stock`` or
-    ``world``. Both are empty if an arm has no program.
+    An arm that rests while another one moves alone keeps the pose of its last target.
+
+    Args:
+        context: Context of the proof.
+        index: Index of the setup.
+        arms: Names of the arms.
+        frame: Frame of the poses: ``stock`` or ``world``.
+
+    Returns:
+        Targets (R,) as indices of the motion's nodes, and for each arm the poses (R, 4, 4) [m] of its TCP at
+        them. Both are empty if an arm has no program.
     """
     motion = context.motion
     rows = np.flatnonzero(context.spans.of_stage[motion.node_stage] == index)
@@ -147,7 +161,14 @@ def _report_no_motion(findings: Findings, arms: tuple[str, ...]) -> None:
 
 
 def _report_missed(findings: Findings, match: PoseMatch, arms: tuple[str, ...], within: float) -> bool:
-    """Report poses that are missed, and the largest distance. Return whether any pose is missed."""
+    """Report each missed pose, and note the largest distance of a pose from its target.
+
+    If too many poses are missed, one more message says from which pose on they are not checked. ``within`` is
+    the allowed distance [m] of the messages.
+
+    Returns:
+        Whether any pose is missed.
+    """
     arm_names, issue_count = " and ".join(arms), len(findings.issues)
     for i in np.flatnonzero(~match.is_matched[: match.checked_count]).tolist():
         distance, angle = match.deviation[i].tolist()
@@ -166,7 +187,7 @@ def _report_missed(findings: Findings, match: PoseMatch, arms: tuple[str, ...], 
 
 
 def _free_ranges(claim: FollowsTable, arm: str) -> FloatArray:
-    """Return the lower and upper bounds (F, 2) [rad or m] of the free axes of an arm."""
+    """Return the lower and upper bounds (F, 2) [rad or m] of the F free axes that an arm has."""
     ranges = [(axis.lower, axis.upper) for axis in claim.free if arm in axis.arms]
     return np.array(ranges, dtype=np.float64).reshape(-1, 2)
 
@@ -186,10 +207,19 @@ def _check_range(
     value: FloatArray,
     shared_values: dict[str, FloatArray],
 ) -> None:
-    """Check that the values (P,) of a free axis are in its range, and equal for arms that share it.
+    """Check that the values of a free axis are in its range, and equal for arms that share it.
 
-    ``shared_values`` has the values of the axes of arms that were checked before. Those of this one are
-    added.
+    Rotations are compared up to whole revolutions. Values of two arms may differ by twice the tolerance,
+    because each of them may deviate by the tolerance.
+
+    Args:
+        findings: Receives the issues.
+        claim: Claim with the tolerances.
+        axis: Free axis.
+        arm: Name of the arm.
+        value: Value (P,) [rad or m] of the axis at each pose of the table.
+        shared_values: Values (P,) of each axis for the first arm that has it, by the axis as text. The values
+            of an axis that is not yet there are added.
     """
     unit, scale = ("deg", np.rad2deg(1.0)) if axis.is_rotation else ("mm", 1e3)
     tolerance = claim.angle_tol if axis.is_rotation else claim.position_tol
@@ -221,7 +251,9 @@ def _check_range(
 def _check_feeds(findings: Findings, claim: FollowsTable, table: PoseTable, node: IntArray) -> None:
     """Check that the tools are no faster than their feeds, on average between poses and at every instant.
 
-    ``node`` (P,) is the index of the target among the motion's nodes that matches each pose.
+    The feed of a row, or the claim's feed for rows without their own, limits the motion to the row's pose
+    from the previous one. At most 20 issues of each kind are reported. ``node`` (P,) is the index, among the
+    motion's nodes, of the target that matches each pose.
     """
     motion = findings.context.motion
     times = np.cumsum(motion.node_duration)[node]  # exact, while samples are too far apart for short moves
@@ -236,6 +268,7 @@ def _check_feeds(findings: Findings, claim: FollowsTable, table: PoseTable, node
         (speed, FEED_ROUNDING, "at"),
         (peak_speeds, MAX_FEED_FACTOR, "at up to"),
     ):
+        # ~(a <= b), not a > b: a speed is also reported if its feed is NaN, which means that there is none
         for i in np.flatnonzero(~(speeds <= tolerance_factor * feed))[:20].tolist():
             got, allowed = mm(speeds[i]), mm(feed[i])
             message = f"on the way to pose {i + 2} the tool moves {preposition} {got:.2f} mm/s, allowed "
@@ -253,15 +286,22 @@ def _min_feed_issues(
 ) -> list[Issue]:
     """Return issues where the tools are slower than the minimum feed, or stop where they must not.
 
-    ``rows`` (R,) are the targets of the ``paths`` (R, 4, 4) [m], ``target`` (P,) the index of the one that
-    matches each pose.
+    There are none if no row has a minimum feed.
+
+    Args:
+        context: Context of the proof.
+        claim: Claim with the feed and the minimum feed of rows without their own, and the run-up.
+        table: Table of P poses.
+        rows: Program targets (R,), as indices of the motion's nodes.
+        paths: For each arm the poses (R, 4, 4) [m] of its TCP at these targets.
+        target: For each pose the index (P,) into ``rows`` of the target that matches it.
     """
     min_feed = np.where(np.isnan(table.min_feed), claim.feed_min, table.min_feed)
     if not (min_feed[1:] > 0.0).any():
         return []
     feed = np.where(np.isnan(table.feed), np.nan if claim.feed is None else claim.feed, table.feed)
     stop = table.stop.copy()
-    stop[[0, -1]] = True
+    stop[[0, -1]] = True  # the motion may always stop at the first and the last pose
     motion = context.motion
     steps = [np.diff(table.poses[arm][:, :3, 3], axis=0) for arm in claim.arms]
     timing = PoseTiming(
@@ -279,5 +319,5 @@ def _min_feed_issues(
         measured_issue(
             FOLLOWS, fault.message, (mm(fault.got), mm(fault.limit), "mm/s"), arm=arm, index=fault.pose
         )
-        for fault in find_slow_motion(timing, claim.run_up)
+        for fault in find_feed_shortfalls(timing, claim.run_up)
     ]

@@ -39,7 +39,7 @@ WAIT_ROUNDING_S = 0.001
 def missing_waits(context: Context, sheet: TrimmedSheet, other_slots: Collection[str]) -> Iterator[Issue]:
     """Yield an issue for each start of the arc after which the program does not wait for the arc.
 
-    The wait has to come before the next move.
+    The program waits for the input that reports the arc, before its next move.
 
     Programs of other arms must not start the arc, because they cannot wait for it. Nothing is required if the
     claim states no input.
@@ -130,7 +130,12 @@ def missing_watchdogs(context: Context, sheet: TrimmedSheet, other_slots: Collec
 def _watchdog_issues(
     task: TaskText, start_step: ProgramStep, watchdog: GuardStep | None, sheet: TrimmedSheet
 ) -> Iterator[Issue]:
-    """Yield an issue if there is no watchdog once the torch moves after ``start_step``, or if it is wrong."""
+    """Yield an issue if no suitable watchdog is active when the torch moves after ``start_step``.
+
+    The watchdog is the part of a program that ends it if the arc is lost or the torch rests. It has to check
+    the signals of the claim. Its time limit has to be above the longest stay of the torch in any slot, and
+    short enough that the torch does not burn away more than its kerf.
+    """
     claim = sheet.claim
     signals = claim.signal.lower(), (claim.ok_signal or "").lower()
     if watchdog is None or (watchdog.signal.lower(), watchdog.input.lower()) != signals:

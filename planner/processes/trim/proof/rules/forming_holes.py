@@ -110,9 +110,14 @@ def _check_hole(
     formed_group: tuple[PartShapes, Sequence[Claim]],
     hole: _CutHole,
 ) -> tuple[float, list[Issue]]:
-    """Return the minimum distance [m] in plan of formed areas and tools from a cut, and issues.
+    """Check that a sheet with a cut is not formed too close to the cut by one later forming operation.
 
     ``index`` is that of the operation's setup, ``formed_group`` has its shapes and claims.
+
+    Returns:
+        The minimum distance [m] in plan of formed areas and forming tools from the edges of the cut, and
+        issues. The distance is 0 if such a cut rules out any forming: the waste is outside the cut, or the
+        forming mode moves the whole sheet.
     """
     shapes, group = formed_group
     part, name = shapes.part, hole.outline.name
@@ -157,7 +162,10 @@ def _check_hole(
 
 
 def _forming_distance(shape: FormedShape, hole: _CutHole) -> float:
-    """Return the distance [m] in plan of a formed area from a curve, 0 inside or around it."""
+    """Return the distance [m] in plan of a formed area from the curve of a cut.
+
+    It is 0 if the area overlaps the inside of the curve, and infinite if nothing is formed.
+    """
     plan = shape.corners[shape.raised][:, :, :2]
     if not len(plan):
         return np.inf
@@ -170,7 +178,10 @@ def _forming_distance(shape: FormedShape, hole: _CutHole) -> float:
 def _tool_distance(
     context: Context, part: FormsPart, formed_pass: FormedPass, hole: _CutHole
 ) -> tuple[float, list[Issue]]:
-    """Return the minimum distance [m] in plan of a pass's tools from the edges of a cut, and issues."""
+    """Return the minimum distance [m] in plan of a pass's tools from the edges of a cut, and issues.
+
+    Only moves that form are compared. The distance of a tool that is inside the cut is 0.
+    """
     track, min_distance = formed_pass.track, np.inf
     issues: list[Issue] = []
     pieces = straight_pieces(track, CHORD_ERROR_M)

@@ -103,10 +103,11 @@ def _tool_name(trimmed: TrimmedSheet) -> str:
 
 
 def check_depth(slot: MeasuredCut, cuts: BoolArray) -> None:
-    """Check the depth of the tip of a mill or knife.
+    """Check that the tip of a mill or knife is through the sheet where it cuts, and nowhere too deep.
 
     Where it cuts, it has to be beyond the far face by at least the required depth. Nowhere may it be deeper
-    than in a sheet of full thickness.
+    behind the near face than the thickness of the sheet plus that depth. Both hold within the tolerance of
+    heights.
 
     Args:
         slot: Slot.
@@ -150,8 +151,8 @@ def check_tilt(slot: MeasuredCut) -> None:
 def _check_entry(slot: MeasuredCut, cutter: TrimCutter) -> None:
     """Check that a mill starts above the waste, away from all curves, and goes down no faster than allowed.
 
-    A mill without a ramp has to go straight down. That a ramp ends before the outline follows from
-    `check_depth`.
+    A mill without a ramp also has to go straight down. Nothing more is checked for a ramp: `check_depth`
+    already requires the full depth wherever the mill cuts the outline, so a ramp ends before it.
     """
     trimmed, claim = slot.sheet, slot.sheet.claim
     foot = slot.path.feet.foot[:1]
@@ -172,7 +173,10 @@ def _check_entry(slot: MeasuredCut, cutter: TrimCutter) -> None:
 
 
 def check_descent(slot: MeasuredCut) -> None:
-    """Check that the tool starts above the sheet and goes down no faster than its plunge feed.
+    """Check that a mill or knife starts above the sheet and goes down no faster than its plunge feed.
+
+    The speed is checked as depth: from any earlier sample of the slot, the tool may be deeper than with its
+    plunge feed only by an allowance for errors of the replay.
 
     Args:
         slot: Slot.
@@ -195,10 +199,12 @@ def check_descent(slot: MeasuredCut) -> None:
     fraction = 0.0
     track = trimmed.slot_track(slot.key)
     depths = trimmed.project(track.tip, track.axis)[1]
+    # allowance for chords, rounded corners and facets
     jitter = DEPTH_JITTER_FRACTION * min(
         claim.tolerance, claim.height_tolerance, claim.thickness + tool.depth_below
     )
     jitter += trimmed.sheet.tolerance + SAMPLING_ERROR_M
+    # uninterrupted runs of samples
     for run in np.split(np.arange(len(depths)), np.flatnonzero(~track.joined) + 1):
         # excess depth over a descent at the plunge feed from any earlier sample
         lag = depths[run] - MAX_FEED_FACTOR * tool.plunge * track.time[run]
@@ -231,7 +237,10 @@ def check_straight_entry(slot: MeasuredCut) -> None:
 
 
 def check_retreat(slot: MeasuredCut) -> None:
-    """Check that the tool is above the sheet on its approach to a slot, and retreats from it along its axis.
+    """Check that a mill or knife approaches a slot above the sheet, and retreats from it along its axis.
+
+    Until it is out of the sheet on its retreat, it may move sideways only within the tolerance and may not be
+    deeper than in its slot.
 
     Args:
         slot: Slot.
@@ -248,7 +257,7 @@ def check_retreat(slot: MeasuredCut) -> None:
         feet, depths = trimmed.project(track.tip, track.axis)
         in_sheet = np.flatnonzero(depths > (0.0 if phase == "out" else SAMPLING_ERROR_M))
         if phase == "in":
-            for k in in_sheet[:1]:
+            for k in in_sheet[:1]:  # the first sample in the sheet, if there is one
                 message = (
                     f"the {_tool_name(trimmed)} comes down {mm(float(depths[k])):.2f} mm into the sheet on "
                     "its "
@@ -274,10 +283,11 @@ def check_retreat(slot: MeasuredCut) -> None:
 
 
 def _check_gouge(slot: MeasuredCut, curve: OutlineCurve, cutter_claim: TrimCutter) -> None:
-    """Check that the flute does not cut the part beyond the outline where the sheet is bent, on both faces.
+    """Check that a mill's flute does not cut over the outline into the part, where the sheet is bent.
 
-    The far face is the near one moved along z by the thickness, so the distances of its points from the
-    outline are taken as smaller by the thickness.
+    Points of both faces of the part are compared with the flute along its path. The far face is approximated
+    by the near one moved along z by the thickness. On a slope that moves its points relative to the cut, by
+    at most the thickness, so their distances from the outline are reduced by the thickness.
     """
     trimmed, path, claim, cutter = slot.sheet, slot.path, slot.sheet.claim, cutter_claim.cutter
     depth_ratio, allowed = 0.0, trimmed.edge_tolerance

@@ -105,10 +105,10 @@ def trim_cut(context: Context) -> RuleOutcome:
 def _check_knife_cut(
     trimmed: TrimmedSheet, curve: OutlineCurve, knife: TrimBlade
 ) -> tuple[float, list[Issue]]:
-    """Check the cuts of a knife at both faces of the sheet.
+    """Check that a knife cuts an outline at both faces of the sheet, first at the far one.
 
     Because its edge is slanted, the cut goes farther at the near face than at the far one. So joints may be
-    wider at the far face by the slant within the sheet.
+    wider at the far face by ``slant``, the length of the edge along the cut within the sheet.
 
     Returns:
         Maximum deviation [m] from the outline where it is cut, and issues of the first faulty face.
@@ -141,10 +141,14 @@ def _check_knife_cut(
 def _check_closed(
     trimmed: TrimmedSheet, curve: OutlineCurve, paths: list[SlotPath], extra_width: float = 0.0
 ) -> tuple[float, list[Issue]]:
-    """Check that slots cut an outline all the way round but for its joints.
+    """Check that slots cut an outline all the way round except for its micro-joints.
 
-    Joints may be wider than stated by ``extra_width`` [m] in addition to the tolerance. Returns the maximum
-    distance [m] of the slot's edge from the outline where it is cut, and issues.
+    Issues are those of uncut places whose number differs from that of the joints, of joints with a wrong
+    width, and of joints that a slot cuts off from the waste. Joints may be wider than stated by
+    ``extra_width`` [m] in addition to the tolerance.
+
+    Returns:
+        The maximum distance [m] of the slot's edge from the outline where it is cut, and the issues.
     """
     claim, outline, half_kerf = trimmed.claim, curve.outline, 0.5 * trimmed.claim.kerf
     tolerance = trimmed.edge_tolerance
@@ -152,6 +156,7 @@ def _check_closed(
     distances = np.concatenate([path.curve_distance for path in paths])
     curve_lengths = np.concatenate([path.at for path in paths])
     on_edge = np.abs(distances - half_kerf) <= tolerance
+    # distance of each point of the outline from the edge of the nearest slot
     ring_distances = (
         np.asarray(cKDTree(_path_points(paths, half_kerf, tolerance)).query(curve.ring)[0]) - half_kerf
     )
@@ -175,12 +180,14 @@ def _check_closed(
         if width > SAMPLING_ERROR_M:  # otherwise the round ends of the slots meet
             gaps.append((first, last, width))
             in_joint |= (curve.along - first) % curve.length < last - first
+    # points of the outline that no slot reaches, although they are in no gap between slots
     uncut_runs = _cyclic_runs((ring_distances > tolerance) & ~in_joint)
     deviation = float(np.abs(ring_distances[(ring_distances <= tolerance) & ~in_joint]).max(initial=0.0))
     if uncut_runs or len(gaps) != outline.joints:
         count = len(gaps) + len(uncut_runs)
         message = f"{outline.name} is left uncut in {count} places, required {outline.joints}"
         if count:
+            # division by 1e-3 converts to mm
             x, y, _ = curve.point_after(gaps[0][0] if gaps else float(curve.along[uncut_runs[0][0]])) / 1e-3
             message += f"; the first is at ({x:.1f}, {y:.1f}) mm"
         issues.append(
@@ -228,10 +235,11 @@ def _path_points(paths: list[SlotPath], half_kerf: float, tolerance: float) -> F
 def uncut_intervals(
     curve: OutlineCurve, paths: list[SlotPath], half_kerf: float, tolerance: float
 ) -> list[tuple[float, float]]:
-    """Return the intervals [m] along a closed curve in which no slot's edge is on it.
+    """Return the intervals [m] along a closed curve that no slot cuts, to compare them with its micro-joints.
 
-    Between adjacent samples a slot continues, also across an inner corner, where the nearest point of the
-    curve jumps.
+    A slot cuts the curve where its edge is within the tolerance of it. Two adjacent samples that both do so
+    also cut the length between them, unless they or their nearest points of the curve are too far apart. At
+    an inner corner the nearest point of the curve jumps by a short length, which counts as cut.
 
     Args:
         curve: Curve.
@@ -248,6 +256,7 @@ def uncut_intervals(
     starts, size = [np.zeros(0)], [np.zeros(0)]
     for path in paths:
         on_edge = np.abs(path.curve_distance - half_kerf) <= tolerance
+        # shorter of both ways round from each sample to the next
         step = (np.diff(path.at) + 0.5 * curve.length) % curve.length - 0.5 * curve.length
         is_continuous = np.linalg.norm(np.diff(path.feet.foot, axis=0), axis=1) < 3.0 * SAMPLE_STEP_M
         step = np.append(np.where(on_edge[1:] & is_continuous & (np.abs(step) <= jump), step, 0.0), 0.0)[
@@ -282,7 +291,10 @@ def _passes_joint(curve: OutlineCurve, path: SlotPath, first: float, last: float
 
 
 def _cyclic_runs(flags: BoolArray) -> list[tuple[int, int]]:
-    """Return first and last index of each run of true flags (N,), which are cyclic."""
+    """Return the first and last index, both inclusive, of each run of true flags (N,).
+
+    The flags are cyclic: a run that crosses the end has a first index above its last one.
+    """
     rows = np.flatnonzero(flags)
     if not len(rows):
         return []
@@ -335,9 +347,10 @@ def trim_kept(context: Context) -> RuleOutcome:
 def _check_knife_kept(
     findings: Findings, trimmed: TrimmedSheet, curve: OutlineCurve, knife: TrimBlade, key: str
 ) -> None:
-    """Check how far a blade cuts into the part at either face, off its curve.
+    """Check how far a blade cuts over its curve into the part, at both faces.
 
-    Straight past sharp corners the stated overcut is allowed.
+    On the straight continuation of a side of a sharp corner, the stated overcut is allowed in addition to the
+    tolerance. Measured depths and issues are added to ``findings``.
     """
     tolerance, blade = trimmed.edge_tolerance, blade_path(trimmed, knife, key)
     sharp_corners = find_corners(
@@ -373,15 +386,21 @@ def trim_torch(context: Context) -> RuleOutcome:
         claim, torch = trimmed.claim, trimmed.claim.torch
         if torch is None:
             continue
+        # The TCP is at the stand-off before the nozzle, so feet.height, the height of the TCP above the face,
+        # is the deviation of the nozzle from its stand-off.
         tolerance = claim.height_tolerance + trimmed.sheet.tolerance
+        # In the lead-in the nozzle may be anywhere between the pierce height and the stand-off. The pierce
+        # height may be above (lift) or below (drop) the stand-off.
         lift = max(claim.pierce_height - torch.standoff, 0.0)
         drop = min(claim.pierce_height - torch.standoff, 0.0)
         in_lead = path.curve_distance > 0.5 * claim.kerf + trimmed.edge_tolerance
         high = tolerance + SAMPLING_ERROR_M + np.where(in_lead, lift, 0.0)
         low = -tolerance - SAMPLING_ERROR_M + np.where(in_lead, drop, 0.0)
         tilt = np.arccos(np.clip((path.axis * path.feet.normal).sum(axis=1), -1.0, 1.0))
+        # low is negative, so each quotient exceeds 1 only beyond its own limit
         height_ratio = np.maximum(path.feet.height / high, path.feet.height / low)
         tilt_ratio = tilt / (claim.cone + ANGLE_ERROR_RAD + trimmed.sheet.normal_error)
+        # the sheet is pierced at the first sample of the path
         pierce_ratio = abs(float(path.feet.height[0]) - (claim.pierce_height - torch.standoff)) / tolerance
         for ratio, kind in (
             (height_ratio, "height"),
@@ -429,7 +448,7 @@ def trim_arc(context: Context) -> RuleOutcome:
                 np.isin(other.track.label[_moving_rows(other, on_time, end)[0]], list(other.slots)).any()
                 for other in torches
             ):
-                continue  # another operation cuts with it
+                continue  # another operation cuts in this interval, and is checked with its own claim
             rows_outside = np.flatnonzero(has_moved & ~np.isin(track.label, list(trimmed.slots)))
             for i in rows_outside[:1]:
                 message = f"{claim.signal} is on in {track.label[i]}, where nothing is cut"
@@ -466,7 +485,8 @@ def _check_pierce(
 ) -> None:
     """Check that the arc starts in the waste, away from all curves, and that the torch then rests.
 
-    It starts at the TCP ``tip`` (3,) [m], at sample ``row`` of the motion.
+    The signal goes on at ``start_time`` [s]. The torch rests until its pierce time is over. The arc starts at
+    the TCP ``tip`` (3,) [m], at sample ``row`` of the motion.
     """
     claim = trimmed.claim
     foot = trimmed.sheet.project(tip[None]).foot
@@ -532,8 +552,9 @@ def trim_feed(context: Context) -> RuleOutcome:
         time, length = np.diff(track.time), np.linalg.norm(np.diff(track.tip, axis=0), axis=1)
         time, length = time[track.joined], length[track.joined]
         feet, depth = trimmed.project(track.tip, track.axis)
-        wall_cosine = np.maximum(np.abs(feet.normal[:, 2]), 0.05)
+        wall_cosine = np.maximum(np.abs(feet.normal[:, 2]), 0.05)  # lower bound: no division by 0
         limit = np.minimum(claim.feed / wall_cosine, claim.max_feed)
+        # per move between two samples: the higher limit of both ends applies
         move_limit = np.maximum(limit[:-1], limit[1:])[track.joined]
         speed = length / np.maximum(time, 1e-6)
         fraction = speed / move_limit
@@ -567,7 +588,11 @@ def trim_feed(context: Context) -> RuleOutcome:
 
 
 def _check_linger(findings: Findings, trimmed: TrimmedSheet, key: str) -> None:
-    """Check that a torch, once it moves, does not take too long for a short stretch of its slot."""
+    """Check that a torch, once it moves, does not take too long for a short stretch of its slot.
+
+    On such a stretch the arc would burn away more than the kerf. Stretches have the length of some kerfs and
+    start at each sample. The rests before the first and after the last motion do not count.
+    """
     claim, track = trimmed.claim, trimmed.slot_track(key)
     after_start, before_end = (
         np.linalg.norm(track.tip - track.tip[k], axis=1) > REST_TOLERANCE_M for k in (0, -1)

@@ -279,7 +279,7 @@ def test_proof_and_planner_allow_the_same(seed: int) -> None:
             (),
         )
         halting = dataclasses.replace(way, positions=(np.cumsum(targets.travel)[:, None] * [1.0, 0.0, 0.0],))
-        return proven.find_slow_motion(halting, targets.run_up or 0.0)
+        return proven.find_feed_shortfalls(halting, targets.run_up or 0.0)
 
     assert [f for f in faults(1.0) if "on the way to pose" in f.message and f.got < 0.999 * f.limit] == []
     late = {f.pose for f in faults(1.01) if "at least" in f.message and "required" in f.message}
